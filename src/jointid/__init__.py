@@ -1,0 +1,1 @@
+"""Identify a servo-driven joint from motor torque and the commanded reference alone."""

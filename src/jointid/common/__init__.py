@@ -1,0 +1,1 @@
+"""What every room may use: errors a user can meet, units, progress."""

@@ -1,0 +1,1 @@
+"""Records and the signals in them."""
