@@ -1,0 +1,1 @@
+"""Equations: parameters, friction, joints, controllers. No data, no solver, no state."""

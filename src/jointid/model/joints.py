@@ -1,0 +1,191 @@
+"""Joints: one inertia, or a motor and a load inertia joined by a spring and a damper.
+
+Rigid, (1) of the paper with the constant real records have::
+
+    tau = ZZ a + Fv v + Fc sign(v) + offset
+
+Flexible, (2) of the paper, motor 1 and load 12, elastic deflection q2 = q12 - q1::
+
+    tau = ZZ1 a1  + Fv1 v1  + Fc1 sign(v1)  - K12 q2 - F12 v2 + offset
+    0   = ZZ2 a12 + Fv2 v12 + Fc2 sign(v12) + K12 q2 + F12 v2
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+
+from jointid.common.errors import MethodError
+from jointid.data.record import FloatArray
+from jointid.model.friction import AsymmetricFriction, Friction, SymmetricFriction
+from jointid.model.parameters import TORQUE_UNIT, Kind, Parameter, Quantity, unit_of
+
+_TINY = 1e-300  # keeps a bound on inertias open: a mass of zero has no motion
+
+
+def _offset(friction: Friction) -> Parameter:
+    offset = Parameter("offset", "offset", Quantity.FORCE)
+    return offset if friction.symmetric else offset.fixed(0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class RigidJoint:
+    """One inertia with viscous and Coulomb friction and a constant offset.
+
+    Valid below about a fifth of the first resonance; a flexible joint then shows the sums of its two sides.
+
+    Attributes:
+        kind: "prismatic" (m, N) or "revolute" (rad, N m).
+        friction: the same in both directions, or not (its offset is then fixed at 0).
+        torque_unit: the torque's unit when it is not the kind's own: "A" or "V".
+    """
+
+    kind: Kind = "prismatic"
+    friction: Friction = field(default_factory=SymmetricFriction)
+    torque_unit: str | None = None
+
+    @property
+    def model(self) -> str:
+        """Name of the model, as files say it."""
+        return "rigid"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Inertia, friction, offset."""
+        return (
+            Parameter("inertia", "ZZ", Quantity.INERTIA, lower=_TINY),
+            *self.friction.parameters("", ""),
+            _offset(self.friction),
+        )
+
+    def unit(self, parameter: Parameter) -> str:
+        """Return the unit of a parameter of this joint."""
+        return unit_of(parameter.quantity, self.kind, self.torque_unit or TORQUE_UNIT[self.kind])
+
+    def regressor(self, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+        """Return the columns of (1), in the order of `parameters`, shape (samples, parameters)."""
+        return np.column_stack([acceleration, self.friction.columns(velocity), np.ones_like(velocity)])
+
+    def coefficients(self, values: Mapping[str, float]) -> FloatArray:
+        """Return the drive as the simulation sees it (`simulation.kernels`): a motor, and a load nothing moves."""
+        friction = self.friction.directions(values, "")
+        return np.array([values["inertia"], 1.0, 0.0, 0.0, *friction, 0.0, 0.0, 0.0, 0.0, values["offset"], 0.0])
+
+    def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
+        """Return the state at rest or in steady motion: position and velocity (the load's are not used)."""
+        return np.array([position, velocity, 0.0, 0.0])
+
+
+@dataclass(frozen=True, slots=True)
+class FlexibleJoint:
+    """A motor and a load inertia, each with friction, joined by a spring and a damper.
+
+    Attributes:
+        kind: "prismatic" (m, N) or "revolute" (rad, N m).
+        friction: the law of both sides, symmetric or asymmetric (the offset is then fixed at 0).
+        torque_unit: the torque's unit when it is not the kind's own: "A" or "V"; stiffness is then in A/rad, ...
+    """
+
+    kind: Kind = "prismatic"
+    friction: Friction = field(default_factory=SymmetricFriction)
+    torque_unit: str | None = None
+
+    @property
+    def model(self) -> str:
+        """Name of the model, as files say it."""
+        return "flexible"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Motor side, spring and damper, load side, offset: the order of (5) in the paper."""
+        return (
+            Parameter("motor_inertia", "ZZ1", Quantity.INERTIA, lower=_TINY),
+            *self.friction.parameters("motor_", "1"),
+            Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0),
+            Parameter("damping", "F12", Quantity.VISCOUS, lower=0.0),
+            Parameter("load_inertia", "ZZ2", Quantity.INERTIA, lower=_TINY),
+            *self.friction.parameters("load_", "2"),
+            _offset(self.friction),
+        )
+
+    def unit(self, parameter: Parameter) -> str:
+        """Return the unit of a parameter of this joint."""
+        return unit_of(parameter.quantity, self.kind, self.torque_unit or TORQUE_UNIT[self.kind])
+
+    def coefficients(self, values: Mapping[str, float]) -> FloatArray:
+        """Return the drive as the simulation sees it (`simulation.kernels`)."""
+        return np.array(
+            [
+                values["motor_inertia"],
+                values["load_inertia"],
+                values["stiffness"],
+                values["damping"],
+                *self.friction.directions(values, "motor_"),
+                *self.friction.directions(values, "load_"),
+                values["offset"],
+                0.0,
+            ]
+        )
+
+    def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
+        """Return the state of steady motion: the load moves with the motor, dragged by the spring."""
+        forwards, backwards, coulomb, coulomb_back = self.friction.directions(values, "load_")
+        drag = forwards * velocity + coulomb if velocity > 0 else backwards * velocity - coulomb_back
+        stiffness = values["stiffness"]
+        deflection = drag / stiffness if velocity != 0.0 and stiffness > 0.0 else 0.0
+        return np.array([position, velocity, position - deflection, velocity])
+
+
+Joint: TypeAlias = RigidJoint | FlexibleJoint
+
+
+def rigid_sums(values: Mapping[str, float]) -> dict[str, float]:
+    """Return what a rigid identification of a flexible joint with symmetric friction shows: the sums of both sides.
+
+    The damping F12 acts between the masses and is no part of the friction sums.
+    """
+    return {
+        "inertia": values["motor_inertia"] + values["load_inertia"],
+        "viscous": values["motor_viscous"] + values["load_viscous"],
+        "coulomb": values["motor_coulomb"] + values["load_coulomb"],
+        "offset": values["offset"],
+    }
+
+
+def frequencies(values: Mapping[str, float]) -> dict[str, float]:
+    """Return the three frequencies of a flexible joint in Hz, each named by its boundary condition.
+
+    ``free_free`` is a pole from torque to motor position; ``motor_locked`` the anti-resonance the motor sees;
+    ``load_locked`` the motor against the held load.
+    """
+    motor, load, stiffness = values["motor_inertia"], values["load_inertia"], values["stiffness"]
+    return {
+        "free_free": math.sqrt(stiffness * (1 / motor + 1 / load)) / (2 * math.pi),
+        "motor_locked": math.sqrt(stiffness / load) / (2 * math.pi),
+        "load_locked": math.sqrt(stiffness / motor) / (2 * math.pi),
+    }
+
+
+FRICTIONS: Mapping[str, type[SymmetricFriction] | type[AsymmetricFriction]] = {
+    "symmetric": SymmetricFriction,
+    "asymmetric": AsymmetricFriction,
+}
+
+
+def friction_named(name: str) -> Friction:
+    """Return the friction law of that name.
+
+    Raises:
+        MethodError: the law is not piecewise linear in velocity, or not known.
+    """
+    try:
+        return FRICTIONS[name]()
+    except KeyError:
+        raise MethodError(
+            f'Friction "{name}" cannot be simulated exactly: only laws that are piecewise linear in velocity can; '
+            f"use {' or '.join(FRICTIONS)}."
+        ) from None

@@ -1,0 +1,87 @@
+"""Parameters: what is identified, with symbol, unit, start and bounds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Literal, TypeAlias
+
+from jointid.common.errors import MethodError
+
+Kind: TypeAlias = Literal["prismatic", "revolute"]
+
+
+class Quantity(StrEnum):
+    """The physical quantity of a parameter; its unit follows from the joint's kind and the torque's unit."""
+
+    INERTIA = "inertia"
+    VISCOUS = "viscous friction"
+    FORCE = "force"
+    STIFFNESS = "stiffness"
+    POSITION = "position"
+    VELOCITY = "velocity"
+
+
+POSITION_UNIT: Mapping[str, str] = {"prismatic": "m", "revolute": "rad"}
+TORQUE_UNIT: Mapping[str, str] = {"prismatic": "N", "revolute": "N m"}
+
+
+def unit_of(quantity: Quantity, kind: Kind, torque_unit: str) -> str:
+    """Return the unit of a quantity for a joint of that kind whose torque is kept in `torque_unit`.
+
+    In N and N m the inertias come in kg and kg m2; in the drive's own A or V everything comes per ampere or volt.
+    """
+    position = POSITION_UNIT[kind]
+    if quantity is Quantity.POSITION:
+        return position
+    if quantity is Quantity.VELOCITY:
+        return f"{position}/s"
+    if quantity is Quantity.FORCE:
+        return torque_unit
+    if quantity is Quantity.STIFFNESS:
+        return f"{torque_unit}/{position}"
+    if quantity is Quantity.VISCOUS:
+        return f"{torque_unit} s/{position}"
+    return {"N": "kg", "N m": "kg m2"}.get(torque_unit, f"{torque_unit} s2/{position}")
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter of a joint, or of what surrounds it.
+
+    Attributes:
+        name: the field's term, as code and files say it.
+        symbol: as tables and formulas say it.
+        quantity: what it measures.
+        free: whether it is identified; otherwise it keeps `start`.
+        start: where the search begins, or the value that is kept; None lets the method find its own start.
+        lower, upper: bounds on the value.
+    """
+
+    name: str
+    symbol: str
+    quantity: Quantity
+    free: bool = True
+    start: float | None = None
+    lower: float = -math.inf
+    upper: float = math.inf
+
+    def fixed(self, value: float) -> Parameter:
+        """Return this parameter kept at `value`."""
+        return replace(self, free=False, start=float(value))
+
+
+def adjusted(parameters: Iterable[Parameter], changes: Mapping[str, Parameter]) -> tuple[Parameter, ...]:
+    """Return the parameters with those named in `changes` replaced.
+
+    Raises:
+        MethodError: a name is not one of the parameters; the sentence lists them.
+    """
+    parameters = tuple(parameters)
+    names = [parameter.name for parameter in parameters]
+    unknown = [name for name in changes if name not in names]
+    if unknown:
+        raise MethodError(f"No parameter is called {', '.join(unknown)}; this model has {', '.join(names)}.")
+    return tuple(changes.get(parameter.name, parameter) for parameter in parameters)

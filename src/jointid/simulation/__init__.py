@@ -1,0 +1,1 @@
+"""Exact simulation: the compiled kernels, and what closes the loop around a joint."""

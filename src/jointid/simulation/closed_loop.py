@@ -1,0 +1,425 @@
+"""The closed loop: a joint, the sampled law that drives it, and what a record says it was driven with.
+
+`prepare` turns a record into an `Experiment`: all that does not depend on the joint's parameters, computed once.
+`simulate` runs one candidate through it; `simulate_many` runs many on all cores.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.errors import MethodError, RecordError
+from jointid.data.record import Channel, FloatArray, InjectionPoint, Record, Tap, Timing
+from jointid.model.controllers import EXCESS, POSITION, REFERENCE, REFERENCE_VELOCITY, Controller, SampledLaw, run, scaled
+from jointid.model.joints import Joint
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+_SNAP = 1e-6  # of a period: clocks closer than this are the same clock
+_FAR = 1e3  # times the commanded travel: a motor this far away will not come back
+
+
+class Outcome(StrEnum):
+    """How a simulation ended; its value is the sentence to print."""
+
+    FINISHED = "the simulation finished"
+    DIVERGED = "the loop diverged: this joint is unstable under this controller"
+    TOO_STIFF = "the joint's own motion is too fast for the controller's period to be worth simulating"
+    CHATTERING = "the joint started and stopped more often within one period than a real one can"
+    INVALID = "an inertia or the Coulomb friction is not positive, or a value is not a number"
+
+
+_OUTCOMES = (Outcome.FINISHED, Outcome.DIVERGED, Outcome.TOO_STIFF, Outcome.CHATTERING)
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedLoop:
+    """A joint under its controller: from reference alone to torque."""
+
+    joint: Joint
+    controller: Controller
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels a record must have to be compared with this loop."""
+        return ("torque", *self.controller.channels)
+
+
+@dataclass(frozen=True, slots=True)
+class Initial:
+    """Position and velocity of the motor at the first sample; None: on the reference, at rest."""
+
+    position: float | None = None
+    velocity: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Experiment:
+    """What a loop was driven with, at the controller's instants; made by `prepare`.
+
+    Attributes:
+        law: the controller's state-space form.
+        inputs: (periods, 3) reference, reference velocity, and a column of zeros for the position.
+        before_limit, after_limit: (periods,) what is added to the output; in the log or not, see below.
+        logged: (periods,) the part of `after_limit` that the logged torque contains.
+        feedforward: (periods,) the law's answer to everything but the position.
+        sample_time: of the log, which is every `every`-th period, or shows each period `repeat` times.
+        lengths, lags: the parts of a period, see `kernels.run`.
+        tap: where the torque is logged. timing: what a logged value is.
+        samples: of the log.
+    """
+
+    law: SampledLaw
+    inputs: FloatArray
+    before_limit: FloatArray
+    after_limit: FloatArray
+    logged: FloatArray
+    feedforward: FloatArray
+    sample_time: float
+    every: int
+    repeat: int
+    lengths: FloatArray
+    lags: NDArray[np.int64]
+    tap: Tap
+    timing: Timing
+    samples: int
+
+    def with_law(self, law: SampledLaw) -> Experiment:
+        """Return the same experiment under another law of the same period and delay."""
+        return _experiment(
+            law, self.inputs, self.before_limit, self.after_limit, self.logged, self.sample_time, self.samples,
+            self.tap, self.timing,
+        )  # fmt: skip
+
+    def scaled(self, factor: float) -> Experiment:
+        """Return the same experiment under the law with its output `factor` times as large."""
+        return self.with_law(scaled(self.law, factor))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Response:
+    """The torque of one run, all that an estimator compares.
+
+    Attributes:
+        torque: (samples,) as the record's torque channel would show it; after a failure, its last value.
+        outcome: how the run ended.
+        finished: share of the experiment that was simulated.
+        events: reversals, stops and starts that were located.
+        at_limit: share of the periods in which the controller was at its limit.
+    """
+
+    torque: FloatArray
+    outcome: Outcome
+    finished: float
+    events: int
+    at_limit: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulation:
+    """One run of a loop, at the log's instants.
+
+    Attributes:
+        sample_time: seconds between samples.
+        torque, outcome, finished, events, at_limit: see `Response`; after a failure everything is held.
+        motor_position, motor_velocity: (samples,).
+        load_position, load_velocity: (samples,), None for a rigid joint.
+        velocity, acceleration: (samples,) of the motor at the instant each torque begins to act, which is where
+            torque = regressor . parameters holds exactly.
+    """
+
+    sample_time: float
+    torque: FloatArray
+    motor_position: FloatArray
+    motor_velocity: FloatArray
+    load_position: FloatArray | None
+    load_velocity: FloatArray | None
+    velocity: FloatArray
+    acceleration: FloatArray
+    outcome: Outcome
+    finished: float
+    events: int
+    at_limit: float
+
+    @property
+    def time(self) -> FloatArray:
+        """Instants of the samples, shape (samples,)."""
+        return np.arange(self.torque.size) * self.sample_time
+
+
+def prepare(loop: ClosedLoop, record: Record) -> Experiment:
+    """Return what the record drove the loop with.
+
+    Raises:
+        RecordError: a channel the controller reads is missing, or its clock does not divide the controller's.
+    """
+    record.require(loop.controller.channels, "The simulation of this controller")
+    assert record.reference is not None
+    log = record.torque or record.reference
+    law = loop.controller.law(log.sample_time)
+    periods = math.floor(record.duration / law.period + _SNAP)
+    inputs = np.zeros((periods, 3))
+    inputs[:, REFERENCE] = at_period(record.reference, law.period, periods, "reference")
+    if "reference_velocity" in loop.controller.channels:
+        assert record.reference_velocity is not None
+        velocity = at_period(record.reference_velocity, law.period, periods, "reference_velocity")
+        inputs[:, REFERENCE_VELOCITY] = velocity
+    before, after, logged = (np.zeros(periods) for _ in range(3))
+    if record.injected is not None:
+        signal = at_period(record.injected.channel, law.period, periods, "injected")
+        if record.injected.at is InjectionPoint.BEFORE_LIMIT:
+            before = signal
+        else:
+            after = signal
+            logged = signal * record.injected.in_torque
+    timing = record.torque.timing if record.torque is not None else Timing.HELD
+    samples = math.floor(record.duration / log.sample_time + _SNAP)
+    return _experiment(law, inputs, before, after, logged, log.sample_time, samples, record.tap, timing)
+
+
+def at_period(channel: Channel, period: float, periods: int, name: str) -> FloatArray:
+    """Return a channel at the controller's instants: every so many samples, or each held until the next.
+
+    Raises:
+        RecordError: neither of the two periods is a multiple of the other.
+    """
+    every, repeat = _ratio(period, channel.sample_time, name)
+    return np.repeat(channel.values[::every], repeat)[:periods]
+
+
+def _ratio(long: float, short: float, name: str) -> tuple[int, int]:
+    """Return (every, repeat): how many of `short` make one `long`, or the other way round; one of them is 1."""
+    ratio = long / short
+    every, repeat = max(round(ratio), 1), max(round(1 / ratio), 1)
+    if abs(ratio * repeat / every - 1) > _SNAP:
+        raise RecordError(
+            f"The controller's period of {long:g} s and the sample time of {short:g} s of {name} are no multiples of "
+            "each other; resample the log, or correct the period."
+        )
+    return every, repeat
+
+
+def _experiment(
+    law: SampledLaw,
+    inputs: FloatArray,
+    before_limit: FloatArray,
+    after_limit: FloatArray,
+    logged: FloatArray,
+    sample_time: float,
+    samples: int,
+    tap: Tap,
+    timing: Timing,
+) -> Experiment:
+    repeat, every = _ratio(law.period, sample_time, "torque")
+    lengths, lags = _parts(law, repeat)
+    reference, velocity = inputs[:, REFERENCE], inputs[:, REFERENCE_VELOCITY]
+    slope = (reference[1] - reference[0]) / law.period if reference.size > 1 else 0.0
+    state = law.memory(REFERENCE, reference[0], slope) + law.memory(REFERENCE_VELOCITY, velocity[0], 0.0)
+    feedforward = run(law, inputs, state) + before_limit
+    return Experiment(
+        law, inputs, before_limit, after_limit, logged, feedforward, sample_time, every, repeat, lengths, lags,
+        tap, timing, samples,
+    )  # fmt: skip
+
+
+def _parts(law: SampledLaw, repeat: int) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Cut a period where the torque changes (the delay) and where the log looks (a log faster than the loop)."""
+    late = law.delay / law.period
+    whole = math.floor(late + _SNAP)
+    fraction = max(late - whole, 0.0)
+    fraction = 0.0 if fraction < _SNAP else fraction
+    cuts = [j / repeat for j in range(repeat)]
+    if all(abs(cut - fraction) > _SNAP for cut in cuts):
+        cuts = sorted([*cuts, fraction])
+    lengths = np.diff([*cuts, 1.0]) * law.period
+    lags = [whole + 1 if cut < fraction - _SNAP else whole for cut in cuts]
+    return lengths, np.array(lags, dtype=np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Run:
+    """What came out of the kernel, period by period."""
+
+    drive: FloatArray
+    command: FloatArray
+    states: FloatArray
+    outcome: Outcome
+    counts: NDArray[np.int64]
+
+
+def _run(
+    loop: ClosedLoop, experiment: Experiment, values: Mapping[str, float], initial: Initial | None, keep: bool
+) -> _Run:
+    from jointid.simulation import kernels
+
+    initial = initial or Initial()
+    law = experiment.law
+    position = float(experiment.inputs[0, REFERENCE]) if initial.position is None else initial.position
+    velocity = initial.velocity or 0.0
+    drive = loop.joint.coefficients(values)
+    periods, parts = experiment.feedforward.size, experiment.lengths.size
+    command = np.empty(periods)
+    states = np.empty((periods * parts if keep else 0, 4))
+    counts = np.zeros(4, dtype=np.int64)
+    outcome = Outcome.INVALID
+    if _possible(drive) and math.isfinite(position) and math.isfinite(velocity):
+        state = law.memory(POSITION, position, velocity)
+        first = experiment.feedforward[0] + law.C @ state + law.D[POSITION] * position
+        before = min(max(first, -law.limit), law.limit) + experiment.after_limit[0]
+        status = kernels.run(
+            drive, experiment.lengths, experiment.lags, state, law.A,
+            np.ascontiguousarray(law.B[:, POSITION]), np.ascontiguousarray(law.B[:, EXCESS]), law.C,
+            law.D[POSITION], law.limit, experiment.feedforward, experiment.after_limit, before,
+            loop.joint.start(values, position, velocity), _far(experiment, position), command, states, counts,
+        )  # fmt: skip
+        outcome = _OUTCOMES[status]
+    done = int(counts[2])
+    command[done:] = command[done - 1] if done else 0.0
+    states[done * parts :] = states[done * parts - 1] if done and keep else 0.0
+    return _Run(drive, command, states, outcome, counts)
+
+
+def simulate_torque(
+    loop: ClosedLoop, experiment: Experiment, values: Mapping[str, float], initial: Initial | None = None
+) -> Response:
+    """Run one candidate for its torque alone: as `simulate`, several times faster."""
+    out = _run(loop, experiment, values, initial, keep=False)
+    return Response(_as_logged(experiment, out.command), out.outcome, *_tally(out))
+
+
+def simulate(
+    loop: ClosedLoop, experiment: Experiment, values: Mapping[str, float], initial: Initial | None = None
+) -> Simulation:
+    """Run one candidate; never raises for a candidate's sake: see `Response.outcome`.
+
+    Args:
+        loop: joint and controller.
+        experiment: what they are driven with.
+        values: every parameter of the joint by name.
+        initial: where the motor is at the first sample.
+
+    Exact to rounding for held torques and friction that is piecewise linear in velocity.
+    """
+    out = _run(loop, experiment, values, initial, keep=True)
+    states = out.states.reshape(out.command.size, experiment.lengths.size, 4)
+    instants = np.cumsum(experiment.lengths) - experiment.lengths
+    looked = [int(np.argmin(np.abs(instants - j * experiment.sample_time))) for j in range(experiment.repeat)]
+    seen = states[:: experiment.every, looked].reshape(-1, 4)[: experiment.samples]
+    # The part whose torque is the newest begins where a torque begins to act.
+    newest = int(np.argmin(experiment.lags))
+    rows = np.minimum(np.arange(out.command.size) + experiment.lags[newest], out.command.size - 1)
+    begin = states[rows, newest]
+    acceleration = _acceleration(out.drive, begin, out.command + experiment.after_limit)
+    flexible = loop.joint.model == "flexible"
+    return Simulation(
+        experiment.sample_time,
+        _as_logged(experiment, out.command),
+        seen[:, 0],
+        seen[:, 1],
+        seen[:, 2] if flexible else None,
+        seen[:, 3] if flexible else None,
+        _at_log(experiment, begin[:, 1]),
+        _at_log(experiment, acceleration),
+        out.outcome,
+        *_tally(out),
+    )
+
+
+def _tally(out: _Run) -> tuple[float, int, float]:
+    events, _, done, clipped = (int(count) for count in out.counts)
+    return done / out.command.size, events, clipped / max(done, 1)
+
+
+def _possible(drive: FloatArray) -> bool:
+    """Whether a row of coefficients is a drive at all: positive masses, a spring, cones that are not empty."""
+    cones = drive[6] + drive[7] >= 0 and drive[10] + drive[11] >= 0
+    return bool(np.all(np.isfinite(drive)) and drive[0] > 0 and drive[1] > 0 and min(drive[2:4]) >= 0 and cones)
+
+
+def _far(experiment: Experiment, position: float) -> float:
+    gain = abs(experiment.law.D[POSITION])
+    if gain == 0.0:
+        return math.inf
+    asked = experiment.feedforward / gain
+    travel = float(np.ptp(asked) + np.max(np.abs(experiment.after_limit)) / gain)
+    return float(np.max(np.abs(asked))) + abs(position) + _FAR * travel + 1e-9
+
+
+def _at_log(experiment: Experiment, values: FloatArray) -> FloatArray:
+    """Return what a log shows of a value that is held from one period to the next."""
+    if experiment.every > 1 or experiment.repeat > 1:
+        values = np.repeat(values[:: experiment.every], experiment.repeat)
+    return values[: experiment.samples]
+
+
+def _as_logged(experiment: Experiment, command: FloatArray) -> FloatArray:
+    """Return the controller's output as the log's torque channel shows it."""
+    if experiment.tap is Tap.MEASURED:
+        shown = _delayed(command + experiment.after_limit, int(experiment.lags[0]))
+    else:
+        shown = command + experiment.logged
+    if experiment.timing is Timing.AVERAGED and experiment.every > 1:
+        sums = np.concatenate([np.zeros(1), np.cumsum(shown)])
+        ends = np.arange(1, shown.size)
+        starts = np.maximum(ends - experiment.every, 0)
+        shown = np.append(shown[0], (sums[ends] - sums[starts]) / (ends - starts))
+    return _at_log(experiment, shown)
+
+
+def _delayed(values: FloatArray, lag: int) -> FloatArray:
+    return np.concatenate([np.full(lag, values[0]), values])[: values.size]
+
+
+def _acceleration(drive: FloatArray, states: FloatArray, torque: FloatArray) -> FloatArray:
+    """Return the motor's acceleration just after `torque` begins to act; 0 where friction holds it."""
+    inertia, _, stiffness, damping, viscous, viscous_back, coulomb, coulomb_back = drive[:8]
+    velocity = states[:, 1]
+    spring = stiffness * (states[:, 2] - states[:, 0]) + damping * (states[:, 3] - states[:, 1])
+    push = torque - drive[12] + spring
+    moving = np.where(velocity != 0, np.sign(velocity), (push > coulomb) * 1.0 - (push < -coulomb_back) * 1.0)
+    forwards, backwards = viscous * velocity + coulomb, viscous_back * velocity - coulomb_back
+    friction = np.where(moving > 0, forwards, backwards)
+    return np.asarray(np.where(moving == 0, 0.0, (push - friction) / inertia))
+
+
+def simulate_many(
+    loop: ClosedLoop,
+    experiment: Experiment,
+    candidates: Sequence[Mapping[str, float]],
+    initial: Initial | None = None,
+    workers: int | None = None,
+) -> list[Response]:
+    """Run many candidates for their torque, on all cores (or `workers` of them); the order is kept.
+
+    The compiled kernel releases the interpreter, so threads are enough, and nothing is copied or pickled.
+    """
+    return in_threads(lambda values: simulate_torque(loop, experiment, values, initial), candidates, workers)
+
+
+def in_threads(function: Callable[[T], R], items: Sequence[T], workers: int | None = None) -> list[R]:
+    """Map a function over items with threads, one per core."""
+    workers = min(workers or os.cpu_count() or 1, max(len(items), 1))
+    if workers == 1:
+        return [function(item) for item in items]
+    with ThreadPoolExecutor(workers) as pool:
+        return list(pool.map(function, items))
+
+
+def require_finished(simulation: Simulation) -> Simulation:
+    """Return the simulation, or raise a `MethodError` that says how it failed."""
+    if simulation.outcome is not Outcome.FINISHED:
+        raise MethodError(
+            f"The simulation stopped after {100 * simulation.finished:.1f} % of the record because "
+            f"{simulation.outcome.value}; check the controller's gains and the parameters' values."
+        )
+    return simulation
