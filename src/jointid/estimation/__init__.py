@@ -1,0 +1,1 @@
+"""From records to answers: problems, regressions, the estimators and the verb `identify`."""

@@ -1,0 +1,177 @@
+"""The answer of an identification: complete, frozen, ready to print."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from jointid.common.text import aligned, number
+from jointid.data.record import FloatArray
+from jointid.data.signals import Filtering
+from jointid.estimation.regression import Conditioning
+from jointid.model.joints import Joint
+from jointid.simulation.closed_loop import ClosedLoop, Initial
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatedParameter:
+    """One line of the table.
+
+    Attributes:
+        name, symbol, unit: what it is.
+        value: the estimate; None when it is refused.
+        std: its standard deviation; None for a parameter that was kept fixed, or refused.
+        free: whether it was identified.
+        identifiable: whether the record determines it; a fixed parameter does not say.
+        lower_bound: what the record supports when the value is refused.
+        of_joint: False for what surrounds the joint (the initial state).
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    value: float | None
+    std: float | None
+    free: bool
+    identifiable: bool
+    lower_bound: float | None = None
+    of_joint: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Iteration:
+    """One line of the trace.
+
+    Attributes:
+        number: 0 is the start.
+        values: of the parameters, by name.
+        residual_norm: of the filtered torque error at these values.
+        change: relative change of the residual norm since the last iteration; None at the start.
+        step: largest relative change of a parameter since the last iteration; None at the start.
+        simulations: so far.
+        gain_scale: factor on the simulated controller's gains.
+    """
+
+    number: int
+    values: dict[str, float]
+    residual_norm: float
+    change: float | None
+    step: float | None
+    simulations: int
+    gain_scale: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """What an identification found, and how.
+
+    Attributes:
+        method: "didim" or "idim"; variant: how it was run, in words.
+        joint: the model. loop: the closed loop, when the method simulated one.
+        parameters: in the order of the model, then what surrounds it.
+        channels: of the record, that were read.
+        record: its name.
+        sample_time: of the torque, seconds.
+        measured, predicted: (samples,) raw torque, and what the model says it should have been.
+        borders: samples left out at each end of the error below.
+        relative_error: ``||measured - predicted|| / ||measured||`` of the raw torque, borders left out; a ratio.
+        filtered_error: the same of the filtered and decimated torque: what was minimised.
+        rows: filtered samples that were fitted.
+        conditioning: of the regressor, for a linear regression.
+        initial: the motor's state at the first sample, for a simulation.
+        filtering: as used, defaults filled in.
+        trace: every iteration.
+        simulations: that were run, all of them, those for derivatives and deviations included.
+        stop: why it ended, in a sentence; converged: whether that is a good end.
+        warnings: what the reader must know, one sentence each.
+    """
+
+    method: str
+    variant: str
+    joint: Joint
+    loop: ClosedLoop | None
+    parameters: tuple[EstimatedParameter, ...]
+    channels: tuple[str, ...]
+    record: str
+    sample_time: float
+    measured: FloatArray
+    predicted: FloatArray
+    borders: tuple[int, int]
+    relative_error: float
+    filtered_error: float
+    rows: int
+    conditioning: Conditioning | None
+    initial: Initial | None
+    filtering: Filtering
+    trace: tuple[Iteration, ...]
+    simulations: int
+    stop: str
+    converged: bool
+    warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The joint's parameters by name, fixed ones included; a refused one is missing."""
+        return {p.name: p.value for p in self.parameters if p.of_joint and p.value is not None}
+
+    @property
+    def iterations(self) -> int:
+        """How many steps were taken."""
+        return max(len(self.trace) - 1, 0)
+
+    def __getitem__(self, name: str) -> EstimatedParameter:
+        """Return a parameter by its name or symbol."""
+        for parameter in self.parameters:
+            if name in (parameter.name, parameter.symbol):
+                return parameter
+        raise KeyError(name)
+
+    def __str__(self) -> str:
+        """Return the table, with method, residual and warnings."""
+        left_out = f"{self.borders[0]} + {self.borders[1]} samples at the ends left out"
+        lines = [
+            f"{self.joint.model.capitalize()} joint, {self.variant}, of {self.record}",
+            f"read: {', '.join(self.channels)}",
+            "",
+            aligned(
+                ("symbol", "parameter", "value", "2 sigma", "%", "unit"),
+                [_row(p) for p in self.parameters],
+                (False, False, True, True, True, False),
+            ),
+            "",
+            f"torque error  {100 * self.relative_error:.4f} % raw ({left_out}), "
+            f"{100 * self.filtered_error:.4f} % filtered ({self.rows} rows)",
+        ]
+        if self.conditioning is not None:
+            c = self.conditioning
+            lines.append(
+                f"conditioning  {c.raw:.6g} raw, {c.normalised:.4g} normalised, {c.scaled:.4g} scaled by the parameters"
+            )
+        if self.loop is not None:
+            lines.append(f"effort        {self.iterations} iterations, {self.simulations} simulations")
+        lines.append(f"stopped       {self.stop}")
+        lines += [f"warning       {warning}" for warning in self.warnings]
+        return "\n".join(lines)
+
+
+def _row(p: EstimatedParameter) -> tuple[str, ...]:
+    if p.value is None:
+        bound = "not identifiable" if p.lower_bound is None else f"> {number(p.lower_bound)}"
+        return p.symbol, _words(p), bound, "-", "-", p.unit
+    if not p.free:
+        return p.symbol, _words(p), number(p.value), "fixed", "-", p.unit
+    if p.std is None:
+        return p.symbol, _words(p), number(p.value), "-", "-", p.unit
+    percent = f"{100 * p.std / abs(p.value):.2f}" if p.value else "-"
+    return p.symbol, _words(p), number(p.value), number(2 * p.std, 2), percent, p.unit
+
+
+def _words(p: EstimatedParameter) -> str:
+    return p.name.replace("_", " ")
+
+
+def relative_error(measured: FloatArray, predicted: FloatArray, borders: tuple[int, int]) -> float:
+    """Return ``||measured - predicted|| / ||measured||`` with samples left out at both ends."""
+    inside = slice(borders[0], measured.size - borders[1])
+    return float(np.linalg.norm((measured - predicted)[inside]) / np.linalg.norm(measured[inside]))

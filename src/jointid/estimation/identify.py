@@ -1,0 +1,71 @@
+"""The verb: a record and a loop in, an estimate out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TypeAlias
+
+from jointid.common.errors import MethodError
+from jointid.common.progress import Progress, silent
+from jointid.data.record import Record
+from jointid.data.signals import Filtering
+from jointid.estimation.didim import DIDIM, identify_didim
+from jointid.estimation.estimate import Estimate
+from jointid.estimation.idim import IDIM, identify_idim
+from jointid.model.joints import Joint
+from jointid.model.parameters import Parameter, adjusted
+from jointid.simulation.closed_loop import ClosedLoop
+
+Method: TypeAlias = DIDIM | IDIM
+
+
+def identify(
+    record: Record,
+    model: ClosedLoop | Joint,
+    method: Method | None = None,
+    *,
+    filtering: Filtering | None = None,
+    parameters: Mapping[str, Parameter] | None = None,
+    progress: Progress = silent,
+) -> Estimate:
+    """Identify a joint from what its drive logged.
+
+    Args:
+        record: what was logged.
+        model: the loop (joint and controller), or the joint alone when the controller is not known.
+        method: `DIDIM` or `IDIM` with its settings; by default DIDIM when the controller is known, even where the
+            record has a motor position, which is then not read; otherwise IDIM.
+        filtering: see `Filtering`; its defaults follow the sample time.
+        parameters: changes to the joint's parameters by name: fixed values, starts, bounds.
+        progress: is told each step in a sentence.
+
+    Raises:
+        RecordError: the record lacks a channel the method needs; the sentence says which, and which method does not.
+        MethodError: the method does not fit the model, or the record does not determine the parameters.
+
+    Example:
+        >>> import numpy as np
+        >>> import jointid as ji
+        >>> loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(kp=100.0, kv=2000.0))
+        >>> reference = ji.trapezoids(speeds=(0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
+        >>> truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+        >>> record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
+        >>> estimate = ji.identify(record, loop)
+        >>> print(round(estimate["inertia"].value, 6))
+        30.0
+    """
+    loop = model if isinstance(model, ClosedLoop) else None
+    joint = loop.joint if loop else model
+    assert not isinstance(joint, ClosedLoop)
+    chosen = method or (DIDIM() if loop else IDIM())
+    adjustments = adjusted(joint.parameters, parameters or {})
+    filtering = filtering or Filtering()
+    if isinstance(chosen, IDIM):
+        delay = loop.controller.law(1.0).delay if loop else 0.0
+        return identify_idim(record, joint, adjustments, filtering, delay)
+    if loop is None:
+        raise MethodError(
+            "DIDIM simulates the closed loop, so it needs the controller; give a ClosedLoop, or use IDIM with a "
+            "motor_position."
+        )
+    return identify_didim(record, loop, adjustments, filtering, chosen, progress)

@@ -1,0 +1,112 @@
+"""Where a search begins: from the controller turned round, from a regular joint, or from given values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.common.errors import MethodError
+from jointid.data.record import Channel, FloatArray, Timing
+from jointid.data.signals import Filtering, centred
+from jointid.estimation.idim import inverse_model, regress
+from jointid.estimation.problem import Problem
+from jointid.model.controllers import POSITION, REFERENCE, REFERENCE_VELOCITY, invert
+from jointid.model.joints import RigidJoint
+
+_SLOPE = 20  # samples the initial velocity is first read from: the search corrects it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Start:
+    """Where a search begins.
+
+    Attributes:
+        values: of every parameter, by name.
+        nominal_inertia: the inertia at which the simulated controller's gains are the real ones, while they are
+            scaled with the inertia; None when they need not be.
+    """
+
+    values: dict[str, float]
+    nominal_inertia: float | None
+
+
+def inversion_start(problem: Problem) -> Start:
+    """Return the parameters of the motion that the known controller must have seen to put out the logged torque.
+
+    ``position = reference - C^-1(torque)``, then IDIM on it: no guess is needed, and the result is nearly IDIM's
+    own, because the controller's gain makes the reconstructed position finer than most encoders.
+    """
+    experiment, joint = problem.experiment, _rigid(problem)
+    if experiment.every > 1 or experiment.repeat > 1:
+        raise MethodError(
+            "The controller can be turned round only when every one of its periods is logged once; "
+            'choose start = "regular".'
+        )
+    law, inputs = experiment.law, experiment.inputs
+    logged = problem.measured - experiment.logged - experiment.before_limit
+    slope = (inputs[1, REFERENCE] - inputs[0, REFERENCE]) / law.period
+    state = (
+        law.memory(REFERENCE, inputs[0, REFERENCE], slope)
+        + law.memory(REFERENCE_VELOCITY, inputs[0, REFERENCE_VELOCITY], 0.0)
+        + law.memory(POSITION, inputs[0, REFERENCE], slope)
+    )
+    position = invert(law, logged, inputs, state)
+    acting = logged + experiment.before_limit + experiment.after_limit
+    torque = centred(Channel(acting, "N", law.period, Timing.HELD), law.delay)
+    values = _regressed(problem, joint, torque, position)
+    # The law's memory of what was before the record is a guess, so the first samples of the inverse are left out.
+    skip = law.C.size + 1
+    line = np.polyfit(np.arange(_SLOPE) * law.period, position[skip : skip + _SLOPE], 1)
+    values |= {"initial_position": float(line[1] - line[0] * skip * law.period), "initial_velocity": float(line[0])}
+    return Start(_kept(problem, values), None)
+
+
+def regular_start(problem: Problem, given: dict[str, float] | None = None) -> Start:
+    """Return a regular inertia and no friction, or the given values, with the controller's gains to be scaled.
+
+    The loop of an inertia that is `n` times too large, under gains that are `n` times too large, moves like the real
+    one; regressing on its motion gives good values at once. The real loop's own inertia is first read off the
+    reference, as if the axis tracked it perfectly.
+    """
+    experiment, joint = problem.experiment, _rigid(problem)
+    reference = np.repeat(experiment.inputs[:: experiment.every, REFERENCE], experiment.repeat)
+    reference = reference[: problem.measured.size]
+    torque = problem.measured - np.repeat(experiment.logged[:: experiment.every], experiment.repeat)[
+        : problem.measured.size
+    ]
+    tracked = _regressed(problem, joint, torque, reference)
+    nominal = abs(tracked["inertia"])
+    regular = {p.name: 0.0 for p in problem.parameters} | {"inertia": nominal}
+    regular |= {"initial_position": float(reference[0]), "initial_velocity": 0.0}
+    return Start(_kept(problem, regular | (given or {})), nominal)
+
+
+def given_start(problem: Problem) -> Start:
+    """Return the starts the parameters carry; those without one begin as in `regular_start`."""
+    given = {p.name: p.start for p in problem.parameters if p.start is not None}
+    if given.get("inertia", 1.0) <= 0:
+        raise MethodError(f"A start for the inertia must be positive; received {given['inertia']}.")
+    return regular_start(problem, given)
+
+
+def _regressed(problem: Problem, joint: RigidJoint, torque: FloatArray, position: FloatArray) -> dict[str, float]:
+    sample_time = problem.experiment.sample_time
+    filtering: Filtering = replace(problem.filtering, borders=(50, 50) if torque.size > 500 else (0, 0))
+    model = inverse_model(joint, torque, position, filtering, sample_time)
+    parameters = problem.parameters[: len(joint.parameters)]
+    fit = regress(joint, parameters, model, filtering, sample_time)
+    return dict(zip((p.name for p in parameters if p.free), map(float, fit.values), strict=True))
+
+
+def _kept(problem: Problem, values: dict[str, float]) -> dict[str, float]:
+    """Return the values with every fixed parameter at what it is fixed to."""
+    return values | {p.name: p.start or 0.0 for p in problem.parameters if not p.free}
+
+
+def _rigid(problem: Problem) -> RigidJoint:
+    if not isinstance(problem.loop.joint, RigidJoint):
+        raise MethodError("This start is for a rigid joint; identify the joint as rigid first.")
+    return problem.loop.joint
+
+
