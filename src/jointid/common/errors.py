@@ -9,7 +9,7 @@ class JointidError(Exception):
     """Base of every error that is the user's to mend; the command line prints it and exits with 2."""
 
 
-class _Faults(JointidError):
+class FaultsError(JointidError):
     """An error that reports all the faults found at once, one sentence each."""
 
     def __init__(self, faults: str | Iterable[str]) -> None:
@@ -17,11 +17,11 @@ class _Faults(JointidError):
         super().__init__("\n".join(self.faults))
 
 
-class RecordError(_Faults):
+class RecordError(FaultsError):
     """A record that cannot be read, or cannot be what it is declared to be."""
 
 
-class JointFileError(_Faults):
+class JointFileError(FaultsError):
     """A joint file with faults; `faults` holds every one of them."""
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -84,7 +84,7 @@ class Channel:
     @property
     def time(self) -> FloatArray:
         """Instants of the samples, shape (samples,), starting at 0."""
-        return np.arange(self.values.size) * self.sample_time
+        return np.asarray(np.arange(self.values.size) * self.sample_time, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,7 +174,8 @@ class Record:
         unknown = set(names) - set(CHANNELS)
         if unknown:
             raise RecordError(f"No channel is called {', '.join(sorted(unknown))}; there are {', '.join(CHANNELS)}.")
-        return replace(self, **dict.fromkeys(names))
+        changes: dict[str, Any] = dict.fromkeys(names)
+        return replace(self, **changes)
 
     def require(self, names: tuple[str, ...], method: str) -> None:
         """Raise a `RecordError` that names every channel of `names` that is not there, and what is."""
@@ -186,7 +187,9 @@ class Record:
             )
 
 
-def record_of(sample_time: float, *, unit: str, position_unit: str, name: str = "record", **values: ArrayLike) -> Record:
+def record_of(
+    sample_time: float, *, unit: str, position_unit: str, name: str = "record", **values: ArrayLike
+) -> Record:
     """Build a record from arrays that share one sample time: sampled positions, a torque held between samples."""
     velocity_unit = f"{position_unit}/s"
     units = dict.fromkeys(CHANNELS, position_unit) | {"torque": unit, "reference_velocity": velocity_unit}

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from jointid.common.compiled import compiled
+from jointid.data.record import FloatArray
 
 
 @compiled
-def respond(A, B, C, D, z, inputs, out):  # noqa: N803
+def respond(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, z: FloatArray, inputs: FloatArray, out: FloatArray
+) -> None:
     """Fill ``out[k] = C z + D inputs[k]``, ``z+ = A z + B inputs[k]``; `z` is overwritten by the last state."""
     samples, width = inputs.shape
     order = z.size

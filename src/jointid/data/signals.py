@@ -96,7 +96,8 @@ def lowpass(values: FloatArray, cutoff: float, sample_time: float, order: int = 
 
     Args:
         values: (samples,) or (samples, columns).
-        cutoff: Hz. sample_time: seconds.
+        cutoff: Hz.
+        sample_time: seconds.
         order: of the filter; for IDIM the highest derivative plus 2.
 
     Ends are padded by 3 x order samples, reflected about the end point. Raises `RecordError` on a shorter signal.
@@ -163,4 +164,4 @@ def centred(channel: Channel, delay: float = 0.0) -> FloatArray:
     high = np.clip(channel.time + channel.sample_time - delay, time[0], time[-1])
     span = high - low
     mean = (np.interp(high, time, integral) - np.interp(low, time, integral)) / np.where(span > 0, span, 1.0)
-    return np.where(span > 0, mean, values[0])
+    return np.asarray(np.where(span > 0, mean, values[0]))

@@ -22,7 +22,7 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering
-from jointid.estimation.estimate import EstimatedParameter, Estimate, Iteration, relative_error
+from jointid.estimation.estimate import Estimate, EstimatedParameter, Iteration, relative_error
 from jointid.estimation.problem import Problem, initial_of, torque_problem
 from jointid.estimation.regression import least_squares
 from jointid.estimation.starts import given_start, inversion_start, regular_start
@@ -122,7 +122,13 @@ class _Search:
             scales = self.problem.scales(state.x, columns)
             step = float(np.max(np.abs(state.x - before.x)[: scales.size] / scales))
         line = Iteration(
-            len(self.trace), self.problem.values(state.x), state.norm, change, step, self.simulations, state.gain_scale
+            len(self.trace),
+            self.problem.values(state.x),
+            state.norm,
+            change,
+            step,
+            self.simulations,
+            state.gain_scale,
         )
         self.trace.append(line)
         self.progress(f"iteration {line.number}: torque error {100 * state.norm / self.size:.4f} %")

@@ -168,6 +168,4 @@ def torque_problem(
         raise MethodError("Every parameter of the joint is fixed, so there is nothing to identify; free one of them.")
     experiment = prepare(loop, record)
     measured = record.torque.values[: experiment.samples]
-    return Problem(
-        loop, experiment, (*parameters, *initial), measured, filtering.resolved(experiment.sample_time)
-    )
+    return Problem(loop, experiment, (*parameters, *initial), measured, filtering.resolved(experiment.sample_time))

@@ -48,11 +48,12 @@ class Fit:
     conditioning: Conditioning
 
 
-def least_squares(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> Fit:  # noqa: N803
+def least_squares(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> Fit:
     """Solve ``Y = W x`` by QR with column scaling.
 
     Args:
-        W: (rows, parameters). Y: (rows,).
+        W: (rows, parameters).
+        Y: (rows,).
         names: of the parameters, for the error.
 
     The variance of the residual is ``||Y - W x||^2 / (r - b)`` for r rows and b parameters. (The EMPS report takes
@@ -79,7 +80,7 @@ def least_squares(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> Fit: 
     return Fit(values, sigma * spread, residual, sigma, error, conditioning)
 
 
-def _refuse_collinear(W: FloatArray, norms: FloatArray, names: tuple[str, ...]) -> None:  # noqa: N803
+def _refuse_collinear(W: FloatArray, norms: FloatArray, names: tuple[str, ...]) -> None:
     idle = [name for name, norm in zip(names, norms, strict=True) if not norm > 0]
     if idle:
         raise MethodError(

@@ -58,7 +58,10 @@ def inversion_start(problem: Problem) -> Start:
     # The law's memory of what was before the record is a guess, so the first samples of the inverse are left out.
     skip = law.C.size + 1
     line = np.polyfit(np.arange(_SLOPE) * law.period, position[skip : skip + _SLOPE], 1)
-    values |= {"initial_position": float(line[1] - line[0] * skip * law.period), "initial_velocity": float(line[0])}
+    values |= {
+        "initial_position": float(line[1] - line[0] * skip * law.period),
+        "initial_velocity": float(line[0]),
+    }
     return Start(_kept(problem, values), None)
 
 
@@ -72,9 +75,9 @@ def regular_start(problem: Problem, given: dict[str, float] | None = None) -> St
     experiment, joint = problem.experiment, _rigid(problem)
     reference = np.repeat(experiment.inputs[:: experiment.every, REFERENCE], experiment.repeat)
     reference = reference[: problem.measured.size]
-    torque = problem.measured - np.repeat(experiment.logged[:: experiment.every], experiment.repeat)[
-        : problem.measured.size
-    ]
+    torque = (
+        problem.measured - np.repeat(experiment.logged[:: experiment.every], experiment.repeat)[: problem.measured.size]
+    )
     tracked = _regressed(problem, joint, torque, reference)
     nominal = abs(tracked["inertia"])
     regular = {p.name: 0.0 for p in problem.parameters} | {"inertia": nominal}
@@ -108,5 +111,3 @@ def _rigid(problem: Problem) -> RigidJoint:
     if not isinstance(problem.loop.joint, RigidJoint):
         raise MethodError("This start is for a rigid joint; identify the joint as rigid first.")
     return problem.loop.joint
-
-

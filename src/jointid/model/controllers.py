@@ -92,9 +92,7 @@ class _Timing:
                 f"delay zero or positive; received {', '.join(faults)}."
             )
 
-    def _lowered(
-        self, A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, sample_time: float
-    ) -> SampledLaw:
+    def _lowered(self, A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, sample_time: float) -> SampledLaw:
         return SampledLaw(
             np.array(A, dtype=np.float64),
             np.array(B, dtype=np.float64),
@@ -288,7 +286,15 @@ def run(law: SampledLaw, inputs: FloatArray, state: FloatArray) -> FloatArray:
     from jointid.data.recurrences import respond
 
     out = np.empty(len(inputs))
-    respond(law.A, np.ascontiguousarray(law.B[:, :3]), law.C, law.D, state.copy(), np.ascontiguousarray(inputs), out)
+    respond(
+        law.A,
+        np.ascontiguousarray(law.B[:, :3]),
+        law.C,
+        law.D,
+        state.copy(),
+        np.ascontiguousarray(inputs),
+        out,
+    )
     return out
 
 

@@ -19,7 +19,16 @@ from numpy.typing import NDArray
 
 from jointid.common.errors import MethodError, RecordError
 from jointid.data.record import Channel, FloatArray, InjectionPoint, Record, Tap, Timing
-from jointid.model.controllers import EXCESS, POSITION, REFERENCE, REFERENCE_VELOCITY, Controller, SampledLaw, run, scaled
+from jointid.model.controllers import (
+    EXCESS,
+    POSITION,
+    REFERENCE,
+    REFERENCE_VELOCITY,
+    Controller,
+    SampledLaw,
+    run,
+    scaled,
+)
 from jointid.model.joints import Joint
 
 T = TypeVar("T")
@@ -154,7 +163,7 @@ class Simulation:
     @property
     def time(self) -> FloatArray:
         """Instants of the samples, shape (samples,)."""
-        return np.arange(self.torque.size) * self.sample_time
+        return np.asarray(np.arange(self.torque.size) * self.sample_time, dtype=np.float64)
 
 
 def prepare(loop: ClosedLoop, record: Record) -> Experiment:
@@ -194,7 +203,7 @@ def at_period(channel: Channel, period: float, periods: int, name: str) -> Float
         RecordError: neither of the two periods is a multiple of the other.
     """
     every, repeat = _ratio(period, channel.sample_time, name)
-    return np.repeat(channel.values[::every], repeat)[:periods]
+    return np.asarray(np.repeat(channel.values[::every], repeat)[:periods])
 
 
 def _ratio(long: float, short: float, name: str) -> tuple[int, int]:

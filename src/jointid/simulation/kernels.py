@@ -19,10 +19,15 @@ in this file, because the cache on disk does not notice edits in another one.
 from __future__ import annotations
 
 import math
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.compiled import compiled, inlined
+from jointid.data.record import FloatArray
+
+IntArray: TypeAlias = NDArray[np.int64]
 
 # One drive as the kernels see it: a row of coefficients, friction per direction.
 M1, M2, K, F12 = 0, 1, 2, 3  # inertias, stiffness, damping of the spring
@@ -42,7 +47,7 @@ _EVENTS = 200  # per period; a physical drive has a handful
 _WORK = 20  # Taylor steps a simulation may take, per period: bounds the time an absurd candidate can cost
 
 
-def _bernstein_table() -> np.ndarray:
+def _bernstein_table() -> FloatArray:
     n = _ORDER
     table = np.zeros((n + 1, n + 1))
     for i in range(n + 1):
@@ -57,14 +62,14 @@ _RECIPROCAL = 1.0 / np.arange(1.0, _ORDER + 1.0)
 
 
 @inlined
-def _viscous(p, mass, mode):
+def _viscous(p: FloatArray, mass: int, mode: int) -> float:
     """Viscous coefficient of a mass moving in direction `mode`."""
     first = FV1P if mass == 0 else FV2P
     return p[first] if mode > 0 else p[first + 1]
 
 
 @inlined
-def _coulomb(p, mass, mode):
+def _coulomb(p: FloatArray, mass: int, mode: int) -> float:
     """Coulomb force on a mass in `mode`, with its sign; 0 for a mass at rest, whose friction is what it must be."""
     first = FC1P if mass == 0 else FC2P
     if mode > 0:
@@ -73,14 +78,14 @@ def _coulomb(p, mass, mode):
 
 
 @inlined
-def _push(p, x, s, mass):
+def _push(p: FloatArray, x: FloatArray, s: float, mass: int) -> float:
     """Force on a mass from everything but its own friction: `s` is the torque on the motor."""
     spring = p[K] * (x[2] - x[0]) + p[F12] * (x[3] - x[1])
     return s - p[OFFSET1] + spring if mass == 0 else -p[OFFSET2] - spring
 
 
 @inlined
-def _fastest_rate(p):
+def _fastest_rate(p: FloatArray) -> float:
     """Bound in 1/s on how fast the drive's own motion can change: spring plus damping."""
     mobility = 1.0 / p[M1] + 1.0 / p[M2]
     viscous = max(abs(p[FV1P]), abs(p[FV1N])) / p[M1] + max(abs(p[FV2P]), abs(p[FV2N])) / p[M2]
@@ -88,7 +93,7 @@ def _fastest_rate(p):
 
 
 @compiled
-def _rates(p, m1, m2):
+def _rates(p: FloatArray, m1: int, m2: int) -> FloatArray:
     """The matrix A of x' = A x + b in one mode; a mass at rest has zero rows, so it stands exactly still."""
     a = np.zeros((4, 4))
     if m1 != 0:
@@ -107,7 +112,7 @@ def _rates(p, m1, m2):
 
 
 @compiled
-def _fill_map(out, p, m1, m2, h):
+def _fill_map(out: FloatArray, p: FloatArray, m1: int, m2: int, h: float) -> None:
     """Write the map of one mode over `h` seconds, and the margins of its proof (see `_calm`)."""
     a = _rates(p, m1, m2)
     doublings = 0
@@ -138,7 +143,7 @@ def _fill_map(out, p, m1, m2, h):
 
 
 @compiled
-def _product(a, b):
+def _product(a: FloatArray, b: FloatArray) -> FloatArray:
     out = np.zeros((4, 4))
     for i in range(4):
         for j in range(4):
@@ -147,7 +152,7 @@ def _product(a, b):
 
 
 @compiled
-def _fill_margins(out, p, m1, m2, h):
+def _fill_margins(out: FloatArray, p: FloatArray, m1: int, m2: int, h: float) -> None:
     """Write what `_calm` needs: the square of the most a quantity can bend away from its chord, per unit of power.
 
     While the torque is held, the energy of the rates of change, E = (M1 a1^2 + M2 a2^2 + K (v2 - v1)^2), can only
@@ -171,7 +176,7 @@ def _fill_margins(out, p, m1, m2, h):
 
 
 @inlined
-def _root_energy(p, x0, x1, x2, x3, s, m1, m2):
+def _root_energy(p: FloatArray, x0: float, x1: float, x2: float, x3: float, s: float, m1: int, m2: int) -> float:
     """Root of the energy of the rates of change (see `_fill_margins`)."""
     spring = p[K] * (x2 - x0) + p[F12] * (x3 - x1)
     f1 = s - p[OFFSET1] + spring - _viscous(p, 0, m1) * x1 - _coulomb(p, 0, m1) if m1 != 0 else 0.0
@@ -180,23 +185,34 @@ def _root_energy(p, x0, x1, x2, x3, s, m1, m2):
 
 
 @inlined
-def _room(forwards, backwards, start, end):
+def _room(forwards: float, backwards: float, start: float, end: float) -> float:
     """Least distance of the push on a mass at rest from the edges of its cone, at both ends of a period."""
     return min(forwards - max(start, end), min(start, end) + backwards)
 
 
 @inlined
-def _calm(p, m, x0, x1, x2, x3, y0, y1, y2, y3, s, m1, m2):
+def _calm(
+    p: FloatArray,
+    m: FloatArray,
+    x0: float,
+    x1: float,
+    x2: float,
+    x3: float,
+    y0: float,
+    y1: float,
+    y2: float,
+    y3: float,
+    s: float,
+    m1: int,
+    m2: int,
+) -> bool:
     """Prove that a period from state `x` to `y` under a held torque `s` has no event; False means "not proved"."""
     root = _root_energy(p, x0, x1, x2, x3, s, m1, m2)
     start, end = p[K] * (x2 - x0) + p[F12] * (x3 - x1), p[K] * (y2 - y0) + p[F12] * (y3 - y1)
-    if m1 != 0:
-        room1 = min(m1 * x1, m1 * y1)
-    else:
+    room1, room2 = min(m1 * x1, m1 * y1), min(m2 * x3, m2 * y3)
+    if m1 == 0:
         room1 = _room(p[FC1P], p[FC1N], s - p[OFFSET1] + start, s - p[OFFSET1] + end)
-    if m2 != 0:
-        room2 = min(m2 * x3, m2 * y3)
-    else:
+    if m2 == 0:
         room2 = _room(p[FC2P], p[FC2N], -p[OFFSET2] - start, -p[OFFSET2] - end)
     if (m1 != 0 and room1 <= 0.0) or (m2 != 0 and room2 <= 0.0):
         return False
@@ -205,7 +221,7 @@ def _calm(p, m, x0, x1, x2, x3, y0, y1, y2, y3, s, m1, m2):
 
 
 @inlined
-def _first_root(c, stack, ends):
+def _first_root(c: FloatArray, stack: FloatArray, ends: FloatArray) -> float:
     """Return the first root in (0, 1] of the polynomial sum c[i] t^i; 2.0 if there is none.
 
     The signs of its Bernstein coefficients bound the number of roots: none changes, no root; one change, one
@@ -265,7 +281,7 @@ def _first_root(c, stack, ends):
 
 
 @inlined
-def _refine(c, low, high, guess):
+def _refine(c: FloatArray, low: float, high: float, guess: float) -> float:
     """Return the only sign change of the polynomial in (low, high]: Newton, kept inside a shrinking bracket."""
     t = guess if low < guess < high else 0.5 * (low + high)
     for _ in range(100):
@@ -288,7 +304,7 @@ def _refine(c, low, high, guess):
 
 
 @inlined
-def _settled(p, push, mass):
+def _settled(p: FloatArray, push: float, mass: int) -> int:
     """Return the mode of a mass at rest: 0 while its Coulomb force can hold the push, else the push's direction."""
     first = FC1P if mass == 0 else FC2P
     if push > p[first]:
@@ -297,7 +313,9 @@ def _settled(p, push, mass):
 
 
 @inlined
-def _series(c, p, x, s, m1, m2, h, loose1, loose2):
+def _series(
+    c: FloatArray, p: FloatArray, x: FloatArray, s: float, m1: int, m2: int, h: float, loose1: bool, loose2: bool
+) -> None:
     """Fill c[state, order] with the Taylor series of the motion over a step of `h`, time counted in steps.
 
     A mass that has just come loose (`loose`) has, exactly, no velocity and no acceleration: rounding must not
@@ -326,7 +344,17 @@ def _series(c, p, x, s, m1, m2, h, loose1, loose2):
 
 
 @inlined
-def _next_event(c, g, stack, ends, p, s, mass, mode, known):
+def _next_event(
+    c: FloatArray,
+    g: FloatArray,
+    stack: FloatArray,
+    ends: FloatArray,
+    p: FloatArray,
+    s: float,
+    mass: int,
+    mode: int,
+    known: int,
+) -> tuple[float, int]:
     """Return when a mass has its next event (2.0: not in this step), in steps, and the mode it may come loose to.
 
     `known` counts the leading coefficients that are zero by construction: a mass that starts from rest, or one at
@@ -371,7 +399,7 @@ def _next_event(c, g, stack, ends, p, s, mass, mode, known):
 
 
 @inlined
-def _divide_out(g, known):
+def _divide_out(g: FloatArray, known: int) -> None:
     """Divide a polynomial by t^known."""
     for i in range(_ORDER + 1 - known):
         g[i] = g[i + known]
@@ -380,7 +408,18 @@ def _divide_out(g, known):
 
 
 @inlined
-def _travel(p, x, modes, s, h, longest, c, g, stack, ends):
+def _travel(
+    p: FloatArray,
+    x: FloatArray,
+    modes: IntArray,
+    s: float,
+    h: float,
+    longest: float,
+    c: FloatArray,
+    g: FloatArray,
+    stack: FloatArray,
+    ends: FloatArray,
+) -> tuple[int, int]:
     """Move `x` over `h` seconds under a held torque `s` with every event located; return events and Taylor steps.
 
     The number of events is negative when there are more than a physical drive can have.
@@ -423,7 +462,9 @@ def _travel(p, x, modes, s, h, longest, c, g, stack, ends):
 
 
 @inlined
-def _after_event(p, x, s, mass, mode, loose, known):
+def _after_event(
+    p: FloatArray, x: FloatArray, s: float, mass: int, mode: int, loose: int, known: int
+) -> tuple[int, int]:
     """Return the mode of a mass after its event, and what is then known of it (see `_next_event`)."""
     if mode == 0:
         return loose, 2
@@ -437,7 +478,7 @@ def _after_event(p, x, s, mass, mode, loose, known):
 
 
 @inlined
-def _small_law(A, Bq, Be, C, nz):  # noqa: N803
+def _small_law(A: FloatArray, Bq: FloatArray, Be: FloatArray, C: FloatArray, nz: int) -> tuple[float, ...]:
     """Return the coefficients of a feedback of at most two states as scalars, which stay in registers."""
     if nz == 0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -447,7 +488,7 @@ def _small_law(A, Bq, Be, C, nz):  # noqa: N803
 
 
 @inlined
-def _acting(command, lag, u, post, before, k):
+def _acting(command: float, lag: int, u: FloatArray, post: FloatArray, before: float, k: int) -> float:
     """Return the torque that acts in period `k`, where `command` is computed."""
     if lag == 0:
         return command + post[k]
@@ -455,7 +496,24 @@ def _acting(command, lag, u, post, before, k):
 
 
 @compiled
-def _rest(p, lag, z, A, Bq, Be, C, D, limit, w, post, before, x, k, u, states):  # noqa: N803
+def _rest(
+    p: FloatArray,
+    lag: int,
+    z: FloatArray,
+    A: FloatArray,
+    Bq: FloatArray,
+    Be: FloatArray,
+    C: FloatArray,
+    D: float,
+    limit: float,
+    w: FloatArray,
+    post: FloatArray,
+    before: float,
+    x: FloatArray,
+    k: int,
+    u: FloatArray,
+    states: FloatArray,
+) -> tuple[int, int]:
     """Simulate from period `k` while both masses stand still; return as `_glide`."""
     n, nz = w.size, z.size
     c0, c1, a00, a01, a10, a11, b0, b1, e0, e1 = _small_law(A, Bq, Be, C, nz)
@@ -489,7 +547,27 @@ def _rest(p, lag, z, A, Bq, Be, C, D, limit, w, post, before, x, k, u, states): 
 
 
 @compiled
-def _glide(p, m, m1, m2, lag, z, A, Bq, Be, C, D, limit, w, post, before, x, k, u, states):  # noqa: N803
+def _glide(
+    p: FloatArray,
+    m: FloatArray,
+    m1: int,
+    m2: int,
+    lag: int,
+    z: FloatArray,
+    A: FloatArray,
+    Bq: FloatArray,
+    Be: FloatArray,
+    C: FloatArray,
+    D: float,
+    limit: float,
+    w: FloatArray,
+    post: FloatArray,
+    before: float,
+    x: FloatArray,
+    k: int,
+    u: FloatArray,
+    states: FloatArray,
+) -> tuple[int, int]:
     """Simulate from period `k` while nothing happens; return the first period not simulated, and those at the limit.
 
     `_calm` with its energy replaced by a running bound: the root of the energy grows by at most
@@ -559,7 +637,26 @@ def _glide(p, m, m1, m2, lag, z, A, Bq, Be, C, D, limit, w, post, before, x, k, 
 
 
 @compiled
-def run(p, lengths, lags, z, A, Bq, Be, C, D, limit, w, post, before, x, far, u, states, counts):  # noqa: N803
+def run(
+    p: FloatArray,
+    lengths: FloatArray,
+    lags: IntArray,
+    z: FloatArray,
+    A: FloatArray,
+    Bq: FloatArray,
+    Be: FloatArray,
+    C: FloatArray,
+    D: float,
+    limit: float,
+    w: FloatArray,
+    post: FloatArray,
+    before: float,
+    x: FloatArray,
+    far: float,
+    u: FloatArray,
+    states: FloatArray,
+    counts: IntArray,
+) -> int:
     """Simulate one loop; fill `u` and `states` and return how it ended.
 
     Args:
@@ -567,7 +664,11 @@ def run(p, lengths, lags, z, A, Bq, Be, C, D, limit, w, post, before, x, far, u,
         lengths: (parts,) seconds of each part of a controller period, first to last.
         lags: (parts,) how many periods ago the torque that acts in each part was computed.
         z: (nz,) state of the controller's feedback, overwritten.
-        A, Bq, Be, C, D: feedback ``u = clip(w + C z + D q)``, ``z+ = A z + Bq q + Be (u - before clipping)``.
+        A: (nz, nz) of the feedback ``u = clip(w + C z + D q)``, ``z+ = A z + Bq q + Be (u - before clipping)``.
+        Bq: (nz,), from the position.
+        Be: (nz,), from what the limit cut off.
+        C: (nz,).
+        D: direct gain from the position.
         limit: of the controller's output.
         w: (periods,) response of the controller to its reference and to what is added before the limit.
         post: (periods,) what is added after the limit.
@@ -640,7 +741,13 @@ def run(p, lengths, lags, z, A, Bq, Be, C, D, limit, w, post, before, x, far, u,
             if not filled[mode]:
                 filled[mode] = True
                 for other in range(parts):
-                    _fill_map(maps[(9 * other + mode) * _MAP : (9 * other + mode + 1) * _MAP], p, m1, m2, lengths[other])
+                    _fill_map(
+                        maps[(9 * other + mode) * _MAP : (9 * other + mode + 1) * _MAP],
+                        p,
+                        m1,
+                        m2,
+                        lengths[other],
+                    )
             m = maps[(9 * part + mode) * _MAP : (9 * part + mode + 1) * _MAP]
             y0 = ((m[0] * x0 + m[4] * x1) + (m[8] * x2 + (m[12] * x3 + m[20]))) + m[16] * s
             y1 = ((m[1] * x0 + m[5] * x1) + (m[9] * x2 + (m[13] * x3 + m[21]))) + m[17] * s
