@@ -13,7 +13,7 @@ of instruments and the standard deviations are those of an instrumental-variable
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -22,7 +22,7 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering
-from jointid.estimation.estimate import Estimate, EstimatedParameter, Iteration, relative_error
+from jointid.estimation.estimate import Estimate, EstimatedParameter, Iteration, fingerprint, relative_error
 from jointid.estimation.problem import Problem, initial_of, torque_problem
 from jointid.estimation.regression import least_squares
 from jointid.estimation.starts import given_start, inversion_start, regular_start
@@ -31,6 +31,7 @@ from jointid.simulation.closed_loop import ClosedLoop, Outcome, Simulation, simu
 
 _ROUNDING = 1e-10  # of the torque: an error this small is rounding
 _HALVINGS = 8  # of a step that makes things much worse
+_INSEPARABLE = 0.98  # a correlation that says two parameters are known only together
 _WORSE = 2.0  # times the residual: with an approximate Jacobian, a little worse is no reason to turn back
 
 
@@ -293,8 +294,6 @@ def identify_didim(
 
 
 def _at_reference(problem: Problem) -> Problem:
-    from dataclasses import replace
-
     at = {"initial_position": float(problem.experiment.inputs[0, 0]), "initial_velocity": 0.0}
     kept = tuple(p.fixed(at[p.name]) if p.name in at else p for p in problem.parameters)
     return replace(problem, parameters=kept)
@@ -348,6 +347,8 @@ def _estimate(
         stop=stop,
         converged=converged,
         warnings=_warnings(problem, state, correlation, converged),
+        fingerprint=fingerprint(record.torque.values) if record.torque is not None else "",
+        delay=problem.experiment.law.delay,
     )
 
 
@@ -356,9 +357,9 @@ def _warnings(problem: Problem, state: _State, correlation: FloatArray, converge
     names = [p.name for p in problem.free]
     pairs = [
         f"{names[i]} and {names[j]} are hard to tell apart in this record (correlation {correlation[i, j]:+.3f})"
-        for i in range(len(names))
+        for i in range(len(problem.free_joint))  # the initial state is no part of the answer
         for j in range(i)
-        if abs(correlation[i, j]) > 0.98
+        if abs(correlation[i, j]) > _INSEPARABLE
     ]
     negative = [
         f"{p.name} came out at {value:.4g}, below what is physical"

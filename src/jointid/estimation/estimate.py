@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -62,6 +63,31 @@ class Iteration:
     gain_scale: float = 1.0
 
 
+@dataclass(frozen=True, slots=True)
+class IdentifiedJoint:
+    """What of an estimate is needed to predict a torque: it can be read back from a file.
+
+    Attributes:
+        method: "didim" or "idim".
+        joint: the model.
+        loop: the closed loop, for DIDIM.
+        values: every parameter of the joint by name.
+        filtering: resolved, as it was identified with.
+        delay: seconds from the logged torque to the torque that acts.
+        record: name of the record it was identified from.
+        fingerprint: of that record's torque, see `fingerprint`.
+    """
+
+    method: str
+    joint: Joint
+    loop: ClosedLoop | None
+    values: dict[str, float]
+    filtering: Filtering
+    delay: float
+    record: str
+    fingerprint: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
     """What an identification found, and how.
@@ -85,6 +111,8 @@ class Estimate:
         simulations: that were run, all of them, those for derivatives and deviations included.
         stop: why it ended, in a sentence; converged: whether that is a good end.
         warnings: what the reader must know, one sentence each.
+        fingerprint: of the record's torque, so that it is known again.
+        delay: seconds from the logged torque to the torque that acts, as declared.
     """
 
     method: str
@@ -109,6 +137,15 @@ class Estimate:
     stop: str
     converged: bool
     warnings: tuple[str, ...] = field(default=())
+    fingerprint: str = ""
+    delay: float = 0.0
+
+    @property
+    def identified(self) -> IdentifiedJoint:
+        """What of it is needed to predict a torque."""
+        return IdentifiedJoint(
+            self.method, self.joint, self.loop, self.values, self.filtering, self.delay, self.record, self.fingerprint
+        )
 
     @property
     def values(self) -> dict[str, float]:
@@ -169,6 +206,11 @@ def _row(p: EstimatedParameter) -> tuple[str, ...]:
 
 def _words(p: EstimatedParameter) -> str:
     return p.name.replace("_", " ")
+
+
+def fingerprint(torque: FloatArray) -> str:
+    """Return the SHA-256 of a torque's samples: two records with the same one are the same record."""
+    return hashlib.sha256(np.ascontiguousarray(torque).tobytes()).hexdigest()
 
 
 def relative_error(measured: FloatArray, predicted: FloatArray, borders: tuple[int, int]) -> float:

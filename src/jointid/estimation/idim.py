@@ -13,7 +13,7 @@ import numpy as np
 from jointid.common.errors import MethodError, RecordError
 from jointid.data.record import FloatArray, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.data.signals import Filtering, centred, decimate, derivative, lowpass
-from jointid.estimation.estimate import Estimate, EstimatedParameter, relative_error
+from jointid.estimation.estimate import Estimate, EstimatedParameter, fingerprint, relative_error
 from jointid.estimation.regression import Fit, least_squares
 from jointid.model.joints import Joint, RigidJoint
 from jointid.model.parameters import Parameter
@@ -180,6 +180,8 @@ def identify_idim(
         stop="a linear regression has one step",
         converged=True,
         warnings=_warnings(record, filtering),
+        fingerprint=fingerprint(record.torque.values),
+        delay=delay,
     )
 
 

@@ -31,38 +31,48 @@ class Start:
     nominal_inertia: float | None
 
 
-def inversion_start(problem: Problem) -> Start:
-    """Return the parameters of the motion that the known controller must have seen to put out the logged torque.
+def reconstructed_position(problem: Problem) -> FloatArray:
+    """Return the motor position that the known controller must have seen to put out the logged torque, (samples,).
 
-    ``position = reference - C^-1(torque)``, then IDIM on it: no guess is needed, and the result is nearly IDIM's
-    own, because the controller's gain makes the reconstructed position finer than most encoders.
+    ``position = reference - C^-1(torque)``: no guess is needed, and because the controller's gain is large the result
+    is finer than most encoders. The law's memory of what was before the record is a guess, so the first samples,
+    one more than the law has states, are not to be used.
+
+    Raises:
+        MethodError: the log does not show every period once, or the law cannot be inverted.
     """
-    experiment, joint = problem.experiment, _rigid(problem)
+    experiment = problem.experiment
     if experiment.every > 1 or experiment.repeat > 1:
         raise MethodError(
             "The controller can be turned round only when every one of its periods is logged once; "
             'choose start = "regular".'
         )
     law, inputs = experiment.law, experiment.inputs
-    logged = problem.measured - experiment.logged - experiment.before_limit
     slope = (inputs[1, REFERENCE] - inputs[0, REFERENCE]) / law.period
     state = (
         law.memory(REFERENCE, inputs[0, REFERENCE], slope)
         + law.memory(REFERENCE_VELOCITY, inputs[0, REFERENCE_VELOCITY], 0.0)
         + law.memory(POSITION, inputs[0, REFERENCE], slope)
     )
-    position = invert(law, logged, inputs, state)
-    acting = logged + experiment.before_limit + experiment.after_limit
-    torque = centred(Channel(acting, "N", law.period, Timing.HELD), law.delay)
-    values = _regressed(problem, joint, torque, position)
-    # The law's memory of what was before the record is a guess, so the first samples of the inverse are left out.
+    return invert(law, problem.measured - experiment.logged - experiment.before_limit, inputs, state)
+
+
+def initial_state(problem: Problem, position: FloatArray) -> dict[str, float]:
+    """Return where a reconstructed motion begins: a line through its first usable samples."""
+    law = problem.experiment.law
     skip = law.C.size + 1
-    line = np.polyfit(np.arange(_SLOPE) * law.period, position[skip : skip + _SLOPE], 1)
-    values |= {
-        "initial_position": float(line[1] - line[0] * skip * law.period),
-        "initial_velocity": float(line[0]),
-    }
-    return Start(_kept(problem, values), None)
+    first = position[skip : skip + _SLOPE]
+    slope, value = np.polyfit(np.arange(first.size) * law.period, first, 1)
+    return {"initial_position": float(value - slope * skip * law.period), "initial_velocity": float(slope)}
+
+
+def inversion_start(problem: Problem) -> Start:
+    """Return what IDIM finds on the reconstructed position: nearly what it finds on a measured one."""
+    experiment, joint = problem.experiment, _rigid(problem)
+    position = reconstructed_position(problem)
+    acting = problem.measured - experiment.logged + experiment.after_limit
+    torque = centred(Channel(acting, "N", experiment.law.period, Timing.HELD), experiment.law.delay)
+    return Start(_kept(problem, _regressed(problem, joint, torque, position) | initial_state(problem, position)), None)
 
 
 def regular_start(problem: Problem, given: dict[str, float] | None = None) -> Start:

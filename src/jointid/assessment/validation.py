@@ -1,0 +1,190 @@
+"""Validation as the paper does it: the direct test on the same record, the cross test on another one.
+
+The identified joint is simulated (DIDIM) or its inverse model evaluated (IDIM), and the torque compared with the
+measured one, ``||Y - Ys|| / ||Y||``. Only the motor's state at the first sample is estimated anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from jointid.common.errors import MethodError
+from jointid.data.record import FloatArray, Record
+from jointid.data.signals import decimate
+from jointid.estimation.estimate import Estimate, IdentifiedJoint, fingerprint, relative_error
+from jointid.estimation.idim import motion_of
+from jointid.estimation.problem import INITIAL_STATE, Problem, initial_of
+from jointid.estimation.regression import least_squares
+from jointid.estimation.starts import initial_state, reconstructed_position
+from jointid.model.joints import RigidJoint
+from jointid.simulation.closed_loop import Initial, Simulation, prepare, require_finished
+
+_STEPS = 6  # for two numbers that act almost linearly on the torque
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Validation:
+    """How well an estimate reproduces a record's torque.
+
+    Attributes:
+        test: "direct" on the record it was identified from, "cross" on another.
+        method: "didim" simulates the loop; "idim" evaluates the inverse model on the measured position.
+        record, identified_from: names of the records.
+        channels: of the record, that were read.
+        sample_time: of the torque, seconds.
+        measured, predicted: (samples,) raw torque.
+        borders: samples left out at each end of the relative error.
+        relative_error: of the raw torque; a ratio.
+        filtered_error: of the filtered and decimated torque, with the estimate's own filtering; a ratio.
+        tracking_error: ``||e - es|| / ||e||`` of the tracking error reference - position, where the record has a
+            motor position to compare with; a ratio.
+        initial: motor state that was found, for a simulation.
+        simulations: that were run.
+    """
+
+    test: Literal["direct", "cross"]
+    method: str
+    record: str
+    identified_from: str
+    channels: tuple[str, ...]
+    sample_time: float
+    measured: FloatArray
+    predicted: FloatArray
+    borders: tuple[int, int]
+    relative_error: float
+    filtered_error: float
+    tracking_error: float | None
+    initial: Initial | None
+    simulations: int
+
+    def __str__(self) -> str:
+        """Return the result in sentences."""
+        left_out = f"{self.borders[0]} + {self.borders[1]} samples at the ends left out"
+        how = "simulated from the reference" if self.method == "didim" else "computed from the measured position"
+        lines = [
+            f"{self.test.capitalize()} test on {self.record}, of the joint identified from {self.identified_from}; "
+            f"torque {how}",
+            f"torque error    {100 * self.relative_error:.4f} % raw ({left_out}), "
+            f"{100 * self.filtered_error:.4f} % filtered",
+        ]
+        if self.tracking_error is not None:
+            lines.append(f"tracking error  {100 * self.tracking_error:.4f} % away from the measured tracking error")
+        return "\n".join(lines)
+
+
+def validate(estimate: Estimate | IdentifiedJoint, record: Record) -> Validation:
+    """Compare an identified joint with a record: directly if it is the record it came from, else across.
+
+    Args:
+        estimate: what was identified, fresh or read back from a file.
+        record: with the channels its method reads.
+
+    Raises:
+        RecordError: a channel is missing.
+        MethodError: the loop cannot be simulated on this record.
+    """
+    record.require(("torque",), "Validation")
+    identified = estimate.identified if isinstance(estimate, Estimate) else estimate
+    return _inverse(identified, record) if identified.loop is None else _simulated(identified, record)
+
+
+def _test(identified: IdentifiedJoint, record: Record) -> Literal["direct", "cross"]:
+    assert record.torque is not None
+    return "direct" if fingerprint(record.torque.values) == identified.fingerprint else "cross"
+
+
+def _inverse(identified: IdentifiedJoint, record: Record) -> Validation:
+    joint = identified.joint
+    if not isinstance(joint, RigidJoint):
+        raise MethodError("Validation by the inverse model is for rigid joints; simulate the loop instead.")
+    assert record.torque is not None
+    filtering, sample_time = identified.filtering, record.torque.sample_time
+    model = motion_of(record, identified.delay, filtering, joint)
+    predicted = model.columns @ np.array([identified.values[p.name] for p in joint.parameters])
+    both = np.column_stack([model.torque - predicted, model.torque])[model.inside]
+    seen = decimate(both, filtering, sample_time)
+    return Validation(
+        test=_test(identified, record),
+        method=identified.method,
+        record=record.name,
+        identified_from=identified.record,
+        channels=("torque", "motor_position", *(("injected",) if record.injected is not None else ())),
+        sample_time=sample_time,
+        measured=model.torque,
+        predicted=predicted,
+        borders=filtering.borders,
+        relative_error=relative_error(model.torque, predicted, filtering.borders),
+        filtered_error=float(np.linalg.norm(seen[:, 0]) / np.linalg.norm(seen[:, 1])),
+        tracking_error=None,
+        initial=None,
+        simulations=0,
+    )
+
+
+def _simulated(identified: IdentifiedJoint, record: Record) -> Validation:
+    assert identified.loop is not None
+    assert record.torque is not None
+    loop, filtering = identified.loop, identified.filtering
+    record.require(loop.channels, "Validation of a DIDIM estimate")
+    fixed = tuple(p.fixed(identified.values[p.name]) for p in loop.joint.parameters)
+    experiment = prepare(loop, record)
+    measured = record.torque.values[: experiment.samples]
+    problem = Problem(loop, experiment, (*fixed, *INITIAL_STATE), measured, filtering)
+    x, runs = _initial_fit(problem)
+    run = require_finished(problem.simulate(x))
+    error = problem.filtered(np.column_stack([measured - run.torque, measured]))
+    return Validation(
+        test=_test(identified, record),
+        method=identified.method,
+        record=record.name,
+        identified_from=identified.record,
+        channels=(*loop.channels, *(("injected",) if record.injected is not None else ())),
+        sample_time=experiment.sample_time,
+        measured=measured,
+        predicted=run.torque,
+        borders=filtering.borders,
+        relative_error=relative_error(measured, run.torque, filtering.borders),
+        filtered_error=float(np.linalg.norm(error[:, 0]) / np.linalg.norm(error[:, 1])),
+        tracking_error=_tracking(record, run, filtering.borders),
+        initial=initial_of(problem.values(x)),
+        simulations=runs + 1,
+    )
+
+
+def _initial_fit(problem: Problem) -> tuple[FloatArray, int]:
+    """Return the initial state that fits best, by Gauss-Newton, and the simulations it took."""
+    names = tuple(p.name for p in problem.free)
+    try:
+        start = initial_state(problem, reconstructed_position(problem))
+    except MethodError:  # a law that cannot be inverted: begin on the reference, at rest
+        start = {"initial_position": float(problem.experiment.inputs[0, 0]), "initial_velocity": 0.0}
+    x = problem.vector(start)
+    run = problem.simulate(x)
+    best, runs = problem.error(run), 1
+    for _ in range(_STEPS):
+        J, used = problem.jacobian(x, np.zeros(0))
+        step = least_squares(problem.filtered(J), best, names).values
+        error = problem.residual(x + step)
+        runs += used + 1
+        gain = np.linalg.norm(best) - np.linalg.norm(error)
+        if not gain > 0:
+            break
+        x, best = x + step, error
+        if gain < 1e-9 * np.linalg.norm(best):
+            break
+    return x, runs
+
+
+def _tracking(record: Record, run: Simulation, borders: tuple[int, int]) -> float | None:
+    """Return how far the simulated tracking error is from the measured one, where there is one at the same rate."""
+    reference, position = record.reference, record.motor_position
+    if reference is None or position is None or position.sample_time != run.sample_time:
+        return None
+    if reference.sample_time != run.sample_time:
+        return None
+    size = min(len(reference), len(position), run.motor_position.size)
+    asked = reference.values[:size]
+    return relative_error(asked - position.values[:size], asked - run.motor_position[:size], borders)

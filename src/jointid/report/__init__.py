@@ -1,0 +1,1 @@
+"""Figures and tables; this room only ever reads answers."""

@@ -1,0 +1,104 @@
+"""Figures: measured, simulated and error torque, in the same colours everywhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jointid.assessment.validation import Validation
+from jointid.common.errors import RecordError
+from jointid.data.record import FloatArray
+from jointid.estimation.estimate import Estimate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe-Ito colours: told apart by the colour-blind; the lightness differs too, so a grey print still reads.
+MEASURED = "#0072B2"
+SIMULATED = "#E69F00"
+ERROR = "#000000"
+
+_ZOOM = 0.08  # of the record, in the lower panel
+_FORMATS = (".png", ".svg", ".pdf")
+
+
+def torque_figure(answer: Estimate | Validation, unit: str = "") -> Figure:
+    """Return measured, simulated and error torque over time: the whole record, and a zoom on its liveliest part.
+
+    Args:
+        answer: an estimate or a validation.
+        unit: of the torque; taken from the joint for an estimate.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    unit = unit or _unit(answer)
+    word = "simulated" if answer.method == "didim" else "inverse model"
+    time = np.asarray(np.arange(answer.measured.size) * answer.sample_time, dtype=np.float64)
+    figure = Figure(figsize=(9.0, 6.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    whole, zoom = figure.subplots(2, 1)
+    _lines(whole, time, answer.measured, answer.predicted, word)
+    whole.set_title(_title(answer), fontsize=10, loc="left")
+    low, high = _liveliest(answer.measured)
+    _lines(zoom, time[low:high], answer.measured[low:high], answer.predicted[low:high], None)
+    whole.axvspan(time[low], time[high - 1], color="0.85", zorder=0)
+    zoom.set_title("zoom on the shaded part", fontsize=9, loc="left")
+    for axes in (whole, zoom):
+        axes.set_ylabel(f"{'force' if unit == 'N' else 'torque'} [{unit}]" if unit else "torque")
+        axes.margins(x=0)
+        axes.grid(color="0.9")
+    zoom.set_xlabel("time [s]")
+    return figure
+
+
+def save(figure: Figure, path: str | Path) -> Path:
+    """Write a figure; the suffix chooses PNG, SVG or PDF. The same answer gives the same bytes.
+
+    Raises:
+        RecordError: another suffix, or the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in _FORMATS:
+        raise RecordError(f'A figure is saved as {", ".join(_FORMATS)}; received "{path.name}": change its suffix.')
+    import matplotlib as mpl
+
+    metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower(), {})
+    try:
+        with mpl.rc_context({"svg.hashsalt": "jointid"}):
+            figure.savefig(path, dpi=150, metadata=metadata)
+    except OSError as error:
+        raise RecordError(f"{path} cannot be written ({error.strerror}); choose another place.") from None
+    return path
+
+
+def _lines(axes: Axes, time: FloatArray, measured: FloatArray, predicted: FloatArray, word: str | None) -> None:
+    axes.plot(time, measured, color=MEASURED, linewidth=0.9, label="measured" if word else None)
+    axes.plot(time, predicted, color=SIMULATED, linewidth=0.9, label=word)
+    axes.plot(time, measured - predicted, color=ERROR, linewidth=0.6, label="error" if word else None)
+    if word:
+        axes.legend(loc="upper right", ncols=3, fontsize=8, framealpha=0.9)
+
+
+def _liveliest(torque: FloatArray) -> tuple[int, int]:
+    """Return the stretch in which the torque varies most."""
+    size = max(int(_ZOOM * torque.size), min(torque.size, 10))
+    starts = range(0, max(torque.size - size, 1), max(size // 4, 1))
+    best = max(starts, key=lambda start: float(np.std(torque[start : start + size])))
+    return best, min(best + size, torque.size)
+
+
+def _title(answer: Estimate | Validation) -> str:
+    error = f"error {100 * answer.relative_error:.2f} % of the raw torque"
+    if isinstance(answer, Estimate):
+        return f"{answer.record}: {answer.joint.model} joint by {answer.method.upper()}, {error}"
+    return f"{answer.record}: {answer.test} test of the joint identified from {answer.identified_from}, {error}"
+
+
+def _unit(answer: Estimate | Validation) -> str:
+    if not isinstance(answer, Estimate):
+        return ""
+    return next((p.unit for p in answer.parameters if p.name == "offset"), "")

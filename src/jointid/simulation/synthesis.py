@@ -1,0 +1,88 @@
+"""Records made by simulation: a loop that is driven, and logged as a drive would log it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jointid.data.record import Channel, FloatArray, Injection, InjectionPoint, Record, Tap, Timing
+from jointid.model.parameters import POSITION_UNIT, TORQUE_UNIT
+from jointid.simulation.closed_loop import ClosedLoop, Initial, prepare, require_finished, simulate
+
+
+def simulated_record(
+    loop: ClosedLoop,
+    reference: ArrayLike,
+    values: Mapping[str, float],
+    *,
+    sample_time: float,
+    reference_velocity: ArrayLike | None = None,
+    injected: ArrayLike | None = None,
+    at: InjectionPoint | str = InjectionPoint.AFTER_LIMIT,
+    in_torque: bool = True,
+    disturbance: ArrayLike | None = None,
+    torque_noise: ArrayLike | None = None,
+    encoder_step: float = 0.0,
+    initial: Initial | None = None,
+    tap: Tap | str = Tap.COMMAND,
+    name: str = "simulation",
+) -> Record:
+    """Drive a loop along a reference and return its log: torque held between samples, positions sampled.
+
+    Args:
+        loop: joint and controller.
+        reference: (samples,) commanded position.
+        values: every parameter of the joint by name.
+        sample_time: of the log, seconds.
+        reference_velocity: (samples,) where the controller reads one.
+        injected: (samples,) a known signal, logged too.
+        at: where it is added, see `Injection`.
+        in_torque: whether the logged torque contains it.
+        disturbance: (samples,) an unknown force on the motor, inside the loop; not logged.
+        torque_noise: (samples,) added to the logged torque only.
+        encoder_step: positions are rounded to multiples of it in the log; the loop sees them exactly.
+        initial: where the motor is at the first sample.
+        tap: where the torque is logged.
+        name: of the record.
+
+    Raises:
+        MethodError: the loop cannot be simulated with these values; the sentence says why.
+    """
+    kind = loop.joint.kind
+    position, force = POSITION_UNIT[kind], loop.joint.torque_unit or TORQUE_UNIT[kind]
+
+    def channel(array: ArrayLike, unit: str, timing: Timing = Timing.SAMPLED) -> Channel:
+        return Channel(np.asarray(array, dtype=np.float64), unit, sample_time, timing, name)
+
+    driven = Record(
+        torque=channel(np.zeros(np.size(reference)), force, Timing.HELD),
+        tap=Tap(tap),
+        reference=channel(reference, position),
+        reference_velocity=None if reference_velocity is None else channel(reference_velocity, f"{position}/s"),
+        injected=None
+        if injected is None
+        else Injection(channel(injected, force, Timing.HELD), InjectionPoint(at), in_torque),
+        name=name,
+    )
+    experiment = prepare(loop, driven)
+    if disturbance is not None:
+        extra = np.repeat(np.asarray(disturbance, dtype=np.float64), experiment.every)
+        extra = extra[:: experiment.repeat][: experiment.after_limit.size]
+        experiment = replace(experiment, after_limit=experiment.after_limit + extra)
+    run = require_finished(simulate(loop, experiment, values, initial))
+    torque = run.torque if torque_noise is None else run.torque + np.asarray(torque_noise, dtype=np.float64)
+    return replace(
+        driven,
+        torque=channel(torque, force, Timing.HELD),
+        motor_position=channel(_encoded(run.motor_position, encoder_step), position),
+        load_position=None
+        if run.load_position is None
+        else channel(_encoded(run.load_position, encoder_step), position),
+    )
+
+
+def _encoded(position: FloatArray, step: float) -> FloatArray:
+    return np.asarray(np.round(position / step) * step) if step else position
