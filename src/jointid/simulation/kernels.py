@@ -44,6 +44,7 @@ _ORDER = 10  # of the Taylor series; with the step below, its remainder is under
 _STEP = 0.25  # longest Taylor step, as a fraction of 1/(fastest rate of the drive)
 _DEPTH = 40  # of the halvings that isolate a root
 _EVENTS = 200  # per period; a physical drive has a handful
+_PIECES = 4096  # Taylor steps per period at most: a drive faster than that is no drive under this controller
 _WORK = 20  # Taylor steps a simulation may take, per period: bounds the time an absurd candidate can cost
 
 
@@ -692,6 +693,8 @@ def run(
     modes[1] = 0 if x[3] == 0.0 else (1 if x[3] > 0.0 else -1)
     x0, x1, x2, x3 = x[0], x[1], x[2], x[3]
     longest = _STEP / _fastest_rate(p)
+    if np.max(lengths) > _PIECES * longest:
+        return TOO_STIFF
     keep = states.shape[0] > 0
     events, steps, clipped = 0, 0, 0
     status = FINISHED

@@ -1,0 +1,66 @@
+"""Run the oracle's cases through the project's kernel."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from jointid.simulation import kernels
+from tests.simulation.oracle import Law, Plant
+
+
+def drive(plant: Plant) -> np.ndarray:
+    """Return the kernel's row of coefficients for a plant of the oracle."""
+    common = [plant.offset, plant.load_offset if plant.inertia2 is not None else 0.0]
+    if plant.inertia2 is None:
+        return np.array([plant.inertia1, 1.0, 0.0, 0.0, *plant.fv1, *plant.fc1, 0.0, 0.0, 0.0, 0.0, *common])
+    spring = [plant.stiffness, plant.damping]
+    return np.array(
+        [plant.inertia1, plant.inertia2, *spring, *plant.fv1, *plant.fc1, *plant.fv2, *plant.fc2, *common]
+    )
+
+
+def run(
+    plant: Plant,
+    law: Law,
+    w: np.ndarray,
+    post: np.ndarray,
+    T: float,
+    delay: float,
+    before: float,
+    x0: np.ndarray,
+    far: float = math.inf,
+) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
+    """Return status, torque (n,), states at the controller's instants (n, 4) and counts."""
+    late = delay / T
+    whole = math.floor(late + 1e-9)
+    fraction = late - whole
+    lengths, lags = [T], [whole]
+    if fraction > 1e-9:
+        lengths, lags = [fraction * T, (1 - fraction) * T], [whole + 1, whole]
+    nz = np.size(law.C)
+    x = np.zeros(4)
+    x[: len(x0)] = x0
+    u, states, counts = np.empty(len(w)), np.empty((len(w) * len(lengths), 4)), np.zeros(4, dtype=np.int64)
+    status = kernels.run(
+        drive(plant),
+        np.array(lengths),
+        np.array(lags),
+        np.array(law.z0, dtype=float).reshape(nz).copy(),
+        np.array(law.A, dtype=float).reshape(nz, nz),
+        np.array(law.Bq, dtype=float).reshape(nz),
+        np.array(law.Be, dtype=float).reshape(nz),
+        np.array(law.C, dtype=float).reshape(nz),
+        float(law.D),
+        float(law.limit),
+        np.ascontiguousarray(w, dtype=float),
+        np.ascontiguousarray(post, dtype=float),
+        float(before),
+        x,
+        far,
+        u,
+        states,
+        counts,
+    )
+    return status, u, states[:: len(lengths)], counts
