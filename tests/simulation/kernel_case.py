@@ -16,9 +16,7 @@ def drive(plant: Plant) -> np.ndarray:
     if plant.inertia2 is None:
         return np.array([plant.inertia1, 1.0, 0.0, 0.0, *plant.fv1, *plant.fc1, 0.0, 0.0, 0.0, 0.0, *common])
     spring = [plant.stiffness, plant.damping]
-    return np.array(
-        [plant.inertia1, plant.inertia2, *spring, *plant.fv1, *plant.fc1, *plant.fv2, *plant.fc2, *common]
-    )
+    return np.array([plant.inertia1, plant.inertia2, *spring, *plant.fv1, *plant.fc1, *plant.fv2, *plant.fc2, *common])
 
 
 def run(

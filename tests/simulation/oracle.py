@@ -543,9 +543,7 @@ def multisine(n: int, rng: np.random.Generator) -> Array:
     k = np.arange(n)
     periods = rng.uniform(40.0, 200.0, int(rng.integers(2, 5)))
     sizes = periods / periods.max() / len(periods)
-    wave = sum(
-        size * np.sin(2.0 * np.pi * (k / p + rng.random())) for p, size in zip(periods, sizes, strict=True)
-    )
+    wave = sum(size * np.sin(2.0 * np.pi * (k / p + rng.random())) for p, size in zip(periods, sizes, strict=True))
     begin, length = rng.uniform(0.0, 0.5) * n, rng.uniform(0.3, 0.5) * n
     return np.asarray(wave * np.clip(np.minimum(k - begin, begin + length - k) / 40.0, 0.0, 1.0))
 

@@ -1,0 +1,99 @@
+"""How the channels of a record are found in a table: by which column, in which unit, with which sign."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from jointid.common import units
+from jointid.common.errors import RecordError
+from jointid.data.record import InjectionPoint, Tap, Timing
+
+_IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """How one channel is found in a file: its values are `sign` x `gain` x column, in `unit`.
+
+    Attributes:
+        column: the column's name.
+        unit: unit of the values. None takes the one in the column's name ("pos [mm]") if gain is 1; or else
+            m, m/s and N, or rad, rad/s and N m, by the kind of the joint; for injected, the torque's unit.
+        gain: what the column is multiplied by to be in `unit`, positive.
+        sign: -1 turns the channel round.
+        timing: what a value says about the time around its sample. None is held for torque and injected,
+            sampled for positions and velocities.
+        sample_time: this channel's own time between samples [s], where it differs from the record's.
+        tap: where in the drive the torque was logged (torque only).
+        at: where the known signal is added to the controller's output (injected only).
+        in_torque: whether the logged torque contains the known signal (injected only).
+        optional: whether a file without this column is read without this channel.
+
+    Raises:
+        RecordError: gain or sample_time is not positive and finite, or sign is not 1 or -1.
+    """
+
+    column: str
+    unit: str | None = None
+    gain: float = 1.0
+    sign: int = 1
+    timing: Timing | None = None
+    sample_time: float | None = None
+    tap: Tap = Tap.COMMAND
+    at: InjectionPoint = InjectionPoint.AFTER_LIMIT
+    in_torque: bool = True
+    optional: bool = False
+
+    def __post_init__(self) -> None:
+        faults = []
+        if not (math.isfinite(self.gain) and self.gain > 0):
+            advice = "use sign = -1 to turn the channel round" if self.gain < 0 else "leave it out if it is 1"
+            faults.append(f'The gain of column "{self.column}" is a positive number; got {self.gain:g}: {advice}.')
+        if self.sign not in (1, -1):
+            faults.append(f'The sign of column "{self.column}" is 1 or -1; got {self.sign}: use gain to scale it.')
+        faults += period_faults(f'sample time of column "{self.column}"', self.sample_time)
+        if faults:
+            raise RecordError(faults)
+        object.__setattr__(self, "timing", None if self.timing is None else Timing(self.timing))
+        object.__setattr__(self, "tap", Tap(self.tap))
+        object.__setattr__(self, "at", InjectionPoint(self.at))
+
+    def stated_unit(self, known: tuple[str, ...]) -> str | None:
+        """Return the unit of the values as far as it is stated, here or in the column's name."""
+        # A gain takes the values from the unit in the name to another one.
+        return self.unit if self.unit is not None or self.gain != 1 else unit_in_name(self.column, known)
+
+    def misplaced(self, channel: str) -> list[str]:
+        """Return the faults of settings that belong to other channels than `channel`."""
+        faults = []
+        if channel != "torque" and self.tap is not Tap.COMMAND:
+            faults.append(f"{channel} has tap = {self.tap}, which says where a torque was logged; leave it out.")
+        if channel != "injected" and not (self.in_torque and self.at is InjectionPoint.AFTER_LIMIT):
+            faults.append(f"{channel} has at or in_torque, which are for an injected signal; leave them out.")
+        return faults
+
+
+def unit_in_name(column: str, known: tuple[str, ...]) -> str | None:
+    """Return the unit that a column's name ends with; one that is not known only if in square brackets."""
+    match = _IN_BRACKETS.search(column)
+    if match is None or match[1].isdigit():  # "phi[0]" is an element
+        return None
+    # "q [counts]" is to be refused, not to be read as metres; "q (filtered)" has a remark.
+    return match[1] if match[1] in known or column.rstrip().endswith("]") else None
+
+
+def known_units(channel: str, kind: str) -> tuple[str, ...]:
+    """Return the units that a channel of a joint of this kind can have, SI first."""
+    if channel in ("torque", "injected"):
+        return units.units_of(*units.TORQUE_UNITS[kind])
+    dimensions = units.VELOCITY_UNITS if channel == "reference_velocity" else units.POSITION_UNITS
+    return units.units_of(dimensions[kind])
+
+
+def period_faults(what: str, sample_time: float | None) -> list[str]:
+    """Return the fault of a time between samples that is given and not positive and finite."""
+    if sample_time is None or (math.isfinite(sample_time) and sample_time > 0):
+        return []
+    return [f"The {what} is a positive number of seconds; got {sample_time:g}."]

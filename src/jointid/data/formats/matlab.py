@@ -1,0 +1,88 @@
+"""MATLAB's MAT files, versions 4 to 7 (version 7.3 is another format, HDF5)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+from jointid.common.errors import RecordError
+from jointid.data.formats.matfile import arrays
+from jointid.data.formats.table import Table
+from jointid.data.record import FloatArray
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_HDF5_OFFSETS = (0, 512)  # MATLAB puts a text header of 512 bytes before it
+_NAME = re.compile(r"[A-Za-z]\w{0,62}", re.ASCII)
+_KEYWORD = re.compile(
+    "break|case|catch|classdef|continue|else|elseif|end|for|function|global|if|otherwise|parfor|persistent|"
+    "return|spmd|switch|try|while"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Matlab:
+    """MAT files: vectors are columns, 1 x 1 arrays scalars; a structure's field is called "structure.field".
+
+    A matrix gives the columns "name[0]", "name[1]", ...; its samples run along the longer side. What is not a
+    real number (text, cells, objects, complex arrays) is passed over.
+    """
+
+    name: ClassVar[str] = "MAT"
+    suffixes: ClassVar[tuple[str, ...]] = (".mat",)
+
+    def read(self, path: Path) -> Table:
+        """Read every numeric variable of the file; see `Format.read`."""
+        found = _arrays(path)
+        scalars = {name: float(array.item()) for name, array in found if array.size == 1}
+        columns = dict(column for name, array in found if array.size > 1 for column in _columns(name, array))
+        if not (columns or scalars):
+            raise RecordError(f"{path.name} holds no array of real numbers; save the signals as numeric variables.")
+        return Table(columns, scalars, path.name)
+
+    def write(self, path: Path, table: Table) -> None:
+        """Write columns as n x 1, scalars as 1 x 1 variables; a column of one sample is read as a scalar."""
+        from scipy.io import savemat
+
+        variables: dict[str, Any] = {**table.columns, **table.scalars}
+        refused = [n for n in variables if not _NAME.fullmatch(n) or _KEYWORD.fullmatch(n)]
+        if refused:
+            raise RecordError(
+                f"{_quoted(refused)} cannot name a MATLAB variable (a letter, then letters, digits and _, at "
+                "most 63 in all, no keyword); rename the columns, or write a .csv file."
+            )
+        twice = [n for n in table.scalars if n in table.columns]
+        if twice:
+            raise RecordError(f"{_quoted(twice)} names a column and a scalar; a MAT file holds one variable per name.")
+        # Compressed variables carry a checksum: a damaged file is noticed, not read as other numbers.
+        savemat(path, variables, do_compression=True, oned_as="column")
+
+
+def _arrays(path: Path) -> list[tuple[str, FloatArray]]:
+    """Return every matrix of real numbers and its path; any damage is one `RecordError`."""
+    raw = path.read_bytes()
+    if any(raw.startswith(_HDF5, offset) for offset in _HDF5_OFFSETS):
+        raise RecordError(f"{path.name} is a MAT file of version 7.3, which is not read; save it with -v7 in MATLAB.")
+    try:
+        return list(arrays(raw))
+    except (ValueError, RecursionError, MemoryError) as error:
+        raise RecordError(
+            f"{path.name} cannot be read as a MAT file: it is damaged, cut off or of another format; "
+            "save it again with -v7 in MATLAB."
+        ) from error
+
+
+def _columns(name: str, array: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    """Yield a vector as one column, a matrix as one column per signal."""
+    if 1 in array.shape:
+        yield name, array.ravel()
+        return
+    samples_first = array if array.shape[0] >= array.shape[1] else array.T
+    for index, column in enumerate(samples_first.T):
+        yield f"{name}[{index}]", column
+
+
+def _quoted(names: list[str]) -> str:
+    return ", ".join(f'"{name}"' for name in names)

@@ -1,0 +1,76 @@
+"""What every file format reads into and writes from: named columns and single numbers, not interpreted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import Field, dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+
+from jointid.common.errors import RecordError
+from jointid.data.record import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """The numbers of one file, by name.
+
+    Attributes:
+        columns: name -> values of shape (samples,), in file order, read-only, NaN where the file has no
+            number; the columns of one file can differ in length.
+        scalars: name -> single number, where the format keeps such (a MAT file's gains, say).
+        source: the file's name, for reports and errors.
+
+    Raises:
+        RecordError: a column is not one-dimensional, or holds nothing.
+    """
+
+    columns: Mapping[str, FloatArray]
+    scalars: Mapping[str, float] = field(default_factory=dict)
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        columns: dict[str, FloatArray] = {}
+        for name, values in self.columns.items():
+            column = np.array(values, dtype=np.float64)
+            if column.ndim != 1 or column.size == 0:
+                raise RecordError(f'Column "{name}" has shape {column.shape}; give a non-empty array of one dimension.')
+            column.flags.writeable = False
+            columns[name] = column
+        scalars = {name: float(value) for name, value in self.scalars.items()}
+        object.__setattr__(self, "columns", MappingProxyType(columns))
+        object.__setattr__(self, "scalars", MappingProxyType(scalars))
+
+
+class Format(Protocol):
+    """A file format: a frozen dataclass whose fields are the options of its reader.
+
+    Attributes:
+        name: what messages call the format.
+        suffixes: the endings of its files, in lower case, with the dot.
+    """
+
+    name: ClassVar[str]
+    suffixes: ClassVar[tuple[str, ...]]
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+    def read(self, path: Path) -> Table:
+        """Read the whole file.
+
+        Raises:
+            RecordError: the file is not of this format, or is damaged.
+            OSError: the file cannot be opened.
+        """
+        ...
+
+    def write(self, path: Path, table: Table) -> None:
+        """Write `table` so that `read` gives it back to the last bit.
+
+        Raises:
+            RecordError: the format cannot hold this table.
+            OSError: the file cannot be written.
+        """
+        ...

@@ -1,0 +1,68 @@
+"""A text file as numbered lines, with the comments and empty lines set aside."""
+
+from __future__ import annotations
+
+import codecs
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from jointid.common.errors import RecordError
+
+_COMMENTS = ("#", "%", "//")
+_SPREADSHEET = "sep="  # "sep=;" is a note from one spreadsheet program to another
+
+
+class Line(NamedTuple):
+    """One line and its number in the file, from 1."""
+
+    number: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class TextFile:
+    """The lines of a text file.
+
+    Attributes:
+        name: the file's name.
+        lines: the lines that are neither empty nor comments.
+        comment: the comment right above the first of them, without its mark; None if there is none.
+    """
+
+    name: str
+    lines: list[Line]
+    comment: Line | None
+
+    def above(self, index: int) -> Line | None:
+        """Return the line above `lines[index]`; above the first, that is the comment."""
+        return self.lines[index - 1] if index else self.comment
+
+
+def is_comment(text: str) -> bool:
+    """Return whether a line is a comment."""
+    return text.lstrip().startswith((*_COMMENTS, _SPREADSHEET))
+
+
+def read_lines(path: Path) -> TextFile:
+    """Read a file in UTF-8, or UTF-16 with a byte order mark; what is neither is taken as Latin-1.
+
+    Raises:
+        RecordError: the file is not text.
+        OSError: the file cannot be opened.
+    """
+    raw = path.read_bytes()
+    try:
+        wide = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        text = raw.decode("utf-16" if wide else "utf-8-sig")
+    except UnicodeDecodeError:
+        text = raw.decode("latin-1")
+    if "\0" in text:
+        raise RecordError(f"{path.name} holds bytes that are no text; save it as CSV in UTF-8.")
+    # str.splitlines would also split at form feeds and other marks that occur inside names.
+    every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    filled = [Line(number, line) for number, line in enumerate(every, start=1) if line and not line.isspace()]
+    lines = [line for line in filled if not is_comment(line.text)]
+    above = [line for line in filled if not lines or line.number < lines[0].number][-1:]
+    comments = [Line(n, line.lstrip(" \t#%/")) for n, line in above if not line.startswith(_SPREADSHEET)]
+    return TextFile(path.name, lines, comments[0] if comments else None)

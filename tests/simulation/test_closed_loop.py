@@ -1,0 +1,254 @@
+"""The closed loop: clocks, delays, saturation, injected signals, initial states, failures."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError, RecordError
+from jointid.data.excitation import pulses, trapezoids
+from jointid.data.record import Channel, Injection, Record, Tap, Timing
+from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
+from jointid.model.friction import AsymmetricFriction
+from jointid.model.joints import FlexibleJoint, RigidJoint
+from jointid.simulation.closed_loop import (
+    ClosedLoop,
+    Initial,
+    Outcome,
+    prepare,
+    require_finished,
+    simulate,
+    simulate_many,
+    simulate_torque,
+)
+from jointid.simulation.synthesis import simulated_record
+
+T = 1e-3
+RIGID = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.2}
+FLEXIBLE = {
+    "motor_inertia": 70.2, "motor_viscous": 92.0, "motor_coulomb": 10.0, "stiffness": 8e5, "damping": 126.0,
+    "load_inertia": 34.8, "load_viscous": 110.0, "load_coulomb": 10.4, "offset": -3.16,
+}  # fmt: skip
+EMPS = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0)
+REFERENCE = trapezoids((0.05, 0.1), 1.0, 0.05, T, rest=0.15)
+
+
+def record(reference: np.ndarray = REFERENCE, period: float = T, **more: object) -> Record:
+    torque = Channel(np.zeros(reference.size), "N", period, Timing.HELD)
+    return Record(torque=torque, reference=Channel(reference, "m", period), **more)  # type: ignore[arg-type]
+
+
+def test_the_measuring_stick_and_the_reference_agree_over_25_seconds(bench_dir: Path) -> None:
+    """All 230 events, 1e-9 of peak torque: against C with gcc, and against DOP853 (a quarter of a minute)."""
+    sys.path.insert(0, str(bench_dir))
+    import ref
+    import stick
+
+    problem = stick.problem()
+    alpha, gains = problem["controller"]["alpha"], problem["controller"]
+    controller = PD(
+        kp=gains["kp"], kd=gains["kd"], reference_velocity="channel",
+        velocity_filter=DigitalFilter((1 - alpha,), (1, -alpha)), limit=gains["umax"],
+    )  # fmt: skip
+    driven = Record(
+        reference=Channel(problem["reference"], "m", T),
+        reference_velocity=Channel(problem["reference_velocity"], "m/s", T),
+        injected=Injection(Channel(problem["pulse"], "N", T), "before_limit"),  # type: ignore[arg-type]
+    )
+    loop = ClosedLoop(FlexibleJoint(), controller)
+    values = dict(zip([p.name for p in loop.joint.parameters], [*problem["parameters"], 0.0], strict=True))
+    run = simulate(loop, prepare(loop, driven), values)
+    expected, states, _, events = ref.run()
+    peak = np.max(np.abs(expected))
+    assert run.outcome is Outcome.FINISHED
+    assert run.events == events == 230
+    assert np.max(np.abs(run.torque - expected)) <= 1e-9 * peak
+    assert run.load_position is not None
+    assert np.max(np.abs(run.load_position - states[:, 2])) <= 1e-12
+    if shutil.which("gcc"):
+        assert np.max(np.abs(run.torque - stick.c_sim())) <= 1e-9 * peak
+
+
+def test_an_axis_at_rest_on_its_reference_stays_there() -> None:
+    loop = ClosedLoop(FlexibleJoint(), EMPS)
+    run = simulate(loop, prepare(loop, record(np.full(500, 0.3))), FLEXIBLE)
+    assert np.array_equal(run.motor_position, np.full(500, 0.3))
+    assert np.array_equal(run.motor_velocity, np.zeros(500))
+    assert np.max(np.abs(run.torque)) < 1e-9
+    assert run.events == 0
+
+
+def test_a_record_that_begins_in_motion_begins_without_a_kick() -> None:
+    """The controller's memory and the load follow the motor's first velocity: nothing jumps."""
+    speed = 0.08
+    friction = 202.0 * speed + 20.4 - 3.16
+    late = (friction / (35.15 * 243.45) + speed) / 160.18  # steady tracking error of the law
+    reference = speed * np.arange(800) * T
+    loop = ClosedLoop(FlexibleJoint(), EMPS)
+    run = simulate(loop, prepare(loop, record(reference)), FLEXIBLE, Initial(-late, speed))
+    assert np.max(np.abs(run.torque - friction)) <= 1e-8 * friction
+    stopped = simulate(loop, prepare(loop, record(reference)), FLEXIBLE)
+    assert np.max(np.abs(stopped.torque - friction)) > 5.0
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.4e-3, 1e-3, 2.3e-3])
+def test_a_delay_is_a_later_torque(delay: float) -> None:
+    """A delayed law equals an undelayed one on a four times finer clock, where 0.4 ms and 2.3 ms are no fractions."""
+    fine = 1e-4
+    fast = StateSpaceController(A=[], B={}, C=[], D={"reference": 4000.0}, period=T, delay=delay)
+    loop = ClosedLoop(RigidJoint(), fast)
+    position = simulate(loop, prepare(loop, record()), RIGID).motor_position
+    torque = np.repeat(4000.0 * REFERENCE, 10)
+    shift = round(delay / fine)
+    held = np.concatenate([np.full(shift, torque[0]), torque])[: torque.size]
+    feed = StateSpaceController(A=[], B={}, C=[], D={"reference": 1.0}, period=fine)
+    exact = ClosedLoop(RigidJoint(), feed)
+    expected = simulate(exact, prepare(exact, record(held, fine)), RIGID).motor_position[::10]
+    assert np.max(np.abs(position - expected)) <= 1e-9 * np.ptp(expected)
+
+
+def test_saturation_holds_the_torque_and_is_counted() -> None:
+    loop = ClosedLoop(RigidJoint(), Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=2.0))
+    run = simulate(loop, prepare(loop, record()), RIGID)
+    limit = 2.0 * 35.15
+    assert np.max(np.abs(run.torque)) == limit
+    assert run.at_limit == pytest.approx(np.mean(np.abs(run.torque) == limit), abs=1e-12)
+    assert 0.02 < run.at_limit < 0.9
+
+
+def test_anti_windup_is_fed_what_the_limit_cut_off() -> None:
+    """An integrator with back-calculation stays bounded where one without winds up."""
+    back = {"reference": [0.02], "position": [-0.02], "excess": [0.5]}
+    wound = {"reference": [0.02], "position": [-0.02]}
+    step = np.where(np.arange(3000) > 100, 0.05, 0.0)
+    overshoot = []
+    for B in (back, wound):
+        law = StateSpaceController(A=[[1.0]], B=B, C=[600.0], D={"reference": 3e3, "position": -3e3}, limit=45.0)
+        loop = ClosedLoop(RigidJoint(), law)
+        overshoot.append(np.max(simulate(loop, prepare(loop, record(step)), RIGID).motor_position) - 0.05)
+    assert overshoot[0] < 0.6 * overshoot[1]
+
+
+@pytest.mark.parametrize(("at", "in_torque"), [("before_limit", True), ("after_limit", True), ("after_limit", False)])
+def test_an_injected_signal_acts_and_is_logged_as_declared(at: str, in_torque: bool) -> None:
+    known = pulses(REFERENCE.size, T, 60.0, 0.02, 0.2, seed=3)
+    loop = ClosedLoop(RigidJoint(), EMPS)
+    driven = record(injected=Injection(Channel(known, "N", T), at, in_torque))  # type: ignore[arg-type]
+    run = simulate(loop, prepare(loop, driven), RIGID)
+    quiet = simulate(loop, prepare(loop, record()), RIGID)
+    moved = run.motor_position - quiet.motor_position
+    assert np.max(np.abs(moved)) > 1e-5
+    acting = run.torque if in_torque else run.torque + known
+    expected = RIGID["inertia"] * run.acceleration + RIGID["viscous"] * run.velocity
+    expected += RIGID["coulomb"] * np.sign(run.velocity) + RIGID["offset"]
+    slides = run.velocity != 0
+    assert np.max(np.abs(acting - expected)[slides]) <= 1e-9 * np.max(np.abs(acting))
+
+
+def test_the_log_may_be_slower_or_faster_than_the_loop() -> None:
+    fast = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=2.5e-4)
+    loop = ClosedLoop(RigidJoint(), fast)
+    slow = simulate(loop, prepare(loop, record()), RIGID)  # log of 1 ms
+    reference = np.repeat(REFERENCE, 4)
+    same = simulate(loop, prepare(loop, record(reference, 2.5e-4)), RIGID)  # every period logged
+    fine = simulate(loop, prepare(loop, record(np.repeat(REFERENCE, 8), 1.25e-4)), RIGID)  # twice a period
+    assert np.array_equal(slow.torque, same.torque[::4])
+    assert np.array_equal(slow.motor_position, same.motor_position[::4])
+    assert np.allclose(fine.torque[::2], same.torque, rtol=0, atol=1e-9)
+    assert np.array_equal(fine.torque[::2], fine.torque[1::2])
+    assert np.allclose(fine.motor_position[::2], same.motor_position, rtol=0, atol=1e-12)
+    between = 0.5 * (same.motor_position[:-1] + same.motor_position[1:])
+    assert np.max(np.abs(fine.motor_position[1:-1:2] - between)) < 1e-6
+
+
+def test_an_averaged_log_is_the_mean_over_the_period_before() -> None:
+    fast = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=2.5e-4)
+    loop = ClosedLoop(RigidJoint(), fast)
+    every = simulate(loop, prepare(loop, record(np.repeat(REFERENCE, 4), 2.5e-4)), RIGID).torque
+    averaged = Record(
+        torque=Channel(np.zeros(REFERENCE.size), "N", T, Timing.AVERAGED), reference=Channel(REFERENCE, "m", T)
+    )
+    shown = simulate(loop, prepare(loop, averaged), RIGID).torque
+    assert np.allclose(shown[1:], every.reshape(-1, 4).mean(axis=1)[:-1], rtol=0, atol=1e-9)
+
+
+def test_clocks_that_do_not_divide_each_other_are_refused() -> None:
+    odd = Cascade(kp=160.18, kv=243.45, period=0.7e-3)
+    with pytest.raises(RecordError, match="0.0007 s.*no multiples of each other"):
+        prepare(ClosedLoop(RigidJoint(), odd), record())
+
+
+def test_a_measured_torque_is_the_one_that_acts() -> None:
+    late = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, delay=2e-3)
+    loop = ClosedLoop(RigidJoint(), late)
+    command = simulate(loop, prepare(loop, record()), RIGID).torque
+    measured = simulate(loop, prepare(loop, record(tap=Tap.MEASURED)), RIGID).torque
+    assert np.array_equal(measured[2:], command[:-2])
+
+
+def test_candidates_fail_with_a_status_and_finite_numbers() -> None:
+    loop = ClosedLoop(RigidJoint(), EMPS)
+    experiment = prepare(loop, record())
+    for change, outcome in (
+        ({"inertia": 0.02}, Outcome.DIVERGED),
+        ({"inertia": -1.0}, Outcome.INVALID),
+        ({"coulomb": -5.0}, Outcome.INVALID),
+        ({"viscous": math.nan}, Outcome.INVALID),
+    ):
+        unlimited = ClosedLoop(RigidJoint(), Cascade(kp=160.18, kv=243.45, gain=35.15))
+        run = simulate(unlimited, prepare(unlimited, record()), RIGID | change)
+        assert run.outcome is outcome
+        assert np.all(np.isfinite(run.torque))
+        assert np.all(np.isfinite(run.acceleration))
+        with pytest.raises(MethodError, match="stopped after"):
+            require_finished(run)
+    negative = simulate(loop, experiment, RIGID | {"viscous": -30.0})  # odd, but it can be simulated
+    assert negative.outcome is Outcome.FINISHED
+
+
+def test_a_batch_equals_its_members() -> None:
+    random = np.random.default_rng(0)
+    loop = ClosedLoop(FlexibleJoint(friction=AsymmetricFriction()), EMPS)
+    names = [p.name for p in loop.joint.parameters]
+    base = {name: FLEXIBLE.get(name.replace("_forwards", "").replace("_backwards", ""), 0.0) for name in names}
+    candidates = [{n: v * random.uniform(0.6, 1.6) for n, v in base.items()} for _ in range(24)]
+    experiment = prepare(loop, record())
+    batch = simulate_many(loop, experiment, candidates)
+    for values, response in zip(candidates, batch, strict=True):
+        assert np.array_equal(response.torque, simulate_torque(loop, experiment, values).torque)
+        assert np.array_equal(response.torque, simulate(loop, experiment, values).torque)
+
+
+def test_units_of_mass_length_and_time_do_not_matter() -> None:
+    """The same axis in grams, millimetres and minutes: every bound in the engine must be free of scale."""
+    mass, length, time = 1e3, 1e3, 1 / 60
+    force = mass * length / time**2
+    units = {"inertia": mass, "viscous": force * time / length, "coulomb": force, "offset": force}
+    other = {name: value * units[name] for name, value in RIGID.items()}
+    loop = ClosedLoop(RigidJoint(), EMPS)
+    run = simulate(loop, prepare(loop, record()), RIGID)
+    law = Cascade(
+        kp=160.18 / time, kv=243.45 * time / length, velocity_filter=(0.5, 0.5), gain=35.15 * force, limit=10.0
+    )
+    scaled = ClosedLoop(RigidJoint(), law)
+    again = simulate(scaled, prepare(scaled, record(REFERENCE * length, T * time)), other)
+    assert again.events == run.events
+    assert np.max(np.abs(again.torque / force - run.torque)) <= 1e-9 * np.max(np.abs(run.torque))
+
+
+def test_a_simulated_record_is_what_was_simulated() -> None:
+    loop = ClosedLoop(FlexibleJoint(), EMPS)
+    made = simulated_record(loop, REFERENCE, FLEXIBLE, sample_time=T, encoder_step=1e-6)
+    run = simulate(loop, prepare(loop, made), FLEXIBLE)
+    assert made.channels == ("torque", "reference", "motor_position", "load_position")
+    assert made.torque is not None
+    assert made.motor_position is not None
+    assert np.array_equal(made.torque.values, run.torque)
+    counts = made.motor_position.values / 1e-6
+    assert np.max(np.abs(counts - np.round(counts))) < 1e-6
+    assert np.max(np.abs(made.motor_position.values - run.motor_position)) <= 0.5e-6 + 1e-12
