@@ -1,1 +1,149 @@
-"""Identify a servo-driven joint from motor torque and the commanded reference alone."""
+"""Identify a servo-driven joint from motor torque and the commanded reference alone.
+
+Every public name is here, loaded when it is first used: importing the package imports nothing heavy.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jointid.answers import estimate_answer, simulation_answer, validation_answer
+    from jointid.assessment.validation import Validation, validate
+    from jointid.common.errors import (
+        ExtraError,
+        JointFileError,
+        JointidError,
+        MethodError,
+        RecordError,
+    )
+    from jointid.data.columns import Column
+    from jointid.data.excitation import pulses, trapezoids
+    from jointid.data.reading import read, write
+    from jointid.data.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, record_of
+    from jointid.data.signals import Filtering
+    from jointid.estimation.didim import DIDIM
+    from jointid.estimation.estimate import Estimate, EstimatedParameter, IdentifiedJoint
+    from jointid.estimation.identify import identify
+    from jointid.estimation.idim import IDIM
+    from jointid.jointfile import JointFile, load
+    from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
+    from jointid.model.friction import AsymmetricFriction, SymmetricFriction
+    from jointid.model.joints import FlexibleJoint, RigidJoint, frequencies, rigid_sums
+    from jointid.model.parameters import Parameter
+    from jointid.paper.twin import Twin, twin
+    from jointid.report.figures import save, torque_figure
+    from jointid.simulation.closed_loop import (
+        ClosedLoop,
+        Initial,
+        Outcome,
+        Simulation,
+        prepare,
+        simulate,
+        simulate_many,
+    )
+    from jointid.simulation.synthesis import simulated_record
+
+_HOMES = {
+    "answers": ("estimate_answer", "simulation_answer", "validation_answer"),
+    "assessment.validation": ("Validation", "validate"),
+    "common.errors": ("ExtraError", "JointFileError", "JointidError", "MethodError", "RecordError"),
+    "data.columns": ("Column",),
+    "data.excitation": ("pulses", "trapezoids"),
+    "data.reading": ("read", "write"),
+    "data.record": ("Channel", "Injection", "InjectionPoint", "Record", "Tap", "Timing", "record_of"),
+    "data.signals": ("Filtering",),
+    "estimation.didim": ("DIDIM",),
+    "estimation.estimate": ("Estimate", "EstimatedParameter", "IdentifiedJoint"),
+    "estimation.idim": ("IDIM",),
+    "estimation.identify": ("identify",),
+    "jointfile": ("JointFile", "load"),
+    "model.controllers": ("PD", "Cascade", "DigitalFilter", "StateSpaceController"),
+    "model.friction": ("AsymmetricFriction", "SymmetricFriction"),
+    "model.joints": ("FlexibleJoint", "RigidJoint", "frequencies", "rigid_sums"),
+    "model.parameters": ("Parameter",),
+    "paper.twin": ("Twin", "twin"),
+    "report.figures": ("save", "torque_figure"),
+    "simulation.closed_loop": (
+        "ClosedLoop",
+        "Initial",
+        "Outcome",
+        "Simulation",
+        "prepare",
+        "simulate",
+        "simulate_many",
+    ),
+    "simulation.synthesis": ("simulated_record",),
+}
+_HOME = {name: module for module, names in _HOMES.items() for name in names}
+
+__version__ = "0.1.0"
+__all__ = [
+    "DIDIM",
+    "IDIM",
+    "PD",
+    "AsymmetricFriction",
+    "Cascade",
+    "Channel",
+    "ClosedLoop",
+    "Column",
+    "DigitalFilter",
+    "Estimate",
+    "EstimatedParameter",
+    "ExtraError",
+    "Filtering",
+    "FlexibleJoint",
+    "IdentifiedJoint",
+    "Initial",
+    "Injection",
+    "InjectionPoint",
+    "JointFile",
+    "JointFileError",
+    "JointidError",
+    "MethodError",
+    "Outcome",
+    "Parameter",
+    "Record",
+    "RecordError",
+    "RigidJoint",
+    "Simulation",
+    "StateSpaceController",
+    "SymmetricFriction",
+    "Tap",
+    "Timing",
+    "Twin",
+    "Validation",
+    "estimate_answer",
+    "frequencies",
+    "identify",
+    "load",
+    "prepare",
+    "pulses",
+    "read",
+    "record_of",
+    "rigid_sums",
+    "save",
+    "simulate",
+    "simulate_many",
+    "simulated_record",
+    "simulation_answer",
+    "torque_figure",
+    "trapezoids",
+    "twin",
+    "validate",
+    "validation_answer",
+    "write",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from the room it lives in."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'jointid' has no attribute {name!r}")
+    return getattr(import_module(f"jointid.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return sorted([*__all__, "__version__"])

@@ -75,6 +75,38 @@ CONTROLLERS = MappingProxyType(
 """The two loops: L19 of the public benchmark, L30 as the paper describes its own."""
 
 
+JOINT_FILE = """\
+# The digital twin of the paper's flexible axis, identified as a rigid joint below its resonance.
+
+[joint]
+kind = "prismatic"
+model = "rigid"
+
+[record]
+file = "record.csv"
+time = "t"
+
+[record.channels]
+torque = { column = "torque", unit = "N", timing = "held", tap = "command" }
+reference = { column = "reference", unit = "m" }
+motor_position = { column = "motor_position", unit = "m", optional = true }    # DIDIM does not read it
+load_position = { column = "load_position", unit = "m", optional = true }
+injected = { column = "injected", unit = "N", at = "after_limit", in_torque = true, optional = true }    # the pulses
+
+[controller]
+law = "cascade"                  # kv (kp (reference - position) - velocity)
+kp = 160.18                      # 1/s
+kv = 243.45                      # V per m/s
+velocity_filter = [0.5, 0.5]     # the velocity is the mean of two differences
+gain = 35.15065188               # N per V
+limit = 1000.0                   # V, never reached
+
+[filtering]
+cutoff = 5.0                     # Hz: a rigid model holds well below the resonance at 29.5 Hz
+"""
+"""The joint file that identifies a run of loop L19 as a rigid joint; `examples/twin/joint.toml` is the same."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Twin:
     """One run of the twin.

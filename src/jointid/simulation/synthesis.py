@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from jointid.data.record import Channel, FloatArray, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.model.parameters import POSITION_UNIT, TORQUE_UNIT
-from jointid.simulation.closed_loop import ClosedLoop, Initial, prepare, require_finished, simulate
+from jointid.simulation.closed_loop import ClosedLoop, Initial, Simulation, prepare, require_finished, simulate
 
 
 def simulated_record(
@@ -73,15 +73,41 @@ def simulated_record(
         extra = extra[:: experiment.repeat][: experiment.after_limit.size]
         experiment = replace(experiment, after_limit=experiment.after_limit + extra)
     run = require_finished(simulate(loop, experiment, values, initial))
+    return as_record(driven, run, torque_noise=torque_noise, encoder_step=encoder_step)
+
+
+def as_record(
+    driven: Record, run: Simulation, *, torque_noise: ArrayLike | None = None, encoder_step: float = 0.0
+) -> Record:
+    """Return the record a drive would have logged in a run: what drove it, with torque and positions of the run.
+
+    Args:
+        driven: the record the run was prepared from.
+        run: the simulation.
+        torque_noise: (samples,) added to the logged torque.
+        encoder_step: positions are rounded to multiples of it.
+    """
+    assert driven.reference is not None
+    like = driven.torque or driven.reference
     torque = run.torque if torque_noise is None else run.torque + np.asarray(torque_noise, dtype=np.float64)
+    timing = driven.torque.timing if driven.torque is not None else Timing.HELD
+
+    def channel(values: FloatArray, unit: str, timing: Timing = Timing.SAMPLED) -> Channel:
+        return Channel(values, unit, run.sample_time, timing, "simulated")
+
+    position = driven.reference.unit
+    unit = like.unit if driven.torque is not None else _TORQUE_OF[position]
     return replace(
         driven,
-        torque=channel(torque, force, Timing.HELD),
+        torque=channel(torque, unit, timing),
         motor_position=channel(_encoded(run.motor_position, encoder_step), position),
         load_position=None
         if run.load_position is None
         else channel(_encoded(run.load_position, encoder_step), position),
     )
+
+
+_TORQUE_OF = {POSITION_UNIT[kind]: TORQUE_UNIT[kind] for kind in POSITION_UNIT}
 
 
 def _encoded(position: FloatArray, step: float) -> FloatArray:

@@ -1,0 +1,58 @@
+"""`jointid identify`: a joint file and a record in, the table out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+
+def identify(
+    joint: Path,
+    /,
+    *,
+    record: Path | None = None,
+    method: Literal["didim", "idim"] | None = None,
+    filtering: Literal["default", "published"] | None = None,
+    friction: Literal["symmetric", "asymmetric"] | None = None,
+    json: Path | None = None,
+    figure: Path | None = None,
+    quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
+) -> None:
+    """Identify a joint from a record.
+
+    Args:
+        joint: the joint file (TOML).
+        record: the record, instead of the one the joint file names.
+        method: didim reads torque and reference only; idim reads torque and motor position.
+        filtering: published repeats the results of the EMPS benchmark; default is the program's own.
+        friction: the same in both directions, or not.
+        json: also write the answer as JSON to this file.
+        figure: also save measured, simulated and error torque as PNG, SVG or PDF.
+        quiet: say nothing of the progress.
+    """
+    from jointid import answers
+    from jointid.cli.console import compiling, progress, show
+    from jointid.estimation.identify import identify as run
+    from jointid.jointfile import load
+
+    listener = progress(quiet)
+    file = load(joint).overridden(method=method, filtering=filtering, friction=friction)
+    logged = file.record(record)
+    with compiling(listener):
+        estimate = run(
+            logged,
+            file.loop or file.joint,
+            file.method,
+            filtering=file.filtering,
+            parameters=file.parameters,
+            progress=listener,
+        )
+    show(estimate)
+    if json is not None:
+        answers.write(answers.estimate_answer(estimate), json)
+    if figure is not None:
+        from jointid.report.figures import save, torque_figure
+
+        save(torque_figure(estimate), figure)

@@ -1,0 +1,48 @@
+"""`jointid validate`: an estimate against the record it came from, or another one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+
+def validate(
+    joint: Path,
+    /,
+    *,
+    estimate: Path,
+    record: Path | None = None,
+    json: Path | None = None,
+    figure: Path | None = None,
+    quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
+) -> None:
+    """Compare an estimate with a record: the direct test on its own, the cross test on another.
+
+    Args:
+        joint: the joint file (TOML).
+        estimate: what identify --json wrote.
+        record: the record, instead of the one the joint file names.
+        json: also write the answer as JSON to this file.
+        figure: also save measured, simulated and error torque as PNG, SVG or PDF.
+        quiet: say nothing of the progress.
+    """
+    from jointid import answers
+    from jointid.assessment.validation import validate as run
+    from jointid.cli.console import compiling, progress, show
+    from jointid.jointfile import load
+
+    file = load(joint).overridden(friction=answers.read_friction(estimate))
+    identified = answers.read_identified(estimate, file.joint, file.loop)
+    file = file.overridden(method=identified.method)
+    logged = file.record(record)
+    with compiling(progress(quiet)):
+        validation = run(identified, logged)
+    show(validation)
+    if json is not None:
+        answers.write(answers.validation_answer(validation), json)
+    if figure is not None:
+        from jointid.report.figures import save, torque_figure
+
+        save(torque_figure(validation), figure)
