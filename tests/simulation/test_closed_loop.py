@@ -179,7 +179,7 @@ def test_an_averaged_log_is_the_mean_over_the_period_before() -> None:
 
 def test_clocks_that_do_not_divide_each_other_are_refused() -> None:
     odd = Cascade(kp=160.18, kv=243.45, period=0.7e-3)
-    with pytest.raises(RecordError, match="0.0007 s.*no multiples of each other"):
+    with pytest.raises(RecordError, match=r"0.0007 s.*no multiples of each other"):
         prepare(ClosedLoop(RigidJoint(), odd), record())
 
 

@@ -22,15 +22,16 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering
-from jointid.estimation.estimate import Estimate, EstimatedParameter, Iteration, fingerprint, relative_error
+from jointid.estimation.estimate import Estimate, EstimatedParameter, fingerprint, relative_error
 from jointid.estimation.problem import Problem, initial_of, torque_problem
 from jointid.estimation.regression import least_squares
-from jointid.estimation.starts import given_start, inversion_start, regular_start
+from jointid.estimation.search import End, Search, State, require_simulated
+from jointid.estimation.starts import Start, given_start, inversion_start, regular_start
+from jointid.model.controllers import REFERENCE
 from jointid.model.parameters import Parameter
-from jointid.simulation.closed_loop import ClosedLoop, Outcome, Simulation, simulate
+from jointid.simulation.closed_loop import ClosedLoop
 
-_ROUNDING = 1e-10  # of the torque: an error this small is rounding
-_HALVINGS = 8  # of a step that makes things much worse
+_MOVING = 9.0  # times the residual's variance: what a velocity at the first sample must explain to be believed
 _INSEPARABLE = 0.98  # a correlation that says two parameters are known only together
 _WORSE = 2.0  # times the residual: with an approximate Jacobian, a little worse is no reason to turn back
 
@@ -49,8 +50,8 @@ class DIDIM:
         tolerance: stop when the residual norm changes by at most this share ...
         step_tolerance: ... and no parameter by more than this share of itself.
         iterations: at most.
-        initial_state: "free" estimates the motor's position and velocity at the first sample; "reference" puts it
-            on the reference, at rest.
+        initial_state: "free" estimates where the motor is at the first sample, and whether it is at rest there or
+            how fast it moves; "reference" puts it on the reference, at rest.
     """
 
     form: Literal["residual", "paper"] = "residual"
@@ -82,179 +83,86 @@ class DIDIM:
         return cls("paper", "regular", 1, 0.025, 0.025, 10, "reference")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _State:
-    """One iterate: where the search is, and what it costs."""
+@dataclass(frozen=True, slots=True)
+class _Steps:
+    """The steps of DIDIM on a search, as functions of an iterate."""
 
-    x: FloatArray
-    simulation: Simulation
-    error: FloatArray
-    gain_scale: float
+    search: Search
+    form: str
 
-    @property
-    def norm(self) -> float:
-        return float(np.linalg.norm(self.error))
-
-
-class _Search:
-    """One search: the iterates, the trace and the count of simulations."""
-
-    def __init__(self, problem: Problem, settings: DIDIM, progress: Progress) -> None:
-        self.problem, self.settings, self.progress = problem, settings, progress
-        self.trace: list[Iteration] = []
-        self.simulations = 0
-        self.size = float(np.linalg.norm(problem.filtered(problem.measured)))
-
-    def evaluate(self, x: FloatArray, gain_scale: float = 1.0) -> _State:
-        """Simulate one candidate, with the controller's gains scaled."""
-        problem = self.problem
-        values = problem.values(x)
-        experiment = problem.experiment if gain_scale == 1.0 else problem.experiment.scaled(gain_scale)
-        simulation = simulate(problem.loop, experiment, values, initial_of(values))
-        self.simulations += 1
-        return _State(x, simulation, problem.error(simulation), gain_scale)
-
-    def note(self, state: _State, before: _State | None) -> Iteration:
-        """Add a line to the trace."""
-        change = step = None
-        if before is not None:
-            change = abs(state.norm - before.norm) / before.norm if before.norm else 0.0
-            columns = self.problem.regressor(state.simulation)
-            scales = self.problem.scales(state.x, columns)
-            step = float(np.max(np.abs(state.x - before.x)[: scales.size] / scales))
-        line = Iteration(
-            len(self.trace),
-            self.problem.values(state.x),
-            state.norm,
-            change,
-            step,
-            self.simulations,
-            state.gain_scale,
-        )
-        self.trace.append(line)
-        self.progress(f"iteration {line.number}: torque error {100 * state.norm / self.size:.4f} %")
-        return line
-
-    def columns(self, state: _State) -> FloatArray:
-        """Return the raw columns of the step: the regressor, then the initial state's derivatives."""
-        W = self.problem.regressor(state.simulation)
-        surrounding = slice(W.shape[1], None)
-        J, runs = self.problem.jacobian(state.x, self.problem.scales(state.x, W), surrounding)
-        self.simulations += runs
-        return np.hstack([W, J])
-
-    def scaled_step(self, state: _State) -> FloatArray:
-        """Return the parameters that form (11) gives on a motion under scaled gains."""
-        return self.solved(state, self.problem.regressor(state.simulation))
-
-    def solved(self, state: _State, W: FloatArray) -> FloatArray:
-        """Solve ``tau = W chi`` for the joint; what surrounds it stays."""
-        problem = self.problem
-        fixed = problem.loop.joint.parameters
-        kept = [0.0 if p.free else problem.values(state.x)[p.name] for p in problem.parameters[: len(fixed)]]
-        full = problem.loop.joint.regressor(state.simulation.velocity, state.simulation.acceleration)  # type: ignore[union-attr]
-        both = problem.filtered(np.column_stack([problem.measured - full @ np.array(kept), W]))
-        names = tuple(p.name for p in problem.free_joint)
-        chi = least_squares(both[:, 1:], both[:, 0], names).values
-        return np.concatenate([chi, state.x[chi.size :]])
-
-    def step(self, state: _State) -> FloatArray:
-        """Return the next parameters."""
-        W = self.columns(state)
-        if self.settings.form == "paper":
-            joint = len(self.problem.free_joint)
-            after = self.solved(state, W[:, :joint])
-            if W.shape[1] == joint:
-                return after
-        names = tuple(p.name for p in self.problem.free)
-        change = least_squares(self.problem.filtered(W), state.error, names).values
-        if self.settings.form == "paper":  # the initial state has no inverse model: it always takes the residual form
-            return np.concatenate([after[:joint], (state.x + change)[joint:]])
-        return np.asarray(state.x + change)
-
-    def advance(self, state: _State) -> _State:
-        """Take a step, halved while it fails or makes things much worse."""
-        after = self.evaluate(self.step(state))
-        for _ in range(_HALVINGS):
-            failed = after.simulation.outcome is not Outcome.FINISHED
-            if not failed and after.norm <= _WORSE * state.norm:
-                break
-            after = self.evaluate(0.5 * (after.x + state.x))
+    def regressor(self, state: State) -> FloatArray:
+        """The step of the paper: the regressor stands for the Jacobian, in either form."""
+        problem = self.search.problem
+        W = problem.regressor(state.simulation)
+        surrounding = self.search.sensitivities(state, W, slice(W.shape[1], None))
+        if self.form == "residual":
+            return self._residual(state, np.hstack([W, surrounding]))
+        after = self.inverse_model(state)
+        if surrounding.shape[1]:  # the initial state has no inverse model: it takes the residual form
+            both = self._residual(state, np.hstack([W, surrounding]))
+            after[W.shape[1] :] = both[W.shape[1] :]
         return after
 
-    def run(self, x: FloatArray, nominal_inertia: float | None) -> tuple[_State, str, bool]:
-        """Search from `x`; return where it ended, why, and whether that is a good end."""
-        settings = self.settings
-        scaled = settings.scaled_iterations if nominal_inertia else 0
+    def exact(self, state: State) -> FloatArray:
+        """The Gauss-Newton step with the output sensitivities."""
+        return self._residual(state, self.search.sensitivities(state, self.search.problem.regressor(state.simulation)))
 
-        def scale(at: FloatArray) -> float:
-            return float(self.problem.values(at)["inertia"]) / nominal_inertia if nominal_inertia else 1.0
+    def inverse_model(self, state: State) -> FloatArray:
+        """Form (11): solve ``tau = W chi`` for the joint; what surrounds it stays."""
+        problem = self.search.problem
+        W = problem.regressor(state.simulation)
+        kept = problem.measured - problem.fixed_torque(state.simulation)
+        both = problem.filtered(np.column_stack([kept, W]))
+        chi = least_squares(both[:, 1:], both[:, 0], tuple(p.name for p in problem.free_joint)).values
+        return np.concatenate([chi, state.x[chi.size :]])
 
-        state = self.evaluate(x, scale(x) if scaled else 1.0)
-        self.note(state, None)
-        for number in range(1, settings.iterations + 1):
-            _require_simulated(state)
-            if number <= scaled:
-                x = self.scaled_step(state)
-                after = self.evaluate(x, scale(x) if number < scaled else 1.0)
-            else:
-                after = self.advance(state)
-            line = self.note(after, state)
-            before, state = state, after
-            if number <= scaled:
-                continue
-            if state.norm <= _ROUNDING * self.size:
-                return state, "the torque is reproduced to rounding", True
-            assert line.change is not None
-            assert line.step is not None
-            if line.change <= settings.tolerance and line.step <= settings.step_tolerance:
-                return state, _converged(line, settings), True
-            if before.norm < state.norm and state.norm > _WORSE * before.norm:
-                break
-        _require_simulated(state)
-        last = self.trace[-1]
-        return (
-            state,
-            f"not converged: after {last.number} iterations the residual still changes by "
-            f"{100 * (last.change or 0.0):.2g} % and a parameter by {100 * (last.step or 0.0):.2g} %",
-            False,
-        )
-
-    def deviations(self, state: _State) -> tuple[FloatArray, FloatArray]:
-        """Return the standard deviations of the free parameters, and their correlations (see the module)."""
-        problem = self.problem
-        W = self.columns(state)
-        joint = len(problem.free_joint)
-        J, runs = problem.jacobian(state.x, problem.scales(state.x, W[:, :joint]))
-        self.simulations += runs
-        Z, J = problem.filtered(W), problem.filtered(J)
-        norms = np.linalg.norm(Z, axis=0)
-        Z, J = Z / norms, J / norms
-        rows, count = Z.shape
-        spread = np.linalg.pinv(Z.T @ J)
-        variance = float(state.error @ state.error) / max(rows - count, 1)
-        covariance = variance * spread @ (Z.T @ Z) @ spread.T
-        std = np.sqrt(np.diag(covariance))
-        correlation = covariance / np.outer(std, std) if np.all(std > 0) else np.eye(count)
-        return std / norms, correlation
+    def _residual(self, state: State, J: FloatArray) -> FloatArray:
+        problem = self.search.problem
+        names = tuple(p.name for p in problem.free)
+        return np.asarray(state.x + least_squares(problem.filtered(J), state.error, names).values)
 
 
-def _converged(line: Iteration, settings: DIDIM) -> str:
-    assert line.change is not None
-    assert line.step is not None
-    return (
-        f"converged: the residual changed by {100 * line.change:.1g} % (limit {100 * settings.tolerance:g} %) and no "
-        f"parameter by more than {100 * line.step:.1g} % (limit {100 * settings.step_tolerance:g} %)"
-    )
+def _solve(search: Search, settings: DIDIM, start: Start) -> End:
+    """Search from a start: first on scaled gains where it asks for it, then on the true ones."""
+    steps = _Steps(search, settings.form)
+    nominal = start.nominal_inertia
+    scaled = settings.scaled_iterations if nominal else 0
+
+    def scale(x: FloatArray) -> float:
+        return search.problem.values(x)["inertia"] / nominal if nominal else 1.0
+
+    x = search.problem.vector(start.values)
+    state = search.evaluate(x, scale(x) if scaled else 1.0)
+    search.note(state, None)
+    for number in range(1, scaled + 1):
+        require_simulated(state)
+        x = steps.inverse_model(state)
+        after = search.evaluate(x, scale(x) if number < scaled else 1.0)
+        search.note(after, state)
+        state = after
+    end = search.repeat(state, steps.regressor, max(settings.iterations - scaled, 1), _WORSE)
+    if end.converged or settings.form == "paper":
+        return end
+    # Where the torque stands at its limit, or the loop is slow, the regressor is no approximation of the Jacobian.
+    search.progress("the regressor does not lead there; going on with the output sensitivities")
+    return search.repeat(end.state, steps.exact, settings.iterations, 1.0 + settings.tolerance)
 
 
-def _require_simulated(state: _State) -> None:
-    outcome = state.simulation.outcome
-    if outcome is not Outcome.FINISHED:
-        raise MethodError(
-            f"DIDIM cannot go on, because {outcome.value} ({100 * state.simulation.finished:.0f} % of the record was "
-            'simulated); check the controller\'s gains and units, or choose start = "regular".'
-        )
+def _deviations(search: Search, state: State) -> tuple[FloatArray, FloatArray]:
+    """Return the standard deviations of the free parameters, and their correlations (see the module)."""
+    problem = search.problem
+    W = problem.regressor(state.simulation)
+    J = search.sensitivities(state, W)
+    Z, J = problem.filtered(np.hstack([W, J[:, W.shape[1] :]])), problem.filtered(J)
+    norms = np.linalg.norm(Z, axis=0)
+    Z, J = Z / norms, J / norms
+    rows, count = Z.shape
+    spread = np.linalg.pinv(Z.T @ J)
+    variance = float(state.error @ state.error) / max(rows - count, 1)
+    covariance = variance * spread @ (Z.T @ Z) @ spread.T
+    std = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(std, std) if np.all(std > 0) else np.eye(count)
+    return std / norms, correlation
 
 
 def identify_didim(
@@ -283,33 +191,48 @@ def identify_didim(
     """
     settings = settings or DIDIM()
     problem = torque_problem(record, loop, filtering, parameters)
-    if settings.initial_state == "reference":
-        problem = _at_reference(problem)
     choose = {"inversion": inversion_start, "regular": regular_start, "given": given_start}
     start = choose[settings.start](problem)
-    search = _Search(problem, settings, progress)
-    state, stop, converged = search.run(problem.vector(start.values), start.nominal_inertia)
-    std, correlation = search.deviations(state)
-    return _estimate(record, problem, settings, search, state, std, correlation, stop, converged)
+    search = Search(_at_rest(problem, settings), settings.tolerance, settings.step_tolerance, progress)
+    end = _solve(search, settings, start)
+    if settings.initial_state == "free" and not end.reproduced:
+        end = _or_moving(problem, search, settings, end, start)
+    return _estimate(record, settings, search, end)
 
 
-def _at_reference(problem: Problem) -> Problem:
-    at = {"initial_position": float(problem.experiment.inputs[0, 0]), "initial_velocity": 0.0}
-    kept = tuple(p.fixed(at[p.name]) if p.name in at else p for p in problem.parameters)
+def _at_rest(problem: Problem, settings: DIDIM) -> Problem:
+    """Return the problem with the motor at rest at the first sample."""
+    known = {"initial_velocity": 0.0}
+    if settings.initial_state == "reference":
+        known["initial_position"] = float(problem.experiment.inputs[0, REFERENCE])
+    kept = tuple(p.fixed(known[p.name]) if p.name in known else p for p in problem.parameters)
     return replace(problem, parameters=kept)
 
 
-def _estimate(
-    record: Record,
-    problem: Problem,
-    settings: DIDIM,
-    search: _Search,
-    state: _State,
-    std: FloatArray,
-    correlation: FloatArray,
-    stop: str,
-    converged: bool,
-) -> Estimate:
+def _or_moving(problem: Problem, search: Search, settings: DIDIM, resting: End, start: Start) -> End:
+    """Return the better of two answers: the motor at rest at the first sample, or moving.
+
+    Friction makes them two problems: a motor that slips a little before it sticks is not near one that stands, so
+    no search gets from one to the other.
+    """
+    at_rest = search.problem
+    velocity = {"initial_velocity": start.values["initial_velocity"]}
+    search.problem = problem
+    try:
+        moving = _solve(search, settings, Start(at_rest.values(resting.state.x) | velocity, None))
+        gained = resting.state.norm**2 - moving.state.norm**2
+        if gained > _MOVING * resting.state.norm**2 / resting.state.error.size:
+            return moving
+    except MethodError:  # a wrong guess of the velocity may make the loop impossible to simulate
+        search.progress("the motor cannot have been moving at the first sample")
+    search.problem = at_rest
+    return resting
+
+
+def _estimate(record: Record, settings: DIDIM, search: Search, end: End) -> Estimate:
+    assert record.torque is not None
+    std, correlation = _deviations(search, end.state)
+    problem, state = search.problem, end.state
     values = problem.values(state.x)
     spread = dict(zip((p.name for p in problem.free), map(float, std), strict=True))
     joint = problem.loop.joint
@@ -344,15 +267,15 @@ def _estimate(
         filtering=problem.filtering,
         trace=tuple(search.trace),
         simulations=search.simulations,
-        stop=stop,
-        converged=converged,
-        warnings=_warnings(problem, state, correlation, converged),
-        fingerprint=fingerprint(record.torque.values) if record.torque is not None else "",
+        stop=end.stop,
+        converged=end.converged,
+        warnings=_warnings(problem, state, correlation, end.converged),
+        fingerprint=fingerprint(record.torque.values),
         delay=problem.experiment.law.delay,
     )
 
 
-def _warnings(problem: Problem, state: _State, correlation: FloatArray, converged: bool) -> tuple[str, ...]:
+def _warnings(problem: Problem, state: State, correlation: FloatArray, converged: bool) -> tuple[str, ...]:
     found = [] if converged else ["the search did not converge; the values are where it stopped"]
     names = [p.name for p in problem.free]
     pairs = [

@@ -117,6 +117,13 @@ class Problem:
         names = [p.name for p in self.loop.joint.parameters]
         return columns[:, [names.index(p.name) for p in self.free_joint]]
 
+    def fixed_torque(self, simulation: Simulation) -> FloatArray:
+        """Return the torque that the joint's fixed parameters take on a run, (samples,)."""
+        joint = self.loop.joint
+        assert isinstance(joint, RigidJoint)
+        kept = [0.0 if p.free else p.start or 0.0 for p in self.parameters[: len(joint.parameters)]]
+        return np.asarray(joint.regressor(simulation.velocity, simulation.acceleration) @ np.array(kept))
+
     def scales(self, x: FloatArray, columns: FloatArray) -> FloatArray:
         """Return the size a change of each joint parameter is measured against: its value, or a small torque's."""
         norms = np.linalg.norm(columns, axis=0)

@@ -1,0 +1,162 @@
+"""A search: one problem, one trace, and the count of every simulation it took.
+
+The search knows how to evaluate, to repeat a step until nothing changes, and when to turn back; which step that is,
+a method tells it (`didim`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from jointid.common.errors import MethodError
+from jointid.common.progress import Progress
+from jointid.data.record import FloatArray
+from jointid.estimation.estimate import Iteration
+from jointid.estimation.problem import Problem, initial_of
+from jointid.simulation.closed_loop import Outcome, Simulation, simulate
+
+_ROUNDING = 1e-10  # of the torque: an error this small is rounding
+_PATIENCE = 8  # iterations without a better one: an approximate Jacobian may well go round in circles
+_HALVINGS = 8  # of a step that makes things worse
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """One iterate.
+
+    Attributes:
+        x: the free parameters.
+        simulation: of the loop with them.
+        error: filtered torque error.
+        gain_scale: factor on the simulated controller's gains.
+    """
+
+    x: FloatArray
+    simulation: Simulation
+    error: FloatArray
+    gain_scale: float
+
+    @property
+    def norm(self) -> float:
+        """Of the filtered torque error."""
+        return float(np.linalg.norm(self.error))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class End:
+    """Where a search ended, why in a sentence, and whether that is a good end.
+
+    `reproduced` says that the torque is met to rounding: no other answer can be better.
+    """
+
+    state: State
+    stop: str
+    converged: bool
+    reproduced: bool = False
+
+
+Step: TypeAlias = Callable[[State], FloatArray]
+"""From an iterate to the next parameters."""
+
+
+class Search:
+    """Evaluates candidates of a problem and keeps the trace; `problem` may be exchanged for a related one."""
+
+    def __init__(self, problem: Problem, tolerance: float, step_tolerance: float, progress: Progress) -> None:
+        self.problem = problem
+        self.tolerance, self.step_tolerance, self.progress = tolerance, step_tolerance, progress
+        self.trace: list[Iteration] = []
+        self.simulations = 0
+        self.size = float(np.linalg.norm(problem.filtered(problem.measured)))
+
+    def evaluate(self, x: FloatArray, gain_scale: float = 1.0) -> State:
+        """Simulate one candidate, with the controller's gains scaled."""
+        problem = self.problem
+        values = problem.values(x)
+        experiment = problem.experiment if gain_scale == 1.0 else problem.experiment.scaled(gain_scale)
+        simulation = simulate(problem.loop, experiment, values, initial_of(values))
+        self.simulations += 1
+        return State(x, simulation, problem.error(simulation), gain_scale)
+
+    def sensitivities(self, state: State, W: FloatArray, only: slice = slice(None)) -> FloatArray:
+        """Return the simulated torque's derivatives by the free parameters (or some of them), raw.
+
+        `W` is the regressor on the same simulation; it gives the parameters their scales.
+        """
+        J, runs = self.problem.jacobian(state.x, self.problem.scales(state.x, W), only)
+        self.simulations += runs
+        return J
+
+    def note(self, state: State, before: State | None) -> Iteration:
+        """Add a line to the trace."""
+        change = step = None
+        if before is not None:
+            change = abs(state.norm - before.norm) / before.norm if before.norm else 0.0
+            scales = self.problem.scales(state.x, self.problem.regressor(state.simulation))
+            step = float(np.max(np.abs(state.x - before.x)[: scales.size] / scales))
+        values, number = self.problem.values(state.x), len(self.trace)
+        line = Iteration(number, values, state.norm, change, step, self.simulations, state.gain_scale)
+        self.trace.append(line)
+        self.progress(f"iteration {number}: torque error {100 * state.norm / self.size:.4f} %")
+        return line
+
+    def advance(self, state: State, step: Step, worst: float) -> State:
+        """Take a step, halved while it cannot be simulated or the error grows beyond `worst` times the last one."""
+        after = self.evaluate(step(state))
+        for _ in range(_HALVINGS):
+            if after.simulation.outcome is Outcome.FINISHED and after.norm <= worst * state.norm:
+                break
+            after = self.evaluate(0.5 * (after.x + state.x))
+        return after
+
+    def repeat(self, state: State, step: Step, most: int, worst: float) -> End:
+        """Repeat a step until nothing changes, at most so often; where it does not end well, return the best iterate.
+
+        Raises:
+            MethodError: the loop cannot be simulated.
+        """
+        best, since = state, 0
+        for _ in range(most):
+            require_simulated(state)
+            after = self.advance(state, step, worst)
+            line = self.note(after, state)
+            state = after
+            best, since = (state, 0) if state.norm < best.norm else (best, since + 1)
+            if state.norm <= _ROUNDING * self.size:
+                return End(state, "the torque is reproduced to rounding", converged=True, reproduced=True)
+            if _within(line.change, self.tolerance) and _within(line.step, self.step_tolerance):
+                return End(state, self._converged(line), converged=True)
+            if since >= _PATIENCE:
+                break
+        require_simulated(best)
+        last = self.trace[-1]
+        return End(
+            best,
+            f"not converged: after {last.number} iterations the residual still changes by "
+            f"{100 * (last.change or 0.0):.2g} % and a parameter by {100 * (last.step or 0.0):.2g} %",
+            converged=False,
+        )
+
+    def _converged(self, line: Iteration) -> str:
+        return (
+            f"converged: the residual changed by {100 * (line.change or 0.0):.1g} % (limit {100 * self.tolerance:g} %) "
+            f"and no parameter by more than {100 * (line.step or 0.0):.1g} % (limit {100 * self.step_tolerance:g} %)"
+        )
+
+
+def _within(value: float | None, limit: float) -> bool:
+    return value is not None and value <= limit
+
+
+def require_simulated(state: State) -> None:
+    """Raise a `MethodError` if the loop could not be simulated to the end."""
+    outcome = state.simulation.outcome
+    if outcome is not Outcome.FINISHED:
+        raise MethodError(
+            f"DIDIM cannot go on, because {outcome.value} ({100 * state.simulation.finished:.0f} % of the record was "
+            'simulated); check the controller\'s gains and units, or choose start = "regular".'
+        )

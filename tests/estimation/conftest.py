@@ -1,0 +1,34 @@
+"""The EMPS records and loop, as every test of an estimator uses them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from jointid.data.columns import Column
+from jointid.data.reading import read
+from jointid.data.record import InjectionPoint, Record
+from jointid.model.controllers import Cascade
+
+GAIN = 35.15065188
+CONTROLLER = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=GAIN, limit=10.0)
+COLUMNS = {
+    "torque": Column("vir", unit="N", gain=GAIN),
+    "reference": "qg",
+    "motor_position": "qm",
+}
+
+
+@pytest.fixture(scope="session")
+def emps(emps_path: Path) -> Record:
+    """The EMPS record with its motor position."""
+    return read(emps_path, COLUMNS, time="t", name="EMPS")
+
+
+@pytest.fixture(scope="session")
+def emps_pulses(emps_path: Path) -> Record:
+    """The EMPS record with pulses."""
+    known = Column("pulses_N", unit="N", gain=35.636, at=InjectionPoint.AFTER_LIMIT, in_torque=True)
+    path = emps_path.with_name("DATA_EMPS_PULSES.mat")
+    return read(path, {**COLUMNS, "injected": known}, time="t", name="PULSES")

@@ -1,0 +1,166 @@
+"""The public EMPS axis: the published results to every digit, and torque-only identification."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.assessment.validation import validate
+from jointid.data.record import Record
+from jointid.data.signals import Filtering
+from jointid.estimation.didim import DIDIM
+from jointid.estimation.estimate import Estimate
+from jointid.estimation.identify import identify
+from jointid.estimation.idim import IDIM
+from jointid.model.friction import AsymmetricFriction
+from jointid.model.joints import RigidJoint
+from jointid.simulation.closed_loop import ClosedLoop
+from tests.estimation.conftest import CONTROLLER
+
+LOOP = ClosedLoop(RigidJoint(), CONTROLLER)
+ASYMMETRIC = ClosedLoop(RigidJoint(friction=AsymmetricFriction()), CONTROLLER)
+
+
+def rounded(estimate: Estimate, digits: dict[str, int]) -> dict[str, float]:
+    return {name: round(estimate.values[name], places) for name, places in digits.items()}
+
+
+def test_idim_repeats_the_published_results_to_every_digit(emps: Record, emps_pulses: Record) -> None:
+    estimate = identify(emps, LOOP, IDIM(), filtering=Filtering.published())
+    digits = {"inertia": 4, "viscous": 4, "coulomb": 4, "offset": 4}
+    expected = {"inertia": 95.1089, "viscous": 203.5034, "coulomb": 20.3935, "offset": -3.1648}
+    assert rounded(estimate, digits) == expected
+    assert round(100 * estimate.filtered_error, 4) == 4.0834
+    assert estimate.conditioning is not None
+    assert round(estimate.conditioning.raw, 4) == 25.9883
+    assert any("as sampled" in warning for warning in estimate.warnings)
+    cross = validate(estimate, emps_pulses)
+    assert cross.test == "cross"
+    assert round(100 * cross.filtered_error, 4) == 5.9824
+
+
+def test_idim_repeats_the_published_asymmetric_results(emps: Record) -> None:
+    estimate = identify(emps, ASYMMETRIC, IDIM(), filtering=Filtering.published())
+    digits = {"inertia": 3, "viscous_forwards": 2, "coulomb_forwards": 2}
+    digits |= {"viscous_backwards": 2, "coulomb_backwards": 2}
+    assert rounded(estimate, digits) == {
+        "inertia": 95.154, "viscous_forwards": 166.71, "coulomb_forwards": 20.14, "viscous_backwards": 240.42,
+        "coulomb_backwards": 20.63,
+    }  # fmt: skip
+    assert round(100 * estimate.filtered_error, 4) == 3.1117
+
+
+def test_idim_with_the_timing_respected(emps: Record) -> None:
+    """The held torque acts half a period later than it is stamped: 4 N s/m of viscous friction were its lag."""
+    estimate = identify(emps, LOOP, IDIM())
+    assert rounded(estimate, {"inertia": 2, "viscous": 2, "coulomb": 2}) == {
+        "inertia": 94.97, "viscous": 207.76, "coulomb": 20.08,
+    }  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def torque_only(emps: Record) -> Estimate:
+    """Identified from a record that has no motor position at all."""
+    return identify(emps.without("motor_position"), LOOP)
+
+
+def in_the_published_bounds(estimate: Estimate) -> None:
+    assert estimate.values["inertia"] == pytest.approx(95.0, abs=0.5)
+    assert estimate.values["viscous"] == pytest.approx(207.5, abs=5)
+    assert estimate.values["coulomb"] == pytest.approx(20.1, abs=0.5)
+    assert estimate.values["offset"] == pytest.approx(-3.2, abs=0.1)
+    assert estimate.converged
+
+
+def test_didim_identifies_the_axis_from_torque_and_reference_only(torque_only: Estimate) -> None:
+    in_the_published_bounds(torque_only)
+    assert torque_only.method == "didim"
+    assert torque_only.channels == ("torque", "reference")
+    assert torque_only.relative_error <= 0.046
+    assert torque_only["initial_velocity"].value == pytest.approx(0.007, abs=0.001)
+
+
+def test_didim_is_the_default_and_does_not_read_the_motor_position(emps: Record, torque_only: Estimate) -> None:
+    estimate = identify(emps, LOOP)
+    assert estimate.values == torque_only.values
+    assert estimate.method == "didim"
+
+
+def test_didim_with_asymmetric_friction(emps: Record) -> None:
+    estimate = identify(emps.without("motor_position"), ASYMMETRIC)
+    assert estimate.relative_error <= 0.038
+    assert estimate.values["inertia"] == pytest.approx(95.0, abs=0.5)
+    assert not estimate["offset"].free
+    assert estimate.values["offset"] == 0.0
+
+
+def test_the_simulation_tracks_like_the_axis(emps: Record, torque_only: Estimate) -> None:
+    direct = validate(torque_only, emps)
+    assert direct.test == "direct"
+    assert direct.relative_error == pytest.approx(torque_only.relative_error, rel=1e-3)
+    assert direct.tracking_error is not None
+    assert direct.tracking_error <= 0.005
+
+
+def test_cross_test_on_the_record_with_pulses(emps_pulses: Record, torque_only: Estimate) -> None:
+    cross = validate(torque_only, emps_pulses.without("motor_position"))
+    assert cross.test == "cross"
+    assert cross.channels == ("torque", "reference", "injected")
+    assert cross.relative_error <= 0.055
+    without_pulses = replace(emps_pulses, injected=None)
+    assert validate(torque_only, without_pulses).relative_error > 0.1
+
+
+@pytest.mark.parametrize("start", ["regular", "inversion"])
+def test_every_start_ends_at_the_same_place(emps: Record, torque_only: Estimate, start: str) -> None:
+    estimate = identify(emps, LOOP, DIDIM(start=start))  # type: ignore[arg-type]
+    assert_same(estimate, torque_only)
+
+
+@pytest.mark.parametrize("factor", [10.0, 0.1])
+def test_starts_ten_times_wrong_end_at_the_same_place(emps: Record, torque_only: Estimate, factor: float) -> None:
+    starts = {p.name: replace(p, start=factor * torque_only.values[p.name]) for p in LOOP.joint.parameters}
+    estimate = identify(emps, LOOP, DIDIM(start="given"), parameters=starts)
+    assert_same(estimate, torque_only)
+    assert estimate.trace[0].values["inertia"] == pytest.approx(factor * torque_only.values["inertia"])
+
+
+def assert_same(estimate: Estimate, other: Estimate) -> None:
+    assert estimate.converged
+    for name, value in other.values.items():
+        assert estimate.values[name] == pytest.approx(value, rel=1e-5)
+
+
+def test_the_paper_s_form_stops_early_and_says_so(emps: Record) -> None:
+    """As printed: form (11), regular start, 2.5 %, at rest on the reference at t = 0, where the axis already moves."""
+    estimate = identify(emps, LOOP, DIDIM.paper())
+    assert estimate.iterations <= 10
+    assert "limit 2.5 %" in estimate.stop
+    assert estimate.values["inertia"] == pytest.approx(95.0, abs=1.0)
+    assert not estimate["initial_velocity"].free
+
+
+def test_the_count_of_simulations_is_the_count_of_simulations(emps: Record, monkeypatch: pytest.MonkeyPatch) -> None:
+    from jointid.simulation import kernels
+
+    calls = []
+    original = kernels.run
+    monkeypatch.setattr(kernels, "run", lambda *arguments: (calls.append(1), original(*arguments))[1])
+    estimate = identify(emps, LOOP)
+    assert estimate.simulations == len(calls)
+    assert estimate.trace[-1].simulations <= estimate.simulations
+    assert validate(estimate, emps).simulations == len(calls) - estimate.simulations
+
+
+def test_two_records_give_what_their_intervals_do_not_explain(emps: Record, emps_pulses: Record) -> None:
+    """The gap between the two inertias is known; the white-residual intervals must not be taken for the truth."""
+    first, second = (identify(record, LOOP)["inertia"] for record in (emps, emps_pulses))
+    assert first.value is not None
+    assert second.value is not None
+    assert first.std is not None
+    assert second.std is not None
+    assert abs(first.value - second.value) < 1.5
+    assert first.std < 0.2
+    assert np.hypot(first.std, second.std) < 0.3

@@ -1,0 +1,192 @@
+"""Known truths: what the estimators must recover, and what they must refuse."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError, RecordError
+from jointid.data.excitation import trapezoids
+from jointid.data.record import Channel, Record, Timing
+from jointid.data.signals import Filtering
+from jointid.estimation.didim import DIDIM
+from jointid.estimation.identify import identify
+from jointid.estimation.idim import IDIM
+from jointid.model.controllers import PD, Cascade
+from jointid.model.friction import AsymmetricFriction
+from jointid.model.joints import FlexibleJoint, RigidJoint
+from jointid.model.parameters import Parameter, Quantity
+from jointid.simulation.closed_loop import ClosedLoop, Initial
+from jointid.simulation.synthesis import simulated_record
+from tests.estimation.conftest import CONTROLLER
+
+T = 1e-3
+TRUTH = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.2}
+MOVING = trapezoids((0.042, 0.083, 0.125), 0.83, 0.1, T, duration=8.0)
+RESTING = trapezoids((0.042, 0.083, 0.125), 0.83, 0.1, T, rest=0.6, duration=12.0)
+LOOP = ClosedLoop(RigidJoint(), CONTROLLER)
+
+
+def errors(estimate_values: dict[str, float], truth: dict[str, float]) -> float:
+    return max(abs(estimate_values[name] / value - 1) for name, value in truth.items() if value)
+
+
+def test_the_resting_motion_rests_a_fifth_of_the_time() -> None:
+    made = simulated_record(LOOP, RESTING, TRUTH, sample_time=T)
+    assert made.motor_position is not None
+    assert np.mean(np.diff(made.motor_position.values) == 0.0) > 0.2
+
+
+@pytest.mark.parametrize("start", ["inversion", "regular"])
+@pytest.mark.parametrize("motion", [MOVING, RESTING], ids=["moving", "resting"])
+def test_didim_recovers_a_rigid_truth(motion: np.ndarray, start: str) -> None:
+    made = simulated_record(LOOP, motion, TRUTH, sample_time=T).without("motor_position")
+    estimate = identify(made, LOOP, DIDIM(start=start))  # type: ignore[arg-type]
+    assert errors(estimate.values, TRUTH) <= 1e-6
+    assert estimate.converged
+
+
+def test_the_paper_s_form_is_biased_where_the_axis_rests() -> None:
+    """Friction at rest takes what it must, not Fc: form (11) cannot be right there, the residual form is."""
+    made = simulated_record(LOOP, RESTING, TRUTH, sample_time=T)
+    estimate = identify(made, LOOP, DIDIM(form="paper"))
+    assert errors(estimate.values, TRUTH) > 1e-3
+
+
+@pytest.mark.parametrize("delay", [0.4e-3, 1.3e-3])
+def test_didim_recovers_the_truth_behind_a_fractional_delay(delay: float) -> None:
+    late = Cascade(kp=100.0, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, delay=delay)
+    loop = ClosedLoop(RigidJoint(), late)
+    made = simulated_record(loop, MOVING, TRUTH, sample_time=T).without("motor_position")
+    assert errors(identify(made, loop).values, TRUTH) <= 1e-6
+    undelayed = ClosedLoop(RigidJoint(), Cascade(kp=100.0, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15))
+    assert errors(identify(made, undelayed).values, TRUTH) > 1e-3
+
+
+@pytest.mark.parametrize(("limit", "share"), [(3.4, 0.007), (3.0, 0.06)])
+def test_didim_recovers_the_truth_through_saturation(limit: float, share: float) -> None:
+    """At its limit the torque does not answer to the parameters, so the regressor is not the Jacobian there."""
+    tight = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=limit)
+    loop = ClosedLoop(RigidJoint(), tight)
+    made = simulated_record(loop, MOVING, TRUTH, sample_time=T).without("motor_position")
+    assert made.torque is not None
+    assert np.mean(np.abs(made.torque.values) >= limit * 35.15 * (1 - 1e-12)) > share
+    assert errors(identify(made, loop).values, TRUTH) <= 1e-6
+
+
+def test_didim_recovers_the_initial_state() -> None:
+    start = Initial(position=2e-4, velocity=0.03)
+    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T, initial=start).without("motor_position")
+    estimate = identify(made, LOOP)
+    assert errors(estimate.values, TRUTH) <= 1e-6
+    assert estimate["initial_position"].value == pytest.approx(2e-4, rel=1e-5)
+    assert estimate["initial_velocity"].value == pytest.approx(0.03, rel=1e-5)
+    assumed = identify(made, LOOP, DIDIM(initial_state="reference"))
+    assert errors(assumed.values, TRUTH) > 1e-4
+
+
+def test_didim_recovers_asymmetric_friction_on_a_rotary_pd_loop() -> None:
+    truth = {
+        "inertia": 0.02, "viscous_forwards": 0.05, "coulomb_forwards": 0.3, "viscous_backwards": 0.08,
+        "coulomb_backwards": 0.2,
+    }  # fmt: skip
+    loop = ClosedLoop(RigidJoint("revolute", AsymmetricFriction()), PD(kp=60.0, kd=1.6))
+    motion = trapezoids((2.0, 5.0, 9.0), 60.0, 4.0, T, rest=0.1)
+    made = simulated_record(loop, motion, truth | {"offset": 0.0}, sample_time=T).without("motor_position")
+    estimate = identify(made, loop)
+    assert errors(estimate.values, truth) <= 1e-6
+    assert estimate["inertia"].unit == "kg m2"
+    assert estimate["viscous_forwards"].unit == "N m s/rad"
+
+
+def test_a_fixed_parameter_keeps_its_value_and_a_wrong_one_biases_the_others() -> None:
+    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
+    right = {"offset": Parameter("offset", "offset", Quantity.FORCE).fixed(-3.2)}
+    estimate = identify(made, LOOP, parameters=right)
+    assert estimate.values["offset"] == -3.2
+    assert estimate["offset"].std is None
+    assert errors(estimate.values, TRUTH) <= 1e-6
+    idim = identify(made, LOOP, IDIM(), parameters=right)
+    assert idim.values["offset"] == -3.2
+    wrong = {"viscous": Parameter("viscous", "Fv", Quantity.VISCOUS).fixed(100.0)}
+    assert errors(identify(made, LOOP, parameters=wrong).values, TRUTH) > 0.01
+
+
+def test_idim_must_respect_that_a_torque_is_held() -> None:
+    """On noise-free data the half period between stamp and action is the whole error."""
+    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
+    respected = identify(made, LOOP, IDIM())
+    sampled = identify(made, LOOP, IDIM(), filtering=Filtering(timing="as_sampled"))
+    assert errors(respected.values, TRUTH) < 2e-3
+    assert errors(sampled.values, TRUTH) > 5 * errors(respected.values, TRUTH)
+
+
+def test_idim_respects_delay_and_averaging() -> None:
+    late = Cascade(kp=120.0, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, delay=1.4e-3)
+    loop = ClosedLoop(RigidJoint(), late)
+    made = simulated_record(loop, MOVING, TRUTH, sample_time=T)
+    assert errors(identify(made, loop, IDIM()).values, TRUTH) < 3e-3
+    assert made.torque is not None
+    before = np.concatenate([made.torque.values[:1], made.torque.values[:-1]])  # mean of a held torque: the one before
+    averaged = Record(
+        torque=Channel(before, "N", T, Timing.AVERAGED), reference=made.reference, motor_position=made.motor_position
+    )
+    same = identify(averaged, loop, IDIM())
+    assert errors(same.values, TRUTH) < 3e-3
+
+
+def test_the_intervals_cover_the_truth_for_white_noise_on_the_log() -> None:
+    """A smoke test of the scale of the deviations, 60 seeds; the statistics proper come with the solver."""
+    clean = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
+    assert clean.torque is not None
+    inside = dict.fromkeys(TRUTH, 0)
+    runs = 60
+    for seed in range(runs):
+        noise = 4.0 * np.random.default_rng(seed).standard_normal(MOVING.size)
+        torque = Channel(clean.torque.values + noise, "N", T, Timing.HELD)
+        estimate = identify(Record(torque=torque, reference=clean.reference), LOOP)
+        for name, value in TRUTH.items():
+            std = estimate[name].std
+            assert std is not None
+            inside[name] += abs(estimate.values[name] - value) <= 2 * std
+    assert all(count >= 0.85 * runs for count in inside.values())
+
+
+def test_torque_alone_in_ampere() -> None:
+    joint = RigidJoint("revolute", torque_unit="A")
+    truth = {"inertia": 0.01, "viscous": 0.02, "coulomb": 0.2, "offset": 0.05}
+    loop = ClosedLoop(joint, PD(kp=40.0, kd=1.0))
+    made = simulated_record(loop, trapezoids((2.0, 6.0), 50.0, 4.0, T), truth, sample_time=T)
+    estimate = identify(made, loop)
+    assert errors(estimate.values, truth) <= 1e-6
+    assert estimate["inertia"].unit == "A s2/rad"
+    assert FlexibleJoint("revolute", torque_unit="A").unit(FlexibleJoint("revolute").parameters[3]) == "A/rad"
+
+
+def test_what_cannot_be_identified_is_refused_in_a_sentence() -> None:
+    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
+    asymmetric = RigidJoint(friction=AsymmetricFriction())
+    free_offset = {"offset": Parameter("offset", "offset", Quantity.FORCE)}
+    with pytest.raises(MethodError, match=r"offset.*cannot be told apart"):
+        identify(made, asymmetric, parameters=free_offset)
+    with pytest.raises(RecordError, match=r"IDIM needs motor_position; this record has torque, reference\."):
+        identify(made.without("motor_position"), RigidJoint())
+    with pytest.raises(RecordError, match=r"DIDIM needs reference; this record has torque, motor_position"):
+        identify(made.without("reference"), LOOP)
+    with pytest.raises(MethodError, match="needs the controller"):
+        identify(made, RigidJoint(), DIDIM())
+    with pytest.raises(MethodError, match=r"no approximation of its Jacobian|start is for a rigid joint"):
+        identify(made, ClosedLoop(FlexibleJoint(), CONTROLLER))
+    everything = {p.name: p.fixed(1.0) for p in LOOP.joint.parameters}
+    with pytest.raises(MethodError, match="nothing to identify"):
+        identify(made, LOOP, parameters=everything)
+    with pytest.raises(MethodError, match=r"No parameter is called mass; this model has inertia"):
+        identify(made, LOOP, parameters={"mass": LOOP.joint.parameters[0]})
+
+
+def test_the_filter_is_refused_where_it_would_alias() -> None:
+    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
+    with pytest.raises(MethodError, match=r"one sample in 12.*at least one in 6"):
+        identify(made, LOOP, filtering=Filtering(cutoff=60.0, decimation=12))
+    with pytest.raises(MethodError, match="600 Hz is not below the Nyquist frequency of 500 Hz"):
+        identify(made, LOOP, filtering=Filtering(cutoff=600.0))
