@@ -8,12 +8,12 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from jointid.assessment.validation import Validation
 from jointid.common.errors import RecordError
 from jointid.data.signals import Filtering
-from jointid.estimation.estimate import Estimate, EstimatedParameter, IdentifiedJoint, Iteration
+from jointid.estimation.estimate import Estimate, EstimatedParameter, IdentifiedJoint, Iteration, MethodName
 from jointid.model.joints import Joint
 from jointid.simulation.closed_loop import ClosedLoop, Initial, Simulation
 
@@ -38,6 +38,7 @@ def estimate_answer(estimate: Estimate) -> Json:
             "name": estimate.record,
             "samples": int(estimate.measured.size),
             "sample_time": estimate.sample_time,
+            "torque_unit": estimate.torque_unit,
             "torque_sha256": estimate.fingerprint,
         },
         "channels": list(estimate.channels),
@@ -127,14 +128,7 @@ def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> 
     Raises:
         RecordError: the file is no estimate, or belongs to another model.
     """
-    try:
-        answer = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise RecordError(
-            f"{path} cannot be read ({error.strerror}); give the file that identify --json wrote."
-        ) from None
-    except ValueError:
-        raise RecordError(f"{path} is no JSON file; give the file that identify --json wrote.") from None
+    answer = _read(path)
     try:
         return _identified(answer, joint, loop)
     except (KeyError, TypeError, ValueError):
@@ -142,6 +136,33 @@ def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> 
             f"{path} is no estimate of schema {ESTIMATE_SCHEMA} for a {joint.model} joint with these parameters; "
             "identify with this joint file first."
         ) from None
+
+
+def read_friction(path: str | Path) -> Literal["symmetric", "asymmetric"]:
+    """Return the friction law of an estimate written by `write`.
+
+    Raises:
+        RecordError: the file is no estimate.
+    """
+    friction = _read(path).get("friction")
+    if friction not in ("symmetric", "asymmetric"):
+        raise RecordError(
+            f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; give the file that identify --json wrote."
+        )
+    return "asymmetric" if friction == "asymmetric" else "symmetric"
+
+
+def _read(path: str | Path) -> Json:
+    remedy = "give the file that identify --json wrote"
+    try:
+        answer = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RecordError(f"{path} cannot be read ({error.strerror}); {remedy}.") from None
+    except (ValueError, RecursionError):
+        raise RecordError(f"{path} is no JSON file; {remedy}.") from None
+    if not isinstance(answer, dict):
+        raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {remedy}.")
+    return answer
 
 
 def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
@@ -152,7 +173,7 @@ def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identifi
     filtering = Filtering(
         given["position_cutoff"], given["cutoff"], given["decimation"], tuple(given["borders"]), given["timing"]
     )
-    method = str(answer["method"])
+    method: MethodName = "didim" if answer["method"] == "didim" else "idim"
     record = answer["record"]
     return IdentifiedJoint(
         method,

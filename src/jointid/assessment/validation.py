@@ -14,7 +14,7 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import decimate
-from jointid.estimation.estimate import Estimate, IdentifiedJoint, fingerprint, relative_error
+from jointid.estimation.estimate import Estimate, IdentifiedJoint, MethodName, fingerprint, relative_error
 from jointid.estimation.idim import motion_of
 from jointid.estimation.problem import INITIAL_STATE, Problem, initial_of
 from jointid.estimation.regression import least_squares
@@ -35,6 +35,7 @@ class Validation:
         record, identified_from: names of the records.
         channels: of the record, that were read.
         sample_time: of the torque, seconds.
+        torque_unit: of the torque: N, N m, A or V.
         measured, predicted: (samples,) raw torque.
         borders: samples left out at each end of the relative error.
         relative_error: of the raw torque; a ratio.
@@ -46,11 +47,12 @@ class Validation:
     """
 
     test: Literal["direct", "cross"]
-    method: str
+    method: MethodName
     record: str
     identified_from: str
     channels: tuple[str, ...]
     sample_time: float
+    torque_unit: str
     measured: FloatArray
     predicted: FloatArray
     borders: tuple[int, int]
@@ -113,6 +115,7 @@ def _inverse(identified: IdentifiedJoint, record: Record) -> Validation:
         identified_from=identified.record,
         channels=("torque", "motor_position", *(("injected",) if record.injected is not None else ())),
         sample_time=sample_time,
+        torque_unit=record.torque.unit,
         measured=model.torque,
         predicted=predicted,
         borders=filtering.borders,
@@ -143,6 +146,7 @@ def _simulated(identified: IdentifiedJoint, record: Record) -> Validation:
         identified_from=identified.record,
         channels=(*loop.channels, *(("injected",) if record.injected is not None else ())),
         sample_time=experiment.sample_time,
+        torque_unit=record.torque.unit,
         measured=measured,
         predicted=run.torque,
         borders=filtering.borders,

@@ -24,6 +24,7 @@ app = App(
     help="Identify a servo-driven joint from motor torque and the commanded reference alone.",
     version=__version__,
     help_format="plaintext",
+    suppress_keyboard_interrupt=False,
 )
 for command in (demo, identify, simulate, validate):
     app.command(command)

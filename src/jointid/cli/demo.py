@@ -61,6 +61,7 @@ def demo(
     show()
     show("The axis is flexible; below its resonance it shows the sums of its motor and load side:")
     show(aligned(("symbol", "identified", "true sum", "unit"), rows, (False, True, True, False)))
+    show("The raw error is what lies above 5 Hz: the pulses, the resonance and the disturbance.")
     show()
     show(f"Written to {made}: record.csv, joint.toml, estimate.json, torque.png")
     show(f"Change the joint file, then: jointid identify {made / 'joint.toml'}")

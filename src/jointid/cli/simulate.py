@@ -43,10 +43,7 @@ def simulate(
     if file.loop is None:
         raise MethodError("A simulation needs the controller; add a [controller] table to the joint file.")
     logged = file.record(record)
-    if estimate is not None:
-        values = answers.read_identified(estimate, file.joint, file.loop).values
-    else:
-        values = file.values()
+    values = file.values() if estimate is None else answers.read_identified(estimate, file.joint, file.loop).values
     with compiling(progress(quiet)):
         simulation = require_finished(run(file.loop, prepare(file.loop, logged), values))
     peak = float(abs(simulation.torque).max())
@@ -58,6 +55,6 @@ def simulate(
         from jointid.data.reading import write
         from jointid.simulation.synthesis import as_record
 
-        write(as_record(logged, simulation, file.joint), out)
+        write(as_record(logged, simulation), out)
     if json is not None:
         answers.write(answers.simulation_answer(simulation, file.joint, values, logged.name), json)

@@ -256,6 +256,7 @@ def _estimate(record: Record, settings: DIDIM, search: Search, end: End) -> Esti
         channels=used,
         record=record.name,
         sample_time=problem.experiment.sample_time,
+        torque_unit=record.torque.unit,
         measured=problem.measured,
         predicted=state.simulation.torque,
         borders=borders,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from jointid.data.signals import Filtering
 from jointid.estimation.regression import Conditioning
 from jointid.model.joints import Joint
 from jointid.simulation.closed_loop import ClosedLoop, Initial
+
+MethodName: TypeAlias = Literal["didim", "idim"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +81,7 @@ class IdentifiedJoint:
         fingerprint: of that record's torque, see `fingerprint`.
     """
 
-    method: str
+    method: MethodName
     joint: Joint
     loop: ClosedLoop | None
     values: dict[str, float]
@@ -99,6 +102,7 @@ class Estimate:
         channels: of the record, that were read.
         record: its name.
         sample_time: of the torque, seconds.
+        torque_unit: of the torque: N, N m, A or V.
         measured, predicted: (samples,) raw torque, and what the model says it should have been.
         borders: samples left out at each end of the error below.
         relative_error: ``||measured - predicted|| / ||measured||`` of the raw torque, borders left out; a ratio.
@@ -115,7 +119,7 @@ class Estimate:
         delay: seconds from the logged torque to the torque that acts, as declared.
     """
 
-    method: str
+    method: MethodName
     variant: str
     joint: Joint
     loop: ClosedLoop | None
@@ -123,6 +127,7 @@ class Estimate:
     channels: tuple[str, ...]
     record: str
     sample_time: float
+    torque_unit: str
     measured: FloatArray
     predicted: FloatArray
     borders: tuple[int, int]

@@ -166,6 +166,7 @@ def identify_idim(
         channels=used,
         record=record.name,
         sample_time=sample_time,
+        torque_unit=record.torque.unit,
         measured=model.torque,
         predicted=predicted,
         borders=filtering.borders,

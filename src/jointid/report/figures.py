@@ -25,17 +25,13 @@ _ZOOM = 0.08  # of the record, in the lower panel
 _FORMATS = (".png", ".svg", ".pdf")
 
 
-def torque_figure(answer: Estimate | Validation, unit: str = "") -> Figure:
-    """Return measured, simulated and error torque over time: the whole record, and a zoom on its liveliest part.
-
-    Args:
-        answer: an estimate or a validation.
-        unit: of the torque; taken from the joint for an estimate.
-    """
+def torque_figure(answer: Estimate | Validation) -> Figure:
+    """Return measured, simulated and error torque over time: the whole record, and a zoom on its liveliest part."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    unit = unit or _unit(answer)
+    unit = answer.torque_unit
+    quantity = {"N": "force", "N m": "torque"}.get(unit, "motor signal")
     word = "simulated" if answer.method == "didim" else "inverse model"
     time = np.asarray(np.arange(answer.measured.size) * answer.sample_time, dtype=np.float64)
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
@@ -48,7 +44,7 @@ def torque_figure(answer: Estimate | Validation, unit: str = "") -> Figure:
     whole.axvspan(time[low], time[high - 1], color="0.85", zorder=0)
     zoom.set_title("zoom on the shaded part", fontsize=9, loc="left")
     for axes in (whole, zoom):
-        axes.set_ylabel(f"{'force' if unit == 'N' else 'torque'} [{unit}]" if unit else "torque")
+        axes.set_ylabel(f"{quantity} [{unit}]")
         axes.margins(x=0)
         axes.grid(color="0.9")
     zoom.set_xlabel("time [s]")
@@ -96,9 +92,3 @@ def _title(answer: Estimate | Validation) -> str:
     if isinstance(answer, Estimate):
         return f"{answer.record}: {answer.joint.model} joint by {answer.method.upper()}, {error}"
     return f"{answer.record}: {answer.test} test of the joint identified from {answer.identified_from}, {error}"
-
-
-def _unit(answer: Estimate | Validation) -> str:
-    if not isinstance(answer, Estimate):
-        return ""
-    return next((p.unit for p in answer.parameters if p.name == "offset"), "")

@@ -1,0 +1,224 @@
+"""What a joint file says, as the objects that the verbs take."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Self
+
+from jointid.common.errors import MethodError, RecordError
+from jointid.data.checks import CLOCK_TOLERANCE, check_record
+from jointid.data.columns import Column
+from jointid.data.reading import read
+from jointid.data.record import Record
+from jointid.data.signals import Filtering
+from jointid.estimation.didim import DIDIM
+from jointid.estimation.identify import Method
+from jointid.jointfile import written
+from jointid.jointfile.checking import checked
+from jointid.jointfile.fitting import changed, chosen_method, needed_channels, torque_unit
+from jointid.jointfile.schema import RecordTable
+from jointid.model.controllers import Controller
+from jointid.model.joints import Joint
+from jointid.model.parameters import Parameter
+from jointid.simulation.closed_loop import ClosedLoop
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The file of the record, and how it is read; see `jointid.data.reading.read`.
+
+    Attributes:
+        file: path of the record, from the joint file's folder.
+        time, time_unit: name of the time column, and its unit.
+        sample_time: seconds between samples.
+        clock_tolerance: largest jitter of the time stamps, as a share of the sample time.
+        options: of the format's reader.
+    """
+
+    file: str | None = None
+    time: str | None = None
+    time_unit: str | None = None
+    sample_time: float | None = None
+    clock_tolerance: float = CLOCK_TOLERANCE
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, table: RecordTable) -> Self:
+        """Return what [record] says of the file."""
+        options = table.options()
+        return cls(**table.given("channels", *options), options=options)
+
+
+@dataclass(frozen=True, slots=True)
+class JointFile:
+    """A joint file: what is identified, from what, and how.
+
+    Attributes:
+        joint: the model; its torque is in A or V where the torque's channel is.
+        columns: the channels, and where they are found.
+        method: `DIDIM` or `IDIM` with its settings.
+        controller: the controller's law, None while it is not known.
+        filtering: how signals are filtered.
+        parameters: changes to the joint's parameters by name, as `identify` takes them.
+        source: the file of the record.
+        name: what reports call the joint.
+        path: of the joint file; a text is taken to stand in `joint.toml`.
+
+    Example:
+        >>> from jointid.jointfile import loads
+        >>> file = loads('''
+        ... [joint]
+        ... kind = "revolute"
+        ... [record.channels]
+        ... torque = { column = "i_q", unit = "A" }
+        ... motor_position = { column = "pos [deg]" }
+        ... ''')
+        >>> print(file.method, file.joint.torque_unit)
+        IDIM() A
+    """
+
+    joint: Joint
+    columns: Mapping[str, Column]
+    method: Method
+    controller: Controller | None = None
+    filtering: Filtering = field(default_factory=Filtering)
+    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    source: Source = field(default_factory=Source)
+    name: str | None = None
+    path: Path = field(default=Path("joint.toml"), compare=False)
+
+    @classmethod
+    def of(cls, tables: Mapping[str, Any], path: Path = Path("joint.toml")) -> Self:
+        """Return what the tables of a joint file say.
+
+        Args:
+            tables: the file's tables by name, as `tomllib` reads them.
+            path: of the joint file.
+
+        Raises:
+            JointFileError: with one sentence for each fault.
+        """
+        file = checked(tables)
+        channels = file.record.channels.given()
+        joint = file.joint.joint(torque_unit(channels, file.joint.kind))
+        method = chosen_method(file.method.name, channels, file.controller is not None)
+        assert method is not None
+        known = {parameter.name: parameter for parameter in joint.parameters}
+        return cls(
+            joint=joint,
+            columns={name: table.declared() for name, table in channels.items()},
+            method=file.method.method(method),
+            controller=file.controller.controller() if file.controller else None,
+            filtering=file.filtering.filtering(),
+            parameters={name: changed(known[name], table) for name, table in file.parameters.items()},
+            source=Source.of(file.record),
+            name=file.joint.name,
+            path=path,
+        )
+
+    @property
+    def loop(self) -> ClosedLoop | None:
+        """The joint under its controller, None while the controller is not known."""
+        return None if self.controller is None else ClosedLoop(self.joint, self.controller)
+
+    def record(self, path: str | os.PathLike[str] | None = None) -> Record:
+        """Read the record.
+
+        A channel that the method does not need may be absent, except an injected signal: without it the torque
+        would be taken for the controller's.
+
+        Args:
+            path: of the record, instead of the one the joint file names.
+
+        Raises:
+            RecordError: there is no such file, or it does not hold what the joint file says; `faults` has a
+                sentence for each missing column, gap, jump of the clock, impossible scale, constant torque, and
+                torque at the controller's limit.
+        """
+        if path is None:
+            if self.source.file is None:
+                raise RecordError(f"{self.path} names no record; add file to [record], or name one by --record.")
+            path = self.path.parent / self.source.file
+        needed = {*needed_channels(self._method_name, self.controller), "injected"}
+        columns = {n: c if n in needed else replace(c, optional=True) for n, c in self.columns.items()}
+        source = self.source
+        record = read(
+            path,
+            columns,
+            time=source.time,
+            time_unit=source.time_unit,
+            sample_time=source.sample_time,
+            kind=self.joint.kind,
+            clock_tolerance=source.clock_tolerance,
+            **source.options,
+        )
+        check_record(record, limit=None if self.controller is None else self.controller.law(1.0).limit)
+        return record
+
+    def values(self) -> dict[str, float]:
+        """Return a value for every parameter of the joint, for a simulation: fixed values and starts.
+
+        Raises:
+            MethodError: a parameter has neither.
+        """
+        parameters = [self.parameters.get(p.name, p) for p in self.joint.parameters]
+        missing = [p.name for p in parameters if p.start is None]
+        if missing:
+            raise MethodError(
+                f"A simulation needs a value for every parameter; {', '.join(missing)} has none: give it a value or a "
+                "start under [parameters], or identify the joint first."
+            )
+        return {p.name: float(p.start) for p in parameters if p.start is not None}
+
+    def overridden(
+        self,
+        *,
+        method: str | None = None,
+        filtering: str | None = None,
+        friction: str | None = None,
+    ) -> JointFile:
+        """Return this file with some choices replaced, and checked again; None leaves a choice as it is.
+
+        Args:
+            method: "didim" or "idim"; another one than the file's comes with its default settings.
+            filtering: a preset, "default" or "published".
+            friction: "symmetric" or "asymmetric".
+
+        Raises:
+            JointFileError: the file does not have what the method needs, or a parameter is not one of the law's.
+        """
+        tables = self.tables()
+        if method is not None and method != self._method_name:
+            tables["method"] = {"name": method}
+        if filtering is not None:
+            tables["filtering"] = {"preset": filtering}
+        if friction is not None:
+            tables["joint"]["friction"] = friction
+        return type(self).of(tables, self.path)
+
+    def tables(self) -> dict[str, Any]:
+        """Return the tables that say the same, as `of` takes them; what is at its default is left out.
+
+        Raises:
+            JointFileError: a joint file has no word for the friction or the controller.
+        """
+        model = {parameter.name: parameter for parameter in self.joint.parameters}
+        channels = {name: written.settings(column) for name, column in self.columns.items()}
+        parameters = {name: written.parameter_table(p, model.get(name, p)) for name, p in self.parameters.items()}
+        record = {**written.settings(self.source, "options"), **self.source.options, "channels": channels}
+        tables = {
+            "joint": written.joint_table(self.joint, self.name),
+            "record": record,
+            "controller": {} if self.controller is None else written.controller_table(self.controller),
+            "filtering": written.filtering_table(self.filtering),
+            "method": written.method_table(self.method),
+            "parameters": parameters,
+        }
+        return {name: table for name, table in tables.items() if table}
+
+    @property
+    def _method_name(self) -> str:
+        return "didim" if isinstance(self.method, DIDIM) else "idim"

@@ -1,0 +1,192 @@
+"""How the tables of a joint file fit together: units to the joint, channels to the method, parameters to the model.
+
+Each part has the function that says what is at fault and the one that makes use of what is not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
+
+from jointid.common import units
+from jointid.data.columns import known_units
+from jointid.estimation.idim import IDIM
+from jointid.jointfile import wording
+from jointid.jointfile.schema import ChannelTable, JointTable, MethodTable, ParameterTable
+from jointid.model.controllers import Controller
+from jointid.model.joints import FRICTIONS, Joint
+from jointid.model.parameters import TORQUE_UNIT, Kind, Parameter
+
+
+def unit_faults(channels: Mapping[str, ChannelTable], kinds: Collection[Kind]) -> Iterator[str]:
+    """Yield the units that a joint of none of these kinds can have, and torques that differ in theirs."""
+    for name, table in channels.items():
+        known = tuple(dict.fromkeys(unit for kind in kinds for unit in known_units(name, kind)))
+        stated = table.declared().stated_unit(known)
+        if stated is not None and stated not in known:
+            where = "unit is" if table.unit is not None else "column names the unit"
+            yield f'record.channels.{name}.{where} "{stated}"{_misfit(name, stated, known, kinds)}'
+    if "injected" in channels:
+        pairs = {(_si_unit("injected", channels, kind), _si_unit("torque", channels, kind)) for kind in kinds}
+        if len(pairs) == 1 and None not in (pair := pairs.pop()) and pair[0] != pair[1]:
+            yield f"record.channels.injected is in {pair[0]}, but the torque in {pair[1]}: give both in one unit."
+
+
+def torque_unit(channels: Mapping[str, ChannelTable], kind: Kind) -> str | None:
+    """Return "A" or "V" for a torque in the drive's own units, None for one in N or N m."""
+    unit = _si_unit("torque", channels, kind)
+    return None if unit == TORQUE_UNIT[kind] else unit
+
+
+def _si_unit(channel: str, channels: Mapping[str, ChannelTable], kind: Kind) -> str | None:
+    """Return the unit in which a channel will be read, None if it cannot be."""
+    known = known_units(channel, kind)
+    stated = channels[channel].declared().stated_unit(known) if channel in channels else None
+    if stated is None:
+        return _si_unit("torque", channels, kind) if channel == "injected" else known[0]
+    return units.unit(stated).si if stated in known else None
+
+
+def _misfit(channel: str, unit: str, known: Collection[str], kinds: Collection[Kind]) -> str:
+    """Return the end of the sentence on a unit that a channel cannot have."""
+    expected = f"expected one of {', '.join(known)}"
+    try:
+        dimension = units.unit(unit).dimension
+    except units.UnitError:
+        otherwise = "give one of them, and the gain that takes the column to it"
+        return f", which is not known; {expected}: {wording.guessed(unit, known, otherwise)}"
+    fitting = [kind for kind in TORQUE_UNIT if kind not in kinds and unit in known_units(channel, kind)]
+    remedy = "".join(f', or set joint.kind = "{kind}"' for kind in fitting)
+    return f", a unit of {dimension}; {expected}: give one of them{remedy}."
+
+
+_NEXT_TO_ZERO = 1e-200
+_NEEDS = {"didim": "torque, reference and controller", "idim": "torque and motor_position"}
+_NO_OFFSET = (
+    " cannot be identified beside asymmetric friction: a constant adds to the Coulomb force forwards and takes as much "
+    'from it backwards, so the two cannot be told apart; give it a value, or set joint.friction = "symmetric".'
+)
+_OTHER = {"didim": "idim", "idim": "didim"}
+
+
+def chosen_method(name: str | None, channels: Collection[str], controlled: bool) -> str | None:
+    """Return the method: the one named, or the first whose needs are met, or None.
+
+    DIDIM comes first, even where there is a motor position, which it does not read.
+
+    Args:
+        name: of the method, if the file names one.
+        channels: names of the channels there are.
+        controlled: whether the controller is known.
+    """
+    if name is not None:
+        return name
+    if controlled and {"torque", "reference"} <= set(channels):
+        return "didim"
+    return "idim" if {"torque", "motor_position"} <= set(channels) else None
+
+
+def needed_channels(method: str, controller: Controller | None) -> tuple[str, ...]:
+    """Return the names of the channels that a method reads; of a controller not known, only the reference."""
+    if method == "idim":
+        return IDIM.channels
+    return ("torque", *(("reference",) if controller is None else controller.channels))
+
+
+def method_faults(
+    table: MethodTable, channels: Collection[str], controller: Controller | None, controlled: bool
+) -> Iterator[str]:
+    """Yield what the method lacks, and settings of the other one; arguments as for `chosen_method`."""
+
+    def lacking(method: str) -> list[str]:
+        missing = [f"record.channels.{n}" for n in needed_channels(method, controller) if n not in channels]
+        return missing if controlled or method == "idim" else [*missing, "controller"]
+
+    name = chosen_method(table.name, channels, controlled)
+    if name is None:
+        lacks = [f"{method.upper()} lacks {' and '.join(lacking(method))}" for method in _NEEDS]
+        yield f"method.name is missing, and no method can be chosen: {', '.join(lacks)}; add what one of them lacks."
+        return
+    other = _OTHER[name]
+    for key in lacking(name):
+        yield (
+            f"{key} is missing, but {name.upper()} needs it: add it, "
+            f'or use method.name = "{other}", which needs only {_NEEDS[other]}.'
+        )
+    if name == "idim":
+        for key in table.given("name"):
+            yield f'method.{key} is for DIDIM, but the method is IDIM: leave it out, or use method.name = "didim".'
+
+
+def parameter_faults(joint: JointTable, tables: Mapping[str, ParameterTable], bare: Collection[str]) -> Iterator[str]:
+    """Yield parameters that the model does not have, and values that they cannot have.
+
+    Args:
+        joint: whose parameters.
+        tables: what the file says of each, by name.
+        bare: names of those given by a bare number.
+    """
+    known = {parameter.name: parameter for parameter in joint.joint(None).parameters}
+    for name, table in tables.items():
+        path = wording.dotted(["parameters", name])
+        if name not in known:
+            yield path + _no_parameter(name, joint, known)
+            continue
+        for key, sentence in _misgiven(known[name], table):
+            yield path + (f".{key}" if key and name not in bare else "") + sentence
+
+
+def changed(parameter: Parameter, table: ParameterTable) -> Parameter:
+    """Return a parameter of the model with what the file says of it; of two bounds the tighter one holds."""
+    lower, upper = _bounds(parameter, table)
+    free = table.value is None and (parameter.free if table.free is None else table.free)
+    start = next((given for given in (table.value, table.start, parameter.start) if given is not None), None)
+    return replace(parameter, free=free, start=start, lower=lower, upper=upper)
+
+
+def _bounds(parameter: Parameter, table: ParameterTable) -> tuple[float, float]:
+    lower = parameter.lower if table.lower is None else max(table.lower, parameter.lower)
+    upper = parameter.upper if table.upper is None else min(table.upper, parameter.upper)
+    return lower, upper
+
+
+def _misgiven(parameter: Parameter, table: ParameterTable) -> Iterator[tuple[str, str]]:
+    """Yield the key and the rest of the sentence on what a parameter cannot be given."""
+    if not parameter.free and table.value is None:
+        yield "", _NO_OFFSET
+        return
+    lower, upper = _bounds(parameter, table)
+    if not lower < upper:
+        if table.upper is not None:
+            yield "upper", f" is {table.upper:g}; expected more than {_open(lower):g}: raise it."
+        else:
+            yield "lower", f" is {lower:g}; expected less than {upper:g}: lower it."
+        return
+    for key in ("value", "start"):
+        number = getattr(table, key)
+        if number is not None and not lower <= number <= upper:
+            yield key, f" is {number:g}; expected {_range(lower, upper)}: correct it, or its bounds."
+
+
+def _range(lower: float, upper: float) -> str:
+    if upper == math.inf:
+        return f"{lower:g} or more" if lower == _open(lower) else "more than 0"
+    return f"{upper:g} or less" if lower == -math.inf else f"a number from {_open(lower):g} to {upper:g}"
+
+
+def _open(lower: float) -> float:
+    """Return the bound that is meant: one that no number of interest is below says that 0 itself is excluded."""
+    return 0.0 if 0.0 < lower < _NEXT_TO_ZERO else lower
+
+
+def _no_parameter(name: str, joint: JointTable, known: Collection[str]) -> str:
+    """Return the rest of the sentence on a parameter that this model does not have."""
+    remedy = wording.guessed(name, known, "leave it out")
+    for key, choices in (("model", ("rigid", "flexible")), ("friction", FRICTIONS)):
+        for choice in choices:
+            other: Joint = joint.model_copy(update={key: choice}).joint(None)
+            if name in [parameter.name for parameter in other.parameters]:
+                remedy = f'leave it out, or set joint.{key} = "{choice}".'
+    model = f"a {joint.model} joint with {joint.friction} friction"
+    return f" is not known for {model}; expected one of {', '.join(known)}: {remedy}"

@@ -1,0 +1,103 @@
+"""From TOML to a joint file and back."""
+
+from __future__ import annotations
+
+import os
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from jointid.common.errors import JointFileError
+from jointid.jointfile.contents import JointFile
+from jointid.model.parameters import TORQUE_UNIT
+
+_PLACE = re.compile(r"(?P<reason>.*) \(at (line (?P<line>\d+), column (?P<column>\d+)|end of document)\)", re.DOTALL)
+
+
+def load(path: str | os.PathLike[str]) -> JointFile:
+    """Load a joint file, checked completely.
+
+    Args:
+        path: of the TOML file, in UTF-8.
+
+    Raises:
+        JointFileError: the file cannot be read, is no TOML, or has faults; `faults` has a sentence for each.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise JointFileError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
+    except UnicodeDecodeError as error:
+        raise JointFileError(f"{path} is not text in UTF-8 (byte {error.start}); save it as UTF-8.") from error
+    return JointFile.of(_parsed(text), path)
+
+
+def loads(text: str, folder: str | os.PathLike[str] = ".") -> JointFile:
+    """Load a joint file from its text; see `load`.
+
+    Args:
+        text: TOML.
+        folder: from which the path of the record is taken.
+    """
+    return JointFile.of(_parsed(text), Path(folder) / "joint.toml")
+
+
+def dumps(file: JointFile) -> str:
+    """Return a joint file as TOML; `loads` gives it back.
+
+    Raises:
+        JointFileError: a joint file cannot say this, or would be refused; `faults` has a sentence for each reason.
+    """
+    tables = file.tables()
+    read_back = JointFile.of(tables)
+    if read_back.joint != file.joint:
+        joints, channels = (joint.torque_unit or TORQUE_UNIT[joint.kind] for joint in (file.joint, read_back.joint))
+        raise JointFileError(
+            f"The joint's torque is in {joints}, but its channel's in {channels}; give both in one unit."
+        )
+    return tomli_w.dumps(tables)
+
+
+def save(file: JointFile, path: str | os.PathLike[str]) -> None:
+    """Write a joint file as TOML in UTF-8; a file that is there is replaced.
+
+    Raises:
+        JointFileError: the file cannot be written, or see `dumps`.
+    """
+    text = dumps(file)
+    try:
+        Path(path).write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise JointFileError(f"{path} cannot be written ({_reason(error)}); check the folder.") from error
+
+
+def _parsed(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise JointFileError(_syntax_fault(text, str(error))) from error
+    except RecursionError:
+        raise JointFileError("The joint file nests lists or tables too deeply; no key of it needs that.") from None
+    except ValueError as error:  # a number of more digits than Python reads
+        raise JointFileError("The joint file holds a number of thousands of digits; correct it.") from error
+
+
+def _syntax_fault(text: str, message: str) -> str:
+    match = _PLACE.fullmatch(message)
+    reason = match["reason"] if match else message
+    lines = text.splitlines() or [""]
+    line = int(match["line"]) if match and match["line"] else len(lines)
+    column = int(match["column"]) if match and match["column"] else len(lines[-1]) + 1
+    return (
+        f"Line {line}, column {column} is not TOML ({reason[:1].lower()}{reason[1:]}); expected [tables] and lines of "
+        'key = value, text in "quotes": correct that line.'
+    )
+
+
+def _reason(error: OSError) -> str:
+    return (error.strerror or type(error).__name__).lower()

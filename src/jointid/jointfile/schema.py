@@ -1,0 +1,239 @@
+"""Every table and key of the joint file, what may stand there, and what each table becomes.
+
+What a key is when it is left out is the default of the object the table becomes; a test holds the two together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
+
+from jointid.data.checks import CLOCK_TOLERANCE
+from jointid.data.columns import Column
+from jointid.data.formats import Csv, format_of
+from jointid.data.record import Channel, Injection
+from jointid.data.signals import Filtering
+from jointid.estimation.didim import DIDIM
+from jointid.estimation.identify import Method
+from jointid.estimation.idim import IDIM
+from jointid.jointfile.laws import ControllerTable
+from jointid.jointfile.table import Table, accepted, refusal
+from jointid.jointfile.values import (
+    Borders,
+    Bound,
+    ColumnGain,
+    Count,
+    Flag,
+    Natural,
+    NotNegative,
+    Number,
+    Positive,
+    Sign,
+    Text,
+    TimeUnit,
+)
+from jointid.jointfile.wording import shown
+from jointid.model.joints import FRICTIONS, FlexibleJoint, Joint, RigidJoint, friction_named
+
+OPTIONS = ("delimiter", "decimal", "header")
+"""The keys of [record] that are options of the format's reader."""
+
+Delimiter = Annotated[Text, accepted(lambda mark: Csv(delimiter=mark))]
+RecordFile = Annotated[Text, accepted(format_of)]
+
+
+class JointTable(Table):
+    """[joint]: what is identified."""
+
+    kind: Literal["prismatic", "revolute"] = Field(description="how the joint moves: m and N, or rad and N m")
+    model: Literal["rigid", "flexible"] = Field("rigid", description="one inertia, or two joined by a spring")
+    friction: Annotated[Text, accepted(friction_named)] = Field(
+        "symmetric", description="the friction's law", json_schema_extra={"enum": list(FRICTIONS)}
+    )
+    name: Text | None = Field(None, description="what reports call the joint")
+
+    def joint(self, torque_unit: str | None) -> Joint:
+        """Return the joint; `torque_unit` is "A" or "V" for a torque in the drive's units."""
+        made = FlexibleJoint if self.model == "flexible" else RigidJoint
+        return made(self.kind, friction_named(self.friction), torque_unit)
+
+
+class ChannelTable(Table):
+    """[record.channels.reference] and its like: the column of one channel."""
+
+    column: Text = Field(description="name of the column in the record's file")
+    unit: Text | None = Field(None, description="unit of gain x column")
+    gain: ColumnGain = Field(1.0, description="what takes the column to the unit")
+    sign: Sign = Field(1, description="-1 turns the channel round")
+    timing: Literal["sampled", "held", "averaged"] | None = Field(None, description="what one value stands for")
+    sample_time: Positive | None = Field(None, description="own time between samples [s]")
+    optional: Flag = Field(False, description="whether a record may lack this column")
+
+    def declared(self) -> Column:
+        """Return the column that is declared."""
+        return Column(**self.given())
+
+
+class TorqueTable(ChannelTable):
+    """[record.channels.torque]."""
+
+    tap: Literal["command", "filtered", "measured"] = Field("command", description="where the torque was logged")
+
+
+class InjectedTable(ChannelTable):
+    """[record.channels.injected]: a known signal added to the controller's output."""
+
+    at: Literal["before_limit", "after_limit"] = Field("after_limit", description="where the signal is added")
+    in_torque: Flag = Field(True, description="whether the logged torque contains the signal")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield that no such injection exists."""
+        any_signal = Channel(np.zeros(1), "N", 1.0)
+        if refused := refusal(lambda: Injection(any_signal, self.declared().at, self.in_torque)):
+            yield "in_torque", refused
+
+
+class ChannelsTable(Table):
+    """[record.channels]: where the record's channels are found."""
+
+    torque: TorqueTable | None = Field(None, description="motor torque or force")
+    reference: ChannelTable | None = Field(None, description="commanded position, motor side")
+    reference_velocity: ChannelTable | None = Field(None, description="commanded velocity")
+    motor_position: ChannelTable | None = Field(None, description="motor encoder")
+    load_position: ChannelTable | None = Field(None, description="load encoder")
+    injected: InjectedTable | None = Field(None, description="known signal added to the controller's output")
+
+
+class RecordTable(Table):
+    """[record]: the file of the record, and how it is read."""
+
+    file: RecordFile | None = Field(None, description="path of the record, from the joint file's folder")
+    time: Text | None = Field(None, description="name of the time column")
+    time_unit: TimeUnit | None = Field(None, description="unit of the time column")
+    sample_time: Positive | None = Field(None, description="time between samples [s]")
+    clock_tolerance: NotNegative = Field(CLOCK_TOLERANCE, description="largest jitter, as a share of the sample time")
+    delimiter: Delimiter | None = Field(None, description="character between the cells of a text file")
+    decimal: Literal[".", ","] | None = Field(None, description="decimal mark of a text file")
+    header: Flag | None = Field(None, description="whether a text file names its columns")
+    channels: ChannelsTable = Field(default_factory=ChannelsTable, description="where the channels are found")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield that the file's format has no such option."""
+        if self.file is not None and (refused := refusal(partial(format_of, self.file, **self.options()))):
+            yield "file", refused
+
+    def options(self) -> dict[str, Any]:
+        """Return the options of the format's reader that are given."""
+        return {key: value for key, value in self.given().items() if key in OPTIONS}
+
+
+def _beside_preset(table: Table, preset: str | None) -> Iterator[tuple[str, str]]:
+    if preset is not None:
+        for key, value in table.given("name", "preset").items():
+            yield key, f' is {shown(value)} beside preset = "{preset}", which sets it: leave one of them out.'
+
+
+class FilteringTable(Table):
+    """[filtering]: how torque and columns are filtered, position and decimation each with its cut-off."""
+
+    preset: Literal["default", "published"] | None = Field(None, description="all of it at once")
+    position_cutoff: Positive | None = Field(None, description="of the low-pass on measured positions [Hz]")
+    cutoff: Positive | None = Field(None, description="of the decimation filter on torque and columns [Hz]")
+    decimation: Count | None = Field(None, description="one sample is kept in so many")
+    borders: Borders = Field([50, 50], description="samples dropped at the start and at the end")
+    timing: Literal["respected", "as_sampled"] = Field("respected", description="how a held torque is read")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield the keys beside a preset."""
+        yield from _beside_preset(self, self.preset)
+
+    def filtering(self) -> Filtering:
+        """Return the filtering."""
+        if self.preset is not None:
+            return Filtering.published() if self.preset == "published" else Filtering()
+        given = self.given()
+        return Filtering(**given | ({"borders": tuple(given["borders"])} if "borders" in given else {}))
+
+
+class MethodTable(Table):
+    """[method]: how the joint is identified."""
+
+    name: Literal["didim", "idim"] | None = Field(None, description="the method")
+    preset: Literal["paper"] | None = Field(None, description="all settings of DIDIM at once")
+    form: Literal["residual", "paper"] = Field("residual", description="what each step solves")
+    start: Literal["inversion", "regular", "given"] = Field("inversion", description="where the search begins")
+    scaled_iterations: Natural = Field(2, description="first iterations under scaled controller gains")
+    tolerance: Positive = Field(1e-7, description="change of the residual norm to stop at, relative")
+    step_tolerance: Positive = Field(1e-7, description="change of the parameters to stop at, relative")
+    iterations: Count = Field(30, description="iterations at most")
+    initial_state: Literal["free", "reference"] = Field("free", description="the motor at the first sample")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield the keys beside a preset."""
+        yield from _beside_preset(self, self.preset)
+
+    def method(self, name: str) -> Method:
+        """Return the method of that name with these settings."""
+        if name == "idim":
+            return IDIM()
+        return DIDIM.paper() if self.preset == "paper" else DIDIM(**self.given("name", "preset"))
+
+
+class ParameterTable(Table):
+    """[parameters.inertia] and its like: one parameter; a bare number is a value."""
+
+    shorthand = "value"
+
+    value: Number | None = Field(None, description="what the parameter is fixed at")
+    start: Number | None = Field(None, description="where the search begins")
+    lower: Bound | None = Field(None, description="lower bound")
+    upper: Bound | None = Field(None, description="upper bound")
+    free: Flag | None = Field(None, description="whether the parameter is identified")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield what contradicts itself."""
+        if self.lower is not None and self.upper is not None and not self.lower < self.upper:
+            yield "lower", f" is {self.lower:g}; expected less than upper = {self.upper:g}: exchange them."
+        if self.value is not None and self.free:
+            yield "free", f" is true beside value = {self.value:g}, which would fix it; write start = {self.value:g}."
+        if self.value is not None and self.start is not None:
+            yield "start", " stands beside value; keep value to fix the parameter, or start to identify it."
+        if self.value is None and self.free is False:
+            yield "value", " is missing; a parameter that is not free needs the value that it keeps: add it."
+
+
+class FileTable(Table):
+    """A joint file."""
+
+    decided_by: ClassVar = {"controller": "law"}
+
+    joint: JointTable = Field(description="what is identified")
+    record: RecordTable = Field(default_factory=RecordTable, description="the file of the record, and its channels")
+    controller: ControllerTable | None = Field(None, description="the controller's law, if it is known")
+    filtering: FilteringTable = Field(default_factory=FilteringTable, description="how signals are filtered")
+    method: MethodTable = Field(default_factory=MethodTable, description="how the joint is identified")
+    parameters: dict[str, ParameterTable] = Field(
+        default_factory=dict, description="what is known of the parameters, by name"
+    )
+
+
+class _WithoutNull(GenerateJsonSchema):
+    """TOML has no null: what has no default is left out."""
+
+    def nullable_schema(self, schema: NullableSchema) -> JsonSchemaValue:
+        return self.generate_inner(schema["schema"])
+
+    def default_schema(self, schema: WithDefaultSchema) -> JsonSchemaValue:
+        described = super().default_schema(schema)
+        return {key: value for key, value in described.items() if (key, value) != ("default", None)}
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON Schema of the joint file, for documentation and forms."""
+    return FileTable.model_json_schema(schema_generator=_WithoutNull)

@@ -1,0 +1,69 @@
+"""The kinds of values a joint file has, each with the words for what is expected of it."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from pydantic import AfterValidator, Field
+
+from jointid.common.units import units_of
+from jointid.jointfile.wording import Says
+
+_TIME_UNITS = units_of("time")
+_MOST = 10**9  # of what is counted
+
+
+def _not_nan(value: float) -> float:
+    if math.isnan(value):
+        raise ValueError
+    return value
+
+
+def _direction(value: int) -> int:
+    if value not in (1, -1):  # Literal[1, -1] would take true for 1
+        raise ValueError
+    return value
+
+
+def _time_unit(name: str) -> str:
+    if name not in _TIME_UNITS:
+        raise ValueError
+    return name
+
+
+Text = Annotated[str, Field(min_length=1), Says("text in quotes")]
+TimeUnit = Annotated[str, AfterValidator(_time_unit), Says(f"a unit of time, one of {', '.join(_TIME_UNITS)}")]
+Flag = Annotated[bool, Says("true or false")]
+
+Number = Annotated[float, Field(allow_inf_nan=False), Says("a number")]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), Says("a positive number")]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), Says("a number, 0 or more")]
+Bound = Annotated[float, AfterValidator(_not_nan), Says("a number, inf or -inf")]
+Limit = Annotated[float, Field(gt=0), Says("a positive number")]
+"""A limit may be infinite."""
+
+ColumnGain = Annotated[
+    float, Field(gt=0, allow_inf_nan=False), Says("a positive number", "use sign = -1 to turn the channel round")
+]
+LoopGain = Annotated[
+    float,
+    Field(ge=0, allow_inf_nan=False),
+    Says("a number, 0 or more", "turn the torque or the positions round, with sign = -1 on their channels"),
+]
+OutputGain = Annotated[
+    float,
+    Field(gt=0, allow_inf_nan=False),
+    Says("a positive number", "turn the torque round, with sign = -1 on its channel"),
+]
+Sign = Annotated[
+    int, AfterValidator(_direction), Field(json_schema_extra={"enum": [1, -1]}), Says("1 or -1", "use gain to scale")
+]
+
+Natural = Annotated[int, Field(ge=0, le=_MOST), Says("a whole number, 0 or more")]
+Count = Annotated[int, Field(ge=1, le=_MOST), Says("a whole number, 1 or more")]
+Borders = Annotated[list[Natural], Field(min_length=2, max_length=2), Says("a list of two whole numbers, 0 or more")]
+
+Numbers = Annotated[list[Number], Says("a list of numbers")]
+Coefficients = Annotated[list[Number], Field(min_length=1), Says("a list of one or more numbers")]
+Matrix = Annotated[list[list[Number]], Says("a list of rows, each a list of numbers")]

@@ -1,0 +1,103 @@
+"""The words in which the joint file's faults are told: what a key is called, how a value looks, what was expected."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+_LONGEST = 60  # characters of a value that a sentence shows
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+_WITHOUT_QUOTES = re.compile(r"\s*([+-]?(\d[\d_]*)?\.?\d+([eE][+-]?\d+)?|true|false)\s*")
+
+
+@dataclass(frozen=True, slots=True)
+class Says:
+    """What is expected of a value.
+
+    Attributes:
+        expected: in words, such as "a positive number".
+        negative: the remedy for a negative number, where there is one beside correcting it.
+    """
+
+    expected: str
+    negative: str = ""
+
+
+def dotted(location: Iterable[int | str]) -> str:
+    """Return the path of a key, its parts quoted where TOML quotes them."""
+    return ".".join(key if _BARE.fullmatch(key) else json.dumps(key) for key in map(str, location))
+
+
+def shown(value: object) -> str:
+    """Return a value as the file writes it, shortened."""
+    match value:
+        case dict():
+            text = "a table"
+        case list() if any(isinstance(item, list | dict) for item in value):
+            text = "a list of lists or tables"
+        case list():
+            text = _short(f"[{', '.join(map(shown, value))}]")
+        case str():
+            text = f'"{_short(json.dumps(value, ensure_ascii=False)[1:-1])}"'
+        case bool():
+            text = str(value).lower()
+        case int() if abs(value) >= 2**63:
+            text = "a whole number beyond 64 bits"  # Python refuses to print the largest
+        case _:
+            text = str(value)
+    return text
+
+
+def either(choices: Iterable[str]) -> str:
+    """Return the choices, quoted and in a row."""
+    *most, last = [f'"{choice}"' for choice in choices] or [""]
+    return f"{', '.join(most)} or {last}" if most else last
+
+
+def guessed(word: object, known: Iterable[str], otherwise: str) -> str:
+    """Return the question whether the nearest of the known words was meant; `otherwise`, if none is near."""
+    match = difflib.get_close_matches(word, list(known), 1) if isinstance(word, str) else []
+    return f"did you mean {match[0]}?" if match else f"{otherwise}."
+
+
+def missing(expected: str, meaning: str) -> str:
+    """Return the rest of the sentence on a key that is not there."""
+    return f" is missing; expected {expected} ({meaning}): add it."
+
+
+def unknown(key: str, known: Iterable[str]) -> str:
+    """Return the rest of the sentence on a key that is not known."""
+    keys = list(known)
+    return f" is not a known key; expected one of {', '.join(keys)}: {guessed(key, keys, 'leave it out')}"
+
+
+def no_choice(value: object, choices: Iterable[str]) -> str:
+    """Return the rest of the sentence on a value that is not among the choices."""
+    choices = list(choices)
+    nearest = guessed(shown(value), [f'"{choice}"' for choice in choices], "choose one of them")
+    return f" is {shown(value)}; expected {either(choices)}: {nearest}"
+
+
+def no_table(value: object) -> str:
+    """Return the rest of the sentence on a value where a table belongs."""
+    return f" is {shown(value)}; expected a table: put its keys below a [heading], or in braces."
+
+
+def unexpected(value: object, says: Says, optional: bool) -> str:
+    """Return the rest of the sentence on a value that is not what was expected."""
+    remedy = "correct it, or leave it out" if optional else "correct it"
+    if isinstance(value, int | float) and value < 0 and says.negative:
+        remedy = says.negative
+    elif isinstance(value, str) and _WITHOUT_QUOTES.fullmatch(value):
+        remedy = "write it without quotes"
+    return f" is {shown(value)}; expected {says.expected}: {remedy}."
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."

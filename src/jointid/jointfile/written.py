@@ -1,0 +1,86 @@
+"""The objects of a joint file as the tables it writes: what is at its default is left out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import MISSING, Field, fields
+from typing import Any
+
+import numpy as np
+
+from jointid.common.errors import JointFileError
+from jointid.data.signals import Filtering
+from jointid.estimation.didim import DIDIM
+from jointid.estimation.identify import Method
+from jointid.model.controllers import PD, Cascade, Controller, DigitalFilter, StateSpaceController
+from jointid.model.joints import FRICTIONS, Joint
+from jointid.model.parameters import Parameter
+
+_LAWS: Mapping[type, str] = {Cascade: "cascade", PD: "pd", StateSpaceController: "state_space"}
+
+
+def settings(made: Any, *without: str) -> dict[str, Any]:
+    """Return the fields of a dataclass that are not at their defaults, as TOML has them, but for those named."""
+    found = {}
+    for field in fields(made):
+        value = _plain(getattr(made, field.name))
+        if field.name not in without and value is not None and value != _plain(_default(field)):
+            found[field.name] = value
+    return found
+
+
+def joint_table(joint: Joint, name: str | None) -> dict[str, Any]:
+    """Return [joint]."""
+    frictions = [word for word, law in FRICTIONS.items() if type(joint.friction) is law]
+    if not frictions:
+        law = type(joint.friction).__name__
+        raise JointFileError(f"A joint file has no word for the friction {law}; use {' or '.join(FRICTIONS)}.")
+    table = {"kind": joint.kind, "model": joint.model, "friction": frictions[0]}
+    return table if name is None else {**table, "name": name}
+
+
+def controller_table(controller: Controller) -> dict[str, Any]:
+    """Return [controller]."""
+    law = _LAWS.get(type(controller))
+    if law is None:
+        raise JointFileError(
+            f"A joint file has no word for the controller {type(controller).__name__}; give a StateSpaceController."
+        )
+    return {"law": law, **settings(controller)}
+
+
+def filtering_table(filtering: Filtering) -> dict[str, Any]:
+    """Return [filtering]."""
+    return {"preset": "published"} if filtering == Filtering.published() else settings(filtering)
+
+
+def method_table(method: Method) -> dict[str, Any]:
+    """Return [method]."""
+    return {"name": "didim", **settings(method)} if isinstance(method, DIDIM) else {"name": "idim"}
+
+
+def parameter_table(parameter: Parameter, model: Parameter) -> dict[str, Any] | float:
+    """Return [parameters.name] for a parameter that is `model`'s, changed; a bare number where that is all."""
+    bounds = {key: getattr(parameter, key) for key in ("lower", "upper")}
+    table = {key: float(value) for key, value in bounds.items() if value != getattr(model, key)}
+    if parameter.free:
+        return table if parameter.start is None else {"start": float(parameter.start), **table}
+    value = float(parameter.start or 0.0)
+    return {"value": value, **table} if table else value
+
+
+def _default(field: Field[Any]) -> Any:
+    return None if field.default is MISSING else field.default
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as TOML has it."""
+    if isinstance(value, DigitalFilter):  # without its denominator it would be read as a mere numerator
+        return {"numerator": list(value.numerator), "denominator": list(value.denominator)}
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return str(value) if isinstance(value, str) else value

@@ -1,0 +1,217 @@
+"""The program as a user meets it: its commands, what they write, and how they fail."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid.cli.app import app, main
+from jointid.data.reading import read
+from jointid.paper.twin import JOINT_FILE
+
+ROOT = Path(__file__).resolve().parents[2]
+EMPS = ROOT / "examples" / "emps" / "joint.toml"
+
+
+def run(*words: object) -> int:
+    """Run the program and return its exit code."""
+    with pytest.raises(SystemExit) as end:
+        main([str(word) for word in words])
+    assert isinstance(end.value.code, int)
+    return end.value.code
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("demo") / "out"
+    assert run("demo", folder, "--quiet") == 0
+    return folder
+
+
+def test_the_demo_writes_a_folder_to_play_with(demo: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert {path.name for path in demo.iterdir()} == {"record.csv", "joint.toml", "estimate.json", "torque.png"}
+    answer = json.loads((demo / "estimate.json").read_text(encoding="utf-8"))
+    truth = {"inertia": 105.0, "viscous": 202.0, "coulomb": 20.4, "offset": -3.16}
+    for name, value in truth.items():
+        found = answer["parameters"][name]
+        assert abs(found["value"] - value) <= 3 * found["std"]
+    changed = (demo / "joint.toml").read_text(encoding="utf-8").replace("cutoff = 5.0", "cutoff = 4.0")
+    (demo / "joint.toml").write_text(changed, encoding="utf-8")
+    assert run("identify", demo / "joint.toml") == 0
+    said = capsys.readouterr()
+    assert "ZZ" in said.out
+    assert "iteration 0" in said.err
+
+
+def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        assert run("demo", tmp_path / name, "-q", "--seed", 7) == 0
+    for name in ("record.csv", "joint.toml", "estimate.json", "torque.png"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_the_example_of_the_twin_is_the_demo_s_joint_file() -> None:
+    assert (ROOT / "examples" / "twin" / "joint.toml").read_text(encoding="utf-8") == JOINT_FILE
+
+
+def test_identify_validate_simulate_on_the_real_axis(
+    emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, pulses = tmp_path / "out.json", emps_path.with_name("DATA_EMPS_PULSES.mat")
+    assert run("identify", EMPS, "--record", emps_path, "--json", out, "--figure", tmp_path / "t.svg", "-q") == 0
+    answer = json.loads(out.read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.estimate/1"
+    assert answer["method"] == "didim"
+    assert answer["model"] == "rigid"
+    assert answer["channels"] == ["torque", "reference"]
+    assert set(answer["parameters"]["inertia"]) == {
+        "symbol", "value", "std", "unit", "free", "identifiable", "lower_bound",
+    }  # fmt: skip
+    assert abs(answer["parameters"]["inertia"]["value"] - 95.0) <= 0.5
+    assert answer["relative_error_percent"] <= 4.6
+    assert (tmp_path / "t.svg").read_text(encoding="utf-8").lstrip().startswith("<?xml")
+
+    check = tmp_path / "check.json"
+    assert run("validate", EMPS, "--estimate", out, "--record", pulses, "--json", check, "-q") == 0
+    cross = json.loads(check.read_text(encoding="utf-8"))
+    assert (cross["schema"], cross["test"]) == ("jointid.validation/1", "cross")
+    assert cross["relative_error_percent"] <= 5.5
+    assert run("validate", EMPS, "--estimate", out, "--record", emps_path, "--json", check, "-q") == 0
+    assert json.loads(check.read_text(encoding="utf-8"))["test"] == "direct"
+
+    made, summary = tmp_path / "made.csv", tmp_path / "made.json"
+    words = ("--record", emps_path, "--estimate", out, "--out", made, "--json", summary, "-q")
+    assert run("simulate", EMPS, *words) == 0
+    assert json.loads(summary.read_text(encoding="utf-8"))["outcome"] == "finished"
+    again = read(made, {"torque": "torque", "reference": "reference", "motor_position": "motor_position"})
+    assert again.torque is not None
+    assert again.torque.values.size == answer["record"]["samples"]
+    assert run("identify", EMPS, "--record", made) == 2  # its columns have other names
+    assert 'has no column "vir"' in capsys.readouterr().err
+
+
+def test_the_published_results_by_command(emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out.json"
+    words = ("--record", emps_path, "--method", "idim", "--filtering", "published", "-q", "--json", out)
+    assert run("identify", EMPS, *words) == 0
+    assert "4.0834 %" in capsys.readouterr().out
+    pulses = emps_path.with_name("DATA_EMPS_PULSES.mat")
+    assert run("validate", EMPS, "--estimate", out, "--record", pulses) == 0
+    assert "5.9824 %" in capsys.readouterr().out
+    assert run("identify", EMPS, *words, "--friction", "asymmetric") == 0
+    assert "3.1117 %" in capsys.readouterr().out
+
+
+def test_the_motor_position_may_be_removed_from_the_file(emps_path: Path, tmp_path: Path) -> None:
+    """The proof that DIDIM does not read it: the column is gone, and the answer is the same to the last digit."""
+    from jointid.data.formats import Table, read_table, write_table
+
+    table = read_table(emps_path)
+    kept = {name: values for name, values in table.columns.items() if name != "qm"}
+    write_table(tmp_path / "no_encoder.mat", Table(kept))
+    answers = []
+    for record in (emps_path, tmp_path / "no_encoder.mat"):
+        assert run("identify", EMPS, "--record", record, "--json", tmp_path / "out.json", "-q") == 0
+        answers.append(json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["parameters"])
+    assert answers[0] == answers[1]
+
+
+MISTAKES = {
+    "no such record": (("identify", EMPS, "--record", "nothing.mat"), "nothing.mat cannot be opened"),
+    "no such joint file": (("identify", "nothing.toml"), "nothing.toml cannot be opened"),
+    "no joint file": (("identify",), "JOINT"),
+    "unknown command": (("identfy", EMPS), "identfy"),
+    "unknown option": (("identify", EMPS, "--recrod", "x.mat"), "--recrod"),
+    "unknown method": (("identify", EMPS, "--method", "magic"), "magic"),
+    "no estimate": (("validate", EMPS, "--estimate", EMPS), "is no JSON file"),
+    "unwritable folder": (("demo", EMPS / "inside"), "cannot be made a folder"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_one_sentence_and_exit_code_2(
+    mistake: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words, expected = MISTAKES[mistake]
+    assert run(*words) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert expected in said.err
+    assert said.err.startswith("jointid: ")
+    assert "Traceback" not in said.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_figure_of_an_unknown_kind_loses_nothing(
+    demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The answer is printed and written before the figure is refused."""
+    out = tmp_path / "out.json"
+    assert run("identify", demo / "joint.toml", "-q", "--json", out, "--figure", tmp_path / "t.bmp") == 2
+    said = capsys.readouterr()
+    assert "ZZ" in said.out
+    assert out.is_file()
+    assert '".png, .svg, .pdf' in said.err or ".png, .svg, .pdf" in said.err
+
+
+def test_a_failure_of_ours_is_a_sentence_and_exit_code_1(
+    demo: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import jointid.jointfile
+
+    def broken(path: Path) -> None:
+        raise ZeroDivisionError("by design")
+
+    monkeypatch.setattr(jointid.jointfile, "load", broken)
+    assert run("identify", demo / "joint.toml") == 1
+    said = capsys.readouterr().err
+    assert "a fault of ours (ZeroDivisionError: by design)" in said
+    assert "Traceback" not in said
+    with pytest.raises(ZeroDivisionError):
+        main(["identify", str(demo / "joint.toml"), "--debug"])
+
+
+def test_an_interruption_is_said(
+    demo: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import jointid.jointfile
+
+    def interrupted(path: Path) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(jointid.jointfile, "load", interrupted)
+    assert run("identify", demo / "joint.toml") == 130
+    assert "Interrupted" in capsys.readouterr().err
+
+
+def test_every_command_and_option_is_documented() -> None:
+    page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    documented = {}
+    for section in page.split("\n## `jointid ")[1:]:
+        name = section.split()[0].rstrip("`")
+        documented[name] = set(re.findall(r"`(--?[a-z]+)`", section))
+    commands = {name for name in app if not name.startswith("-")}
+    assert set(documented) == commands
+    for name in commands:
+        arguments = app[name].assemble_argument_collection(parse_docstring=True)
+        options = {word for argument in arguments for word in argument.names if word.startswith("-")}
+        assert documented[name] == options, name
+
+
+def test_numbers_in_answers_are_finite(demo: Path) -> None:
+    def numbers(value: object) -> list[float]:
+        if isinstance(value, dict):
+            return [n for item in value.values() for n in numbers(item)]
+        if isinstance(value, list):
+            return [n for item in value for n in numbers(item)]
+        return [float(value)] if isinstance(value, (int, float)) else []
+
+    text = (demo / "estimate.json").read_text(encoding="utf-8")
+    assert "NaN" not in text
+    assert "Infinity" not in text
+    assert np.all(np.isfinite(numbers(json.loads(text))))

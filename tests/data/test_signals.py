@@ -1,0 +1,142 @@
+"""Signals: filters without phase, decimation that keeps both sides alike, torque at the right instants."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError, RecordError
+from jointid.data.excitation import pulses, trapezoids
+from jointid.data.record import Channel, Timing
+from jointid.data.signals import Filtering, centred, decimate, derivative, lowpass
+
+T = 1e-3
+
+
+def test_a_lowpass_has_no_phase_and_squares_the_attenuation() -> None:
+    time = np.arange(4000) * T
+    slow, edge = np.sin(2 * np.pi * 3.0 * time), np.sin(2 * np.pi * 50.0 * time)
+    assert np.max(np.abs(lowpass(slow, 50.0, T) - slow)[200:-200]) < 1e-4
+    at_edge = lowpass(edge, 50.0, T)[500:-500]
+    assert np.max(np.abs(at_edge - 0.5 * edge[500:-500])) < 2e-3  # 3 dB twice
+
+
+def test_a_filter_passes_a_straight_line_with_small_ends() -> None:
+    line = 2.0 + 3.0 * np.arange(500) * T
+    error = np.abs(lowpass(line, 80.0, T) - line)
+    assert np.max(error[60:-60]) < 1e-7
+    assert np.max(error) < 0.01
+
+
+def test_derivatives_are_central_inside_and_one_sided_at_the_ends() -> None:
+    parabola = (np.arange(50) * T) ** 2
+    found = derivative(parabola, T)
+    assert np.allclose(found[1:-1], 2 * np.arange(1, 49) * T, atol=1e-12)
+    assert found[0] == pytest.approx(T)
+    assert found[-1] == pytest.approx(2 * 49 * T - T)
+
+
+def test_decimation_passes_a_constant_at_its_ripple_and_keeps_the_last_sample() -> None:
+    filtering = Filtering(cutoff=40.0, decimation=10).resolved(T)
+    constant = decimate(np.ones(3001), filtering, T)
+    assert np.allclose(constant, 10 ** (-0.05 / 10), rtol=1e-6)  # 0.05 dB, twice
+    ramp = decimate(np.arange(3001.0), filtering, T)
+    assert ramp.size == 301
+    assert np.allclose(np.diff(ramp[50:-50]), 10 * 0.98855, rtol=2e-3)
+
+
+def test_columns_are_decimated_like_the_torque() -> None:
+    columns = np.random.default_rng(0).normal(size=(2000, 3))
+    filtering = Filtering().resolved(T)
+    both = decimate(columns, filtering, T)
+    for i in range(3):
+        assert np.array_equal(both[:, i], decimate(columns[:, i], filtering, T))
+
+
+def test_the_default_decimation_leaves_the_cutoff_inside() -> None:
+    assert Filtering(cutoff=60.0).resolved(T).decimation == 6  # not the paper's 12
+    assert Filtering().resolved(T) == Filtering(100.0, 40.0, 10, (50, 50))
+    assert Filtering().resolved(T / 8).cutoff == 320.0
+
+
+def test_the_published_preset() -> None:
+    preset = Filtering.published().resolved(T)
+    assert (preset.position_cutoff, preset.cutoff, preset.decimation, preset.borders) == (100.0, 40.0, 10, (49, 0))
+    assert preset.timing == "as_sampled"
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"cutoff": -1.0}, "positive numbers of Hz"),
+        ({"decimation": 0}, "1 or more; received 0"),
+        ({"borders": (-1, 0)}, "0 or more"),
+        ({"timing": "guessed"}, 'received "guessed"'),
+    ],
+)
+def test_wrong_settings_are_refused(settings: dict[str, object], sentence: str) -> None:
+    with pytest.raises(MethodError, match=sentence):
+        Filtering(**settings)  # type: ignore[arg-type]
+
+
+def test_a_record_too_short_to_filter_is_refused() -> None:
+    with pytest.raises(RecordError, match="20 samples is too short to filter: more than 24"):
+        decimate(np.zeros(20), Filtering().resolved(T), T)
+
+
+def test_a_torque_is_brought_to_the_instants_of_the_positions() -> None:
+    """Held: half of it before, half after. Averaged: from the mean before. Sampled: as it is."""
+    values = np.array([0.0, 1.0, 4.0, 9.0, 16.0])
+    assert centred(Channel(values, "N", T, Timing.HELD))[1:4] == pytest.approx([0.5, 2.5, 6.5])
+    assert centred(Channel(values, "N", T, Timing.AVERAGED))[1:4] == pytest.approx([2.5, 6.5, 12.5])
+    assert centred(Channel(values, "N", T, Timing.SAMPLED)).tolist() == values.tolist()
+
+
+@pytest.mark.parametrize("timing", list(Timing))
+def test_a_delayed_torque_acts_later(timing: Timing) -> None:
+    """On a smooth torque every timing, with a fractional delay, gives the torque that acted at the instant."""
+    period, delay = 1e-4, 3.7e-4
+    time = np.arange(2000) * period
+
+    def torque(t: np.ndarray) -> np.ndarray:
+        return np.asarray(np.sin(2 * np.pi * 5.0 * t))
+
+    stamped = {
+        Timing.SAMPLED: torque(time),
+        Timing.HELD: torque(time + period / 2),  # the middle of what it is held for
+        Timing.AVERAGED: torque(time - period / 2),
+    }[timing]
+    found = centred(Channel(stamped, "N", period, timing), delay)
+    assert np.max(np.abs(found - torque(time - delay))[20:-20]) < 1e-5
+
+
+def test_trapezoids_move_as_they_say() -> None:
+    motion = trapezoids((0.1, 0.3), 2.0, 0.2, T, rest=0.25)
+    speed = np.diff(motion) / T
+    assert motion[0] == 0.0
+    assert np.max(motion) == pytest.approx(0.2)
+    assert np.max(np.abs(np.diff(speed) / T)) == pytest.approx(2.0, rel=1e-2)
+    assert np.max(speed) == pytest.approx(0.3, rel=1e-2)
+    assert np.sum(np.isclose(speed, 0.1, rtol=1e-6)) == pytest.approx((0.2 / 0.1 - 0.1 / 2.0) / T, abs=3)
+    assert np.sum(speed == 0.0) == pytest.approx(4 * 250, abs=8)
+    assert trapezoids((0.1,), 2.0, 0.2, T, duration=7.0).size == 7000
+
+
+def test_a_way_too_short_for_its_speed_is_a_triangle() -> None:
+    speed = np.diff(trapezoids((5.0,), 2.0, 0.2, T)) / T
+    assert np.max(speed) == pytest.approx(np.sqrt(2.0 * 0.2), rel=1e-2)
+
+
+def test_pulses_are_seeded_and_as_wide_as_they_say() -> None:
+    signal = pulses(24000, T, 150.0, 0.02, 0.4, seed=5)
+    assert np.array_equal(signal, pulses(24000, T, 150.0, 0.02, 0.4, seed=5))
+    assert not np.array_equal(signal, pulses(24000, T, 150.0, 0.02, 0.4, seed=6))
+    edges = np.flatnonzero(np.diff(np.abs(signal)))
+    assert set(np.diff(edges)[::2]) == {20}
+    assert abs(len(edges) / 2 - 60) < 12
+    assert set(np.unique(signal)) == {-150.0, 0.0, 150.0}
+
+
+def test_an_impossible_excitation_is_refused() -> None:
+    with pytest.raises(MethodError, match="positive speeds"):
+        trapezoids((0.1, -0.1), 1.0, 0.1, T)
