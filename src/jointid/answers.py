@@ -56,6 +56,7 @@ def estimate_answer(estimate: Estimate) -> Json:
         "simulations": estimate.simulations,
         "converged": estimate.converged,
         "stop": estimate.stop,
+        "intervals": estimate.intervals,
         "trace": [_iteration(line) for line in estimate.trace],
         "warnings": list(estimate.warnings),
     }

@@ -32,6 +32,7 @@ from jointid.model.parameters import Parameter
 from jointid.simulation.closed_loop import ClosedLoop
 
 _MOVING = 9.0  # times the residual's variance: what a velocity at the first sample must explain to be believed
+_AT_LIMIT = 0.01  # of the periods: more is said
 _INSEPARABLE = 0.98  # a correlation that says two parameters are known only together
 _WORSE = 2.0  # times the residual: with an approximate Jacobian, a little worse is no reason to turn back
 
@@ -270,6 +271,7 @@ def _estimate(record: Record, settings: DIDIM, search: Search, end: End) -> Esti
         simulations=search.simulations,
         stop=end.stop,
         converged=end.converged,
+        intervals="from the output sensitivities, for a white residual; on a real axis they are too small",
         warnings=_warnings(problem, state, correlation, end.converged),
         fingerprint=fingerprint(record.torque.values),
         delay=problem.experiment.law.delay,
@@ -278,6 +280,11 @@ def _estimate(record: Record, settings: DIDIM, search: Search, end: End) -> Esti
 
 def _warnings(problem: Problem, state: State, correlation: FloatArray, converged: bool) -> tuple[str, ...]:
     found = [] if converged else ["the search did not converge; the values are where it stopped"]
+    if state.simulation.at_limit > _AT_LIMIT:
+        found.append(
+            f"the controller is at its limit in {100 * state.simulation.at_limit:.1f} % of the periods, where the "
+            "torque says nothing of the joint"
+        )
     names = [p.name for p in problem.free]
     pairs = [
         f"{names[i]} and {names[j]} are hard to tell apart in this record (correlation {correlation[i, j]:+.3f})"

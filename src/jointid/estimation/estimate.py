@@ -114,6 +114,7 @@ class Estimate:
         trace: every iteration.
         simulations: that were run, all of them, those for derivatives and deviations included.
         stop: why it ended, in a sentence; converged: whether that is a good end.
+        intervals: what the standard deviations are, in a sentence.
         warnings: what the reader must know, one sentence each.
         fingerprint: of the record's torque, so that it is known again.
         delay: seconds from the logged torque to the torque that acts, as declared.
@@ -141,6 +142,7 @@ class Estimate:
     simulations: int
     stop: str
     converged: bool
+    intervals: str
     warnings: tuple[str, ...] = field(default=())
     fingerprint: str = ""
     delay: float = 0.0
@@ -192,7 +194,7 @@ class Estimate:
             )
         if self.loop is not None:
             lines.append(f"effort        {self.iterations} iterations, {self.simulations} simulations")
-        lines.append(f"stopped       {self.stop}")
+        lines += [f"stopped       {self.stop}", f"intervals     {self.intervals}"]
         lines += [f"warning       {warning}" for warning in self.warnings]
         return "\n".join(lines)
 

@@ -7,6 +7,7 @@ from typing import TypeAlias
 
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
+from jointid.data.checks import check_record
 from jointid.data.record import Record
 from jointid.data.signals import Filtering
 from jointid.estimation.didim import DIDIM, identify_didim
@@ -40,7 +41,8 @@ def identify(
         progress: is told each step in a sentence.
 
     Raises:
-        RecordError: the record lacks a channel the method needs; the sentence says which, and which method does not.
+        RecordError: the record lacks a channel the method needs; the sentence says which, and which method does not;
+            or it shows nothing (a constant torque or reference), or cannot be in the units it is said to be in.
         MethodError: the method does not fit the model, or the record does not determine the parameters.
 
     Example:
@@ -60,6 +62,7 @@ def identify(
     chosen = method or (DIDIM() if loop else IDIM())
     adjustments = adjusted(joint.parameters, parameters or {})
     filtering = filtering or Filtering()
+    check_record(record)
     if isinstance(chosen, IDIM):
         delay = loop.controller.law(1.0).delay if loop else 0.0
         return identify_idim(record, joint, adjustments, filtering, delay)

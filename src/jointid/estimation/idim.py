@@ -180,6 +180,7 @@ def identify_idim(
         simulations=0,
         stop="a linear regression has one step",
         converged=True,
+        intervals="of the regression, for a white residual; a real one repeats with position, and they are too small",
         warnings=_warnings(record, filtering),
         fingerprint=fingerprint(record.torque.values),
         delay=delay,

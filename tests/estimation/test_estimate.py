@@ -1,0 +1,185 @@
+"""The answer: its printed table, to the letter, and its JSON."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid import answers
+from jointid.common.errors import RecordError
+from jointid.common.text import number
+from jointid.data.signals import Filtering
+from jointid.estimation.estimate import Estimate, EstimatedParameter, Iteration, fingerprint, relative_error
+from jointid.estimation.regression import Conditioning, least_squares
+from jointid.model.joints import RigidJoint
+from jointid.report.figures import save, torque_figure
+from jointid.simulation.closed_loop import ClosedLoop
+from tests.estimation.conftest import CONTROLLER
+
+LOOP = ClosedLoop(RigidJoint(), CONTROLLER)
+TORQUE = np.sin(np.arange(400) / 20.0) * 50.0
+
+
+def parameter(
+    name: str, symbol: str, unit: str, value: float | None, std: float | None, **more: object
+) -> EstimatedParameter:
+    return EstimatedParameter(name, symbol, unit, value, std, std is not None, value is not None, **more)  # type: ignore[arg-type]
+
+
+ESTIMATE = Estimate(
+    method="didim",
+    variant="DIDIM in residual form from an inversion start",
+    joint=LOOP.joint,
+    loop=LOOP,
+    parameters=(
+        parameter("inertia", "ZZ", "kg", 94.9034, 0.1101),
+        parameter("viscous", "Fv", "N s/m", 207.534, 1.25),
+        parameter("coulomb", "Fc", "N", None, None, lower_bound=12.5),
+        parameter("offset", "offset", "N", 0.0, None),
+        parameter("initial_position", "q(0)", "m", 3.2e-7, 2.2e-6, of_joint=False),
+    ),
+    channels=("torque", "reference"),
+    record="run 1",
+    sample_time=1e-3,
+    torque_unit="N",
+    measured=TORQUE,
+    predicted=0.96 * TORQUE,
+    borders=(50, 50),
+    relative_error=0.04,
+    filtered_error=0.0397,
+    rows=31,
+    conditioning=None,
+    initial=None,
+    filtering=Filtering().resolved(1e-3),
+    trace=(
+        Iteration(0, {"inertia": 90.0}, 2.0, None, None, 1),
+        Iteration(1, {"inertia": 94.9}, 1.0, 0.5, 0.05, 4),
+    ),
+    simulations=14,
+    stop="converged: nothing changes any more",
+    converged=True,
+    intervals="for a white residual",
+    warnings=("something to know",),
+    fingerprint=fingerprint(TORQUE),
+)
+
+TABLE = """\
+Rigid joint, DIDIM in residual form from an inversion start, of run 1
+read: torque, reference
+
+symbol  parameter              value  2 sigma       %  unit
+------------------------------------------------------------
+ZZ      inertia               94.903     0.22    0.12  kg
+Fv      viscous               207.53      2.5    0.60  N s/m
+Fc      coulomb             > 12.500        -       -  N
+offset  offset                     0    fixed       -  N
+q(0)    initial position  3.2000e-07  4.4e-06  687.50  m
+
+torque error  4.0000 % raw (50 + 50 samples at the ends left out), 3.9700 % filtered (31 rows)
+effort        1 iterations, 14 simulations
+stopped       converged: nothing changes any more
+intervals     for a white residual
+warning       something to know"""
+
+
+def test_the_table_to_the_letter() -> None:
+    assert str(ESTIMATE) == TABLE
+
+
+def test_conditioning_is_printed_three_ways() -> None:
+    regressed = replace(ESTIMATE, conditioning=Conditioning(25.98830347, 4.33, 12.294))
+    assert "conditioning  25.9883 raw, 4.33 normalised, 12.29 scaled by the parameters" in str(regressed)
+
+
+def test_a_parameter_is_found_by_name_or_symbol() -> None:
+    assert ESTIMATE["inertia"] is ESTIMATE["ZZ"]
+    with pytest.raises(KeyError):
+        ESTIMATE["stiffness"]
+    assert ESTIMATE.values == {"inertia": 94.9034, "viscous": 207.534, "offset": 0.0}
+
+
+def test_json_says_null_and_never_nan(tmp_path: Path) -> None:
+    answer = answers.estimate_answer(replace(ESTIMATE, relative_error=float("nan")))
+    answers.write(answer, tmp_path / "out.json")
+    text = (tmp_path / "out.json").read_text(encoding="utf-8")
+    read = json.loads(text)
+    assert read["relative_error_percent"] is None
+    assert read["parameters"]["coulomb"] == {
+        "symbol": "Fc", "value": None, "std": None, "unit": "N", "free": False, "identifiable": False,
+        "lower_bound": 12.5,
+    }  # fmt: skip
+    assert [line["iteration"] for line in read["trace"]] == [0, 1]
+    top = {"schema", "method", "model", "channels", "parameters", "relative_error_percent", "simulations"}
+    assert top | {"iterations", "stop", "warnings"} <= set(read)
+
+
+def test_every_key_of_the_json_is_documented() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "answers.md").read_text(encoding="utf-8")
+    for key in answers.estimate_answer(ESTIMATE):
+        assert f"`{key}`" in page, key
+
+
+def test_an_estimate_is_read_back(tmp_path: Path) -> None:
+    whole = replace(
+        ESTIMATE,
+        parameters=(*ESTIMATE.parameters[:2], parameter("coulomb", "Fc", "N", 20.1, 0.1), *ESTIMATE.parameters[3:]),
+    )
+    answers.write(answers.estimate_answer(whole), tmp_path / "out.json")
+    assert answers.read_identified(tmp_path / "out.json", LOOP.joint, LOOP) == whole.identified
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"schema": "jointid.estimate/2"}', "[" * 100_000, "\0", '{"schema": 1}']
+)
+def test_a_spoiled_answer_is_refused_in_a_sentence(text: str, tmp_path: Path) -> None:
+    (tmp_path / "out.json").write_text(text, encoding="utf-8")
+    with pytest.raises(RecordError, match=r"is no (JSON file|estimate of schema)"):
+        answers.read_identified(tmp_path / "out.json", LOOP.joint, LOOP)
+    with pytest.raises(RecordError, match=r"is no (JSON file|estimate of schema)"):
+        answers.read_friction(tmp_path / "out.json")
+
+
+def test_the_error_leaves_out_the_borders() -> None:
+    predicted = TORQUE.copy()
+    predicted[:50] = 1e6
+    assert relative_error(TORQUE, predicted, (50, 0)) == 0.0
+    assert relative_error(TORQUE, predicted, (49, 0)) > 1.0
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(94.9034, "94.903"), (0.0, "0"), (1234567.0, "1.2346e+06"), (8e5, "800000"), (-3.16, "-3.1600"), (None, "-")],
+)
+def test_numbers_have_the_digits_they_deserve(value: float | None, text: str) -> None:
+    assert number(value) == text
+
+
+def test_figures_are_saved_in_the_format_of_their_suffix(tmp_path: Path) -> None:
+    figure = torque_figure(ESTIMATE)
+    assert save(figure, tmp_path / "t.png").read_bytes().startswith(b"\x89PNG")
+    assert b"<svg" in save(figure, tmp_path / "t.svg").read_bytes()
+    labels = [axes.get_ylabel() for axes in figure.axes]
+    assert labels == ["force [N]", "force [N]"]
+    assert [text.get_text() for text in figure.axes[0].get_legend().get_texts()] == ["measured", "simulated", "error"]  # type: ignore[union-attr]
+    with pytest.raises(RecordError, match=r'received "t.gif"'):
+        save(figure, tmp_path / "t.gif")
+
+
+def test_least_squares_is_the_textbook_s() -> None:
+    random = np.random.default_rng(2)
+    W = random.normal(size=(300, 3)) * [1.0, 1e3, 1e-4]
+    truth = np.array([2.0, -3e-3, 5e4])
+    Y = W @ truth + 0.1 * random.normal(size=300)
+    fit = least_squares(W, Y, ("a", "b", "c"))
+    expected, squares, _, _ = np.linalg.lstsq(W, Y, rcond=None)
+    variance = squares[0] / 297
+    assert np.allclose(fit.values, expected, rtol=1e-9)
+    assert np.allclose(fit.std, np.sqrt(variance * np.diag(np.linalg.inv(W.T @ W))), rtol=1e-9)
+    assert fit.sigma == pytest.approx(np.sqrt(variance))
+    assert fit.conditioning.raw == pytest.approx(np.linalg.cond(W))
+    assert fit.conditioning.normalised < 2.0
+    assert fit.conditioning.scaled == pytest.approx(np.linalg.cond(W * np.abs(expected)))

@@ -1,0 +1,32 @@
+"""The program in the README runs, and gives what the README says."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+README = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_program_of_the_readme_runs(
+    emps_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "DATA_EMPS.mat").symlink_to(emps_path)
+    monkeypatch.chdir(tmp_path)
+    (program,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    exec(compile(program, "README.md", "exec"), {})
+    said = capsys.readouterr().out
+    assert (tmp_path / "torque.png").is_file()
+    for symbol, value in (("ZZ", "94.90"), ("Fv", "207.5"), ("Fc", "20.1")):
+        (found,) = re.findall(rf"^{symbol} .*?(\d+\.\d+)", said, re.MULTILINE)
+        assert round(float(found), len(value.split(".")[1])) == float(value)
+        assert value in README
+
+
+def test_the_links_of_the_documents_lead_somewhere() -> None:
+    root = Path(__file__).resolve().parents[1]
+    for page in [root / "README.md", *root.glob("*.md"), *(root / "docs").glob("*.md"), *root.glob("examples/*/*.md")]:
+        for link in re.findall(r"\]\((?!https?:|#)([^)#]+)", page.read_text(encoding="utf-8")):
+            assert (page.parent / link).exists(), f"{page.name}: {link}"
