@@ -94,6 +94,17 @@ def test_identify_validate_simulate_on_the_real_axis(
     assert 'has no column "vir"' in capsys.readouterr().err
 
 
+def test_pulses_may_be_declared_after_the_limit_as_the_report_says(emps_path: Path, tmp_path: Path) -> None:
+    """Its 14 samples beyond the limit are no reason to refuse the record: both declarations must work."""
+    text = EMPS.read_text(encoding="utf-8")
+    assert 'at = "before_limit"' in text
+    (tmp_path / "joint.toml").write_text(text.replace("before_limit", "after_limit"), encoding="utf-8")
+    pulses, out, check = emps_path.with_name("DATA_EMPS_PULSES.mat"), tmp_path / "out.json", tmp_path / "check.json"
+    assert run("identify", tmp_path / "joint.toml", "--record", emps_path, "--json", out, "-q") == 0
+    assert run("validate", tmp_path / "joint.toml", "--record", pulses, "--estimate", out, "--json", check, "-q") == 0
+    assert json.loads(check.read_text(encoding="utf-8"))["relative_error_percent"] <= 5.5
+
+
 def test_the_published_results_by_command(emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out.json"
     words = ("--record", emps_path, "--method", "idim", "--filtering", "published", "-q", "--json", out)

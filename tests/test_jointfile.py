@@ -1,0 +1,1099 @@
+"""The joint file: what it becomes, how its faults are told, and that its page says the same."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import subprocess
+import sys
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jointid.common.errors import JointFileError, MethodError, RecordError
+from jointid.common.units import units_of
+from jointid.data.columns import Column, known_units
+from jointid.data.record import InjectionPoint, Tap, Timing
+from jointid.data.signals import Filtering
+from jointid.estimation.didim import DIDIM
+from jointid.estimation.identify import identify
+from jointid.estimation.idim import IDIM
+from jointid.jointfile import JointFile, Source, dumps, json_schema, load, loads, save
+from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
+from jointid.model.friction import AsymmetricFriction, SymmetricFriction
+from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.model.parameters import Parameter
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLE = ROOT / "examples" / "emps" / "joint.toml"
+PAGE = ROOT / "docs" / "joint-file.md"
+
+JOINT = '[joint]\nkind = "prismatic"\n'
+CHANNELS = """
+[record.channels]
+torque = { column = "i" }
+reference = { column = "r" }
+motor_position = { column = "q" }
+"""
+CASCADE = '[controller]\nlaw = "cascade"\nkp = 100.0\nkv = 2000.0\n'
+SMALLEST = JOINT + CHANNELS + CASCADE
+
+
+def faults(text: str) -> tuple[str, ...]:
+    with pytest.raises(JointFileError) as caught:
+        loads(text)
+    return caught.value.faults
+
+
+def table(name: str) -> dict[str, Any]:
+    """Return the keys of a table in the schema; one with a shorthand is an alternative."""
+    described = json_schema()["$defs"][name]
+    return dict(described.get("anyOf", [described])[-1]["properties"])
+
+
+# What a file becomes
+
+
+def test_every_default() -> None:
+    assert loads(SMALLEST) == JointFile(
+        joint=RigidJoint("prismatic", SymmetricFriction()),
+        columns={"torque": Column("i"), "reference": Column("r"), "motor_position": Column("q")},
+        method=DIDIM(),
+        controller=Cascade(kp=100.0, kv=2000.0),
+        filtering=Filtering(),
+        parameters={},
+        source=Source(),
+        name=None,
+    )
+    assert loads(SMALLEST).path == Path("joint.toml")
+
+
+def test_every_key_that_is_written_at_its_default_changes_nothing() -> None:
+    file = loads(
+        JOINT
+        + """model = "rigid"
+        friction = "symmetric"
+        [record]
+        clock_tolerance = 0.05
+        [record.channels]
+        torque = { column = "i", gain = 1.0, sign = 1, optional = false, tap = "command" }
+        reference = { column = "r" }
+        motor_position = { column = "q" }
+        [controller]
+        law = "cascade"
+        kp = 100
+        kv = 2000
+        gain = 1
+        delay = 0
+        limit = inf
+        velocity_filter = [1]
+        [filtering]
+        borders = [50, 50]
+        timing = "respected"
+        [method]
+        name = "didim"
+        form = "residual"
+        start = "inversion"
+        scaled_iterations = 2
+        tolerance = 1e-7
+        step_tolerance = 1e-7
+        iterations = 30
+        initial_state = "free"
+        """
+    )
+    assert file == loads(SMALLEST)
+
+
+def test_the_schema_has_the_objects_own_defaults() -> None:
+    """The defaults in the schema are for its readers: the objects never see them, so they could go wrong unnoticed."""
+    homes = {
+        "ChannelTable": Column,
+        "TorqueTable": Column,
+        "InjectedTable": Column,
+        "CascadeTable": Cascade,
+        "PDTable": PD,
+        "StateSpaceTable": StateSpaceController,
+        "FilterTable": DigitalFilter,
+        "FilteringTable": Filtering,
+        "MethodTable": DIDIM,
+        "RecordTable": Source,
+    }
+    for name, home in homes.items():
+        own = {field.name: field.default for field in dataclasses.fields(home)}
+        for key, described in table(name).items():
+            if "default" in described:
+                default = own[key]
+                assert described["default"] == (list(default) if isinstance(default, tuple) else default), (name, key)
+
+
+def test_every_word_of_the_objects_is_a_word_of_the_file() -> None:
+    """Words of enumerations stand in the schema a second time."""
+    assert table("ChannelTable")["timing"]["enum"] == [str(word) for word in Timing]
+    assert table("TorqueTable")["tap"]["enum"] == [str(word) for word in Tap]
+    assert table("InjectedTable")["at"]["enum"] == [str(word) for word in InjectionPoint]
+    assert [field.name for field in dataclasses.fields(Filtering)] == list(table("FilteringTable"))[1:]
+    assert [field.name for field in dataclasses.fields(DIDIM)] == list(table("MethodTable"))[2:]
+
+
+def test_all_of_a_file() -> None:
+    file = loads(
+        """
+        [joint]
+        kind = "revolute"
+        model = "flexible"
+        friction = "asymmetric"
+        name = "axis 3"
+        [record]
+        file = "runs/run1.csv"
+        time = "stamp"
+        time_unit = "ms"
+        sample_time = 0.001
+        clock_tolerance = 0.1
+        delimiter = ";"
+        decimal = ","
+        header = true
+        [record.channels]
+        torque = { column = "i", unit = "mA", gain = 0.5, sign = -1, timing = "averaged", tap = "measured" }
+        reference = { column = "r [deg]" }
+        reference_velocity = { column = "dr", unit = "rpm", timing = "held" }
+        load_position = { column = "p", optional = true, sample_time = 0.002 }
+        injected = { column = "x", unit = "A", at = "after_limit", in_torque = false }
+        [controller]
+        law = "pd"
+        kp = 3.0
+        kd = 0.1
+        reference_velocity = "channel"
+        velocity_filter = { numerator = [0.2], denominator = [1.0, -0.8] }
+        gain = 2.0
+        limit = 5.0
+        period = 0.002
+        delay = 0.0005
+        [filtering]
+        position_cutoff = 100.0
+        cutoff = 20.0
+        decimation = 5
+        borders = [10, 0]
+        timing = "as_sampled"
+        [method]
+        name = "didim"
+        form = "paper"
+        start = "given"
+        scaled_iterations = 0
+        tolerance = 1e-3
+        step_tolerance = 1e-2
+        iterations = 7
+        initial_state = "reference"
+        [parameters]
+        stiffness = { start = 8e5, lower = 1e3, upper = 1e7 }
+        damping = 126
+        motor_inertia = { value = 0.1, upper = 1.0 }
+        load_inertia = { free = true }
+        """,
+        folder="here",
+    )
+    joint = FlexibleJoint("revolute", AsymmetricFriction(), "A")
+    known = {parameter.name: parameter for parameter in joint.parameters}
+    assert file == JointFile(
+        joint=joint,
+        columns={
+            "torque": Column("i", "mA", 0.5, -1, Timing.AVERAGED, tap=Tap.MEASURED),
+            "reference": Column("r [deg]"),
+            "reference_velocity": Column("dr", "rpm", timing=Timing.HELD),
+            "load_position": Column("p", optional=True, sample_time=0.002),
+            "injected": Column("x", "A", in_torque=False),
+        },
+        method=DIDIM("paper", "given", 0, 1e-3, 1e-2, 7, "reference"),
+        controller=PD(
+            kp=3.0,
+            kd=0.1,
+            reference_velocity="channel",
+            velocity_filter=DigitalFilter((0.2,), (1.0, -0.8)),
+            gain=2.0,
+            limit=5.0,
+            period=0.002,
+            delay=0.0005,
+        ),
+        filtering=Filtering(100.0, 20.0, 5, (10, 0), "as_sampled"),
+        parameters={
+            "stiffness": dataclasses.replace(known["stiffness"], start=8e5, lower=1e3, upper=1e7),
+            "damping": known["damping"].fixed(126.0),
+            "motor_inertia": dataclasses.replace(known["motor_inertia"].fixed(0.1), upper=1.0),
+            "load_inertia": known["load_inertia"],
+        },
+        source=Source("runs/run1.csv", "stamp", "ms", 0.001, 0.1, {"delimiter": ";", "decimal": ",", "header": True}),
+        name="axis 3",
+    )
+    assert file.path == Path("here/joint.toml")
+    assert file.loop is not None
+    assert file.loop.joint is file.joint
+    assert file.loop.controller is file.controller
+
+
+def test_a_state_space_law() -> None:
+    text = """[controller]
+    law = "state_space"
+    A = [[0.5]]
+    C = [1.0]
+    B = { position = [1.0], excess = [0.1] }
+    D = { reference = 3.0, position = -3.0 }
+    limit = 2.0
+    """
+    law = loads(JOINT + CHANNELS + text).controller
+    assert isinstance(law, StateSpaceController)
+    lowered = law.law(1e-3)
+    np.testing.assert_array_equal(lowered.B, [[0.0, 0.0, 1.0, 0.1]])
+    np.testing.assert_array_equal(lowered.D, [3.0, 0.0, -3.0])
+    assert lowered.limit == 2.0
+    static = 'law = "state_space"\nA = []\nB = {}\nC = []\nD = { reference = 1.0, position = -1.0 }\n'
+    assert loads(JOINT + CHANNELS + "[controller]\n" + static).controller is not None
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (CHANNELS + CASCADE, DIDIM()),  # even though there is a motor position
+        (CHANNELS, IDIM()),
+        (CHANNELS.replace("reference", "load_position") + CASCADE, IDIM()),
+        (CHANNELS + CASCADE + '[method]\nname = "idim"', IDIM()),
+        (CHANNELS + CASCADE + '[method]\npreset = "paper"', DIDIM.paper()),
+        (CHANNELS + CASCADE + "[method]\niterations = 3", DIDIM(iterations=3)),
+    ],
+)
+def test_the_method(text: str, expected: object) -> None:
+    assert loads(JOINT + text).method == expected
+
+
+@pytest.mark.parametrize("unit", ["A", "mA", "V"])
+def test_a_torque_in_drive_units_gives_parameters_in_them(unit: str) -> None:
+    text = '[joint]\nkind = "revolute"\nmodel = "flexible"\n[record.channels]\nmotor_position = { column = "q" }\n'
+    file = loads(text + f'torque = {{ column = "i", unit = "{unit}" }}\ninjected = {{ column = "x" }}')
+    units = {parameter.name: file.joint.unit(parameter) for parameter in file.joint.parameters}
+    si = unit[-1]
+    assert units["stiffness"] == f"{si}/rad"
+    assert units["motor_inertia"] == f"{si} s2/rad"
+    assert units["offset"] == si
+    named = loads(text + f'torque = {{ column = "i [{unit}]" }}')
+    assert named.joint == file.joint
+
+
+def test_a_torque_in_newtons_has_no_unit_of_its_own() -> None:
+    assert loads(SMALLEST.replace('"i"', '"i", unit = "kN"')).joint.torque_unit is None
+
+
+def test_values_are_those_fixed_and_those_started_from() -> None:
+    file = loads(
+        SMALLEST + "[parameters]\ninertia = { start = 90.0 }\nviscous = 200\ncoulomb = 20\noffset = { start = 1 }"
+    )
+    assert file.values() == {"inertia": 90.0, "viscous": 200.0, "coulomb": 20.0, "offset": 1.0}
+    with pytest.raises(MethodError, match=r"every parameter; inertia, viscous, coulomb, offset has none"):
+        loads(SMALLEST).values()
+
+
+# Faults: the key, what was received, what was expected, the remedy
+
+
+FAULTS = [
+    # keys
+    (
+        SMALLEST + "kpp = 3",
+        "controller.kpp is not a known key; expected one of law, gain, limit, period, delay, velocity_filter, kp,"
+        " kv: did you mean kp?",
+    ),
+    (
+        SMALLEST + "kd = 3",
+        "controller.kd is not a known key; expected one of law, gain, limit, period, delay, velocity_filter, kp, "
+        "kv: leave it out.",
+    ),
+    (
+        SMALLEST + "[methods]",
+        "methods is not a known key; expected one of joint, record, controller, filtering, method, parameters: "
+        "did you mean method?",
+    ),
+    (
+        SMALLEST.replace("motor_position", "motor_positon"),
+        "record.channels.motor_positon is not a known key; expected one of torque, reference, reference_velocity,"
+        " motor_position, load_position, injected: did you mean motor_position?",
+    ),
+    (
+        SMALLEST + '["a.b"]',
+        '"a.b" is not a known key; expected one of joint, record, controller, filtering, method, parameters: '
+        "leave it out.",
+    ),
+    (
+        SMALLEST.replace("kp = 100.0\n", ""),
+        "controller.kp is missing; expected a number, 0 or more (position gain [1/s]): add it.",
+    ),
+    (
+        SMALLEST.replace(JOINT, "[joint]\n"),
+        'joint.kind is missing; expected "prismatic" or "revolute" (how the joint moves: m and N, or rad and N '
+        "m): add it.",
+    ),
+    (
+        CHANNELS + CASCADE,
+        "joint is missing; expected a table (what is identified): add it.",
+    ),
+    # words
+    (
+        SMALLEST.replace('"prismatic"', '"linear"'),
+        'joint.kind is "linear"; expected "prismatic" or "revolute": choose one of them.',
+    ),
+    (
+        SMALLEST.replace('"cascade"', '"cascad"'),
+        'controller.law is "cascad"; expected "cascade", "pd" or "state_space": did you mean "cascade"?',
+    ),
+    (
+        SMALLEST.replace('law = "cascade"\n', ""),
+        'controller.law is missing; expected "cascade", "pd" or "state_space" (the controller\'s law): add it.',
+    ),
+    (
+        SMALLEST.replace('"cascade"', "[1]"),
+        'controller.law is [1]; expected "cascade", "pd" or "state_space": choose one of them.',
+    ),
+    (
+        SMALLEST.replace('"prismatic"', '"prismatic"\nfriction = "stribeck"'),
+        'joint.friction: Friction "stribeck" cannot be simulated exactly: only laws that are piecewise linear in '
+        "velocity can; use symmetric or asymmetric.",
+    ),
+    # values
+    (
+        SMALLEST.replace("kp = 100.0", 'kp = "160.18"'),
+        'controller.kp is "160.18"; expected a number, 0 or more: write it without quotes.',
+    ),
+    (
+        SMALLEST.replace("kp = 100.0", "kp = -3"),
+        "controller.kp is -3; expected a number, 0 or more: turn the torque or the positions round, with sign = "
+        "-1 on their channels.",
+    ),
+    (
+        SMALLEST.replace("kp = 100.0", "kp = nan"),
+        "controller.kp is nan; expected a number, 0 or more: correct it.",
+    ),
+    (
+        SMALLEST + "gain = -1.5",
+        "controller.gain is -1.5; expected a positive number: turn the torque round, with sign = -1 on its channel.",
+    ),
+    (
+        SMALLEST + "limit = 0",
+        "controller.limit is 0; expected a positive number: correct it, or leave it out.",
+    ),
+    (
+        SMALLEST + "period = inf",
+        "controller.period is inf; expected a positive number: correct it, or leave it out.",
+    ),
+    (
+        SMALLEST + "velocity_filter = 0.5",
+        "controller.velocity_filter is 0.5; expected a list of one or more numbers, or a table: correct it.",
+    ),
+    (
+        SMALLEST + 'velocity_filter = [0.5, "a"]',
+        'controller.velocity_filter is [0.5, "a"]; expected a list of one or more numbers, or a table: correct it.',
+    ),
+    (
+        SMALLEST + "velocity_filter = { numerator = [] }",
+        "controller.velocity_filter.numerator is []; expected a list of one or more numbers: correct it.",
+    ),
+    (
+        SMALLEST + "velocity_filter = { numerator = [1], denominator = [0.0] }",
+        "controller.velocity_filter.denominator: A digital filter needs a numerator, and a denominator that does "
+        "not start with 0; received (1.0,) / (0.0,).",
+    ),
+    (
+        SMALLEST.replace('"i"', '"i", gain = -3.0'),
+        "record.channels.torque.gain is -3.0; expected a positive number: use sign = -1 to turn the channel round.",
+    ),
+    (
+        SMALLEST.replace('"i"', '"i", gain = 0'),
+        "record.channels.torque.gain is 0; expected a positive number: correct it, or leave it out.",
+    ),
+    (
+        SMALLEST.replace('"i"', '"i", sign = true'),
+        "record.channels.torque.sign is true; expected 1 or -1: correct it, or leave it out.",
+    ),
+    (
+        SMALLEST.replace('"i"', '"i", sign = -2'),
+        "record.channels.torque.sign is -2; expected 1 or -1: use gain to scale.",
+    ),
+    (
+        SMALLEST.replace('"i"', '"i", optional = "true"'),
+        'record.channels.torque.optional is "true"; expected true or false: write it without quotes.',
+    ),
+    (
+        SMALLEST.replace('"i"', "3"),
+        "record.channels.torque.column is 3; expected text in quotes: correct it.",
+    ),
+    (
+        SMALLEST.replace('"i"', '"i", at = "after_limit"'),
+        "record.channels.torque.at is not a known key; expected one of column, unit, gain, sign, timing, "
+        "sample_time, optional, tap: leave it out.",
+    ),
+    (
+        SMALLEST.replace('{ column = "i" }', '"i"'),
+        'record.channels.torque is "i"; expected a table: put its keys below a [heading], or in braces.',
+    ),
+    (
+        SMALLEST + "[[method]]",
+        "method is a list of lists or tables; expected a table: put its keys below a [heading], or in braces.",
+    ),
+    (
+        "[record]\ntime_unit = 'sec'\n" + SMALLEST,
+        'record.time_unit is "sec"; expected a unit of time, one of s, ms, us, ns, min, h: correct it, or leave '
+        "it out.",
+    ),
+    (
+        "[record]\ndelimiter = 'ab'\n" + SMALLEST,
+        "record.delimiter: The delimiter is one character, such as \";\"; got 'ab'.",
+    ),
+    (
+        "[record]\nfile = 'run.xyz'\n" + SMALLEST,
+        'record.file: run.xyz has the suffix ".xyz", which names no known format (CSV: .csv, .txt, .tsv, .dat; '
+        "MAT: .mat).",
+    ),
+    (
+        "[record]\nfile = 'run.mat'\ndecimal = ','\n" + SMALLEST,
+        "record.file: Reading MAT has no option decimal; it has: none.",
+    ),
+    (
+        SMALLEST + "[filtering]\nborders = [1, 2, 3]",
+        "filtering.borders is [1, 2, 3]; expected a list of two whole numbers, 0 or more: correct it, or leave it out.",
+    ),
+    (
+        SMALLEST + "[filtering]\ndecimation = 2.5",
+        "filtering.decimation is 2.5; expected a whole number, 1 or more: correct it, or leave it out.",
+    ),
+    (
+        SMALLEST + "[method]\niterations = 0xffffffffffffffff",
+        "method.iterations is a whole number beyond 64 bits; expected a whole number, 1 or more: correct it, or "
+        "leave it out.",
+    ),
+    # values together
+    (
+        SMALLEST.replace(
+            "[controller]", 'injected = { column = "x", at = "before_limit", in_torque = false }\n[controller]'
+        ),
+        "record.channels.injected.in_torque: A signal injected before the limit is part of the controller's "
+        "output, so the logged torque contains it; set in_torque = true, or at = after_limit.",
+    ),
+    (
+        SMALLEST + '[filtering]\npreset = "published"\ncutoff = 3.0',
+        'filtering.cutoff is 3.0 beside preset = "published", which sets it: leave one of them out.',
+    ),
+    (
+        SMALLEST + '[method]\npreset = "paper"\nform = "residual"',
+        'method.form is "residual" beside preset = "paper", which sets it: leave one of them out.',
+    ),
+    (
+        JOINT + CHANNELS + '[controller]\nlaw = "state_space"\nA = [[1.0, 2.0], [1.0]]\nB = {}\nC = [1.0, 2.0]\nD = {}',
+        "controller.A has rows of 2, 1 numbers; expected rows of one length: complete them.",
+    ),
+    (
+        JOINT
+        + CHANNELS
+        + '[controller]\nlaw = "state_space"\nA = [[1.0]]\nB = { position = [1.0, 2.0] }\nC = [1.0]\nD = {}',
+        "controller: A state-space law with 1 states (the length of C) needs A (1, 1) and each column of B (1,), "
+        "for the inputs reference, reference_velocity, position, excess; received B.position (2,).",
+    ),
+    # units
+    (
+        SMALLEST.replace('"r"', '"r", unit = "deg"'),
+        'record.channels.reference.unit is "deg", a unit of angle; expected one of m, mm, cm, um, nm, inch: give '
+        'one of them, or set joint.kind = "revolute".',
+    ),
+    (
+        SMALLEST.replace('"r"', '"r", unit = "N"'),
+        'record.channels.reference.unit is "N", a unit of force; expected one of m, mm, cm, um, nm, inch: give '
+        "one of them.",
+    ),
+    (
+        SMALLEST.replace('"r"', '"r", unit = "counts"'),
+        'record.channels.reference.unit is "counts", which is not known; expected one of m, mm, cm, um, nm, inch:'
+        " give one of them, and the gain that takes the column to it.",
+    ),
+    (
+        SMALLEST.replace('"r"', '"r", unit = "milli"'),
+        'record.channels.reference.unit is "milli", which is not known; expected one of m, mm, cm, um, nm, inch: '
+        "give one of them, and the gain that takes the column to it.",
+    ),
+    (
+        SMALLEST.replace('"r"', '"r [counts]"'),
+        'record.channels.reference.column names the unit "counts", which is not known; expected one of m, mm, cm,'
+        " um, nm, inch: give one of them, and the gain that takes the column to it.",
+    ),
+    (
+        SMALLEST.replace("[controller]", 'injected = { column = "x", unit = "V" }\n[controller]'),
+        "record.channels.injected is in V, but the torque in N: give both in one unit.",
+    ),
+    # the method
+    (
+        JOINT + '[record.channels]\ntorque = { column = "i" }',
+        "method.name is missing, and no method can be chosen: DIDIM lacks record.channels.reference and "
+        "controller, IDIM lacks record.channels.motor_position; add what one of them lacks.",
+    ),
+    (
+        JOINT + CHANNELS + '[method]\nname = "didim"',
+        'controller is missing, but DIDIM needs it: add it, or use method.name = "idim", which needs only torque '
+        "and motor_position.",
+    ),
+    (
+        JOINT + CHANNELS.replace("motor_", "load_") + CASCADE + '[method]\nname = "idim"',
+        'record.channels.motor_position is missing, but IDIM needs it: add it, or use method.name = "didim", '
+        "which needs only torque, reference and controller.",
+    ),
+    (
+        JOINT + CHANNELS + '[controller]\nlaw = "pd"\nkp = 1.0\nkd = 1.0\nreference_velocity = "channel"',
+        'record.channels.reference_velocity is missing, but DIDIM needs it: add it, or use method.name = "idim", '
+        "which needs only torque and motor_position.",
+    ),
+    (
+        JOINT + CHANNELS + '[method]\nform = "paper"',
+        'method.form is for DIDIM, but the method is IDIM: leave it out, or use method.name = "didim".',
+    ),
+    # parameters
+    (
+        SMALLEST + "[parameters]\ninertai = 3",
+        "parameters.inertai is not known for a rigid joint with symmetric friction; expected one of inertia, "
+        "viscous, coulomb, offset: did you mean inertia?",
+    ),
+    (
+        SMALLEST + "[parameters]\nstiffness = 3",
+        "parameters.stiffness is not known for a rigid joint with symmetric friction; expected one of inertia, "
+        'viscous, coulomb, offset: leave it out, or set joint.model = "flexible".',
+    ),
+    (
+        SMALLEST + "[parameters]\nviscous_forwards = 3",
+        "parameters.viscous_forwards is not known for a rigid joint with symmetric friction; expected one of "
+        'inertia, viscous, coulomb, offset: leave it out, or set joint.friction = "asymmetric".',
+    ),
+    (
+        SMALLEST + "[parameters]\ninertia = -3",
+        "parameters.inertia is -3; expected more than 0: correct it, or its bounds.",
+    ),
+    (
+        SMALLEST + '[parameters]\ninertia = "3"',
+        'parameters.inertia is "3"; expected a number, or a table: write it without quotes.',
+    ),
+    (
+        SMALLEST + "[parameters]\ninertia = { start = 3, lower = 4 }",
+        "parameters.inertia.start is 3; expected 4 or more: correct it, or its bounds.",
+    ),
+    (
+        SMALLEST + "[parameters]\noffset = { start = 9, lower = 4, upper = 5 }",
+        "parameters.offset.start is 9; expected a number from 4 to 5: correct it, or its bounds.",
+    ),
+    (
+        SMALLEST + "[parameters]\noffset = { start = 9, upper = 5 }",
+        "parameters.offset.start is 9; expected 5 or less: correct it, or its bounds.",
+    ),
+    (
+        SMALLEST + "[parameters]\nviscous = { upper = -5 }",
+        "parameters.viscous.upper is -5; expected more than 0: raise it.",
+    ),
+    (
+        SMALLEST + "[parameters]\ninertia = { upper = 0 }",
+        "parameters.inertia.upper is 0; expected more than 0: raise it.",
+    ),
+    (
+        SMALLEST + "[parameters]\ninertia = { lower = inf }",
+        "parameters.inertia.lower is inf; expected less than inf: lower it.",
+    ),
+    (
+        SMALLEST + "[parameters]\noffset = { lower = nan }",
+        "parameters.offset.lower is nan; expected a number, inf or -inf: correct it, or leave it out.",
+    ),
+    (
+        SMALLEST + "[parameters]\noffset = { lower = 3, upper = 1 }",
+        "parameters.offset.lower is 3; expected less than upper = 1: exchange them.",
+    ),
+    (
+        SMALLEST + "[parameters]\noffset = { free = false }",
+        "parameters.offset.value is missing; a parameter that is not free needs the value that it keeps: add it.",
+    ),
+    (
+        SMALLEST + "[parameters]\noffset = { value = 3, free = true }",
+        "parameters.offset.free is true beside value = 3, which would fix it; write start = 3.",
+    ),
+    (
+        SMALLEST + "[parameters]\noffset = { value = 3, start = 3 }",
+        "parameters.offset.start stands beside value; keep value to fix the parameter, or start to identify it.",
+    ),
+    (
+        SMALLEST.replace('"prismatic"', '"prismatic"\nfriction = "asymmetric"')
+        + "[parameters]\noffset = { free = true }",
+        "parameters.offset cannot be identified beside asymmetric friction: a constant adds to the Coulomb force "
+        "forwards and takes as much from it backwards, so the two cannot be told apart; give it a value, or set "
+        'joint.friction = "symmetric".',
+    ),
+    # TOML
+    (
+        "[joint]\nkind = prismatic",
+        "Line 2, column 8 is not TOML (invalid value); expected [tables] and lines of key = value, text in "
+        '"quotes": correct that line.',
+    ),
+    (
+        '[joint]\nkind = "prismatic',
+        "Line 2, column 18 is not TOML (unterminated string); expected [tables] and lines of key = value, text in"
+        ' "quotes": correct that line.',
+    ),
+    (
+        "x = " + "9" * 5000,
+        "The joint file holds a number of thousands of digits; correct it.",
+    ),
+    (
+        "x = " + "[" * 20000,
+        "The joint file nests lists or tables too deeply; no key of it needs that.",
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "sentence"), FAULTS, ids=[sentence[:50] for _, sentence in FAULTS])
+def test_a_fault_is_one_sentence(text: str, sentence: str) -> None:
+    assert faults(text) == (sentence,)
+
+
+def test_all_faults_come_at_once() -> None:
+    found = faults(
+        """
+        [joint]
+        kind = "prismatic"
+        friktion = "symmetric"
+        [record]
+        delimiter = "ab"
+        sample_time = -1
+        [record.channels]
+        torque = { column = "i", gain = -2.0 }
+        reference = { column = "r", unit = "deg" }
+        motor_position = 3
+        [controller]
+        kp = "a"
+        [filtering]
+        preset = "published"
+        borders = [1, 2]
+        [method]
+        name = "idim"
+        iterations = 5
+        [parameters]
+        inertia = { lower = 2, upper = 1 }
+        viscous = "a"
+        """
+    )
+    expected = [
+        "joint.friktion",
+        "record.delimiter:",
+        "record.sample_time",
+        "record.channels.torque.gain",
+        "record.channels.reference.unit",
+        "record.channels.motor_position is",
+        "controller.law",
+        "filtering.borders",
+        "method.iterations",
+        "parameters.inertia.lower",
+        "parameters.viscous",
+    ]
+    assert len(found) == len(expected)
+    for key in expected:
+        assert sum(sentence.startswith(key) for sentence in found) == 1, key
+
+
+def test_a_file_that_is_not_there_or_no_text(tmp_path: Path) -> None:
+    with pytest.raises(JointFileError, match=r"none\.toml cannot be opened \(no such file .*\); check the path"):
+        load(tmp_path / "none.toml")
+    (tmp_path / "joint.toml").write_bytes(b"name = '\xff'")
+    with pytest.raises(JointFileError, match=r"is not text in UTF-8 \(byte 8\); save it as UTF-8"):
+        load(tmp_path / "joint.toml")
+    (tmp_path / "marked.toml").write_text(SMALLEST, encoding="utf-8-sig")
+    assert load(tmp_path / "marked.toml") == loads(SMALLEST)
+
+
+# Overrides
+
+
+def test_overrides_are_checked_in_the_same_way() -> None:
+    file = loads(JOINT + CHANNELS.replace("motor_", "load_") + CASCADE + "[parameters]\nviscous = 3.0")
+    with pytest.raises(JointFileError) as caught:
+        file.overridden(method="idim", friction="asymmetric")
+    motor_position, viscous = caught.value.faults
+    assert motor_position.startswith("record.channels.motor_position is missing, but IDIM needs it: add it")
+    assert viscous.startswith("parameters.viscous is not known for a rigid joint with asymmetric friction")
+    with pytest.raises(JointFileError, match=r'method.name is "didm"; expected .*: did you mean "didim"\?'):
+        file.overridden(method="didm")
+    with pytest.raises(JointFileError, match=r'filtering.preset is "x"; expected "default" or "published"'):
+        file.overridden(filtering="x")
+
+
+def test_an_override_replaces_one_choice() -> None:
+    file = loads(SMALLEST + '[method]\nform = "paper"\n[filtering]\ncutoff = 3.0')
+    assert file.overridden() == file
+    assert file.overridden(method="didim") == file
+    assert file.overridden(method="idim") == dataclasses.replace(file, method=IDIM())
+    assert file.overridden(method="idim").overridden(method="didim").method == DIDIM()
+    assert file.overridden(filtering="published") == dataclasses.replace(file, filtering=Filtering.published())
+    assert file.overridden(filtering="default") == dataclasses.replace(file, filtering=Filtering())
+    assert file.overridden(friction="asymmetric").joint == RigidJoint(friction=AsymmetricFriction())
+    assert file.overridden(friction="symmetric") == file
+
+
+def test_an_override_keeps_the_folder(tmp_path: Path) -> None:
+    save(loads(SMALLEST), tmp_path / "joint.toml")
+    assert load(tmp_path / "joint.toml").overridden(method="idim").path == tmp_path / "joint.toml"
+
+
+# Writing
+
+
+positive = st.floats(1e-9, 1e9)
+words = st.text(min_size=1, max_size=8)
+filters = st.one_of(
+    st.lists(positive, min_size=1, max_size=3).map(tuple),
+    st.builds(DigitalFilter, st.lists(positive, min_size=1).map(tuple), st.lists(positive, min_size=1).map(tuple)),
+)
+law = {
+    "gain": positive,
+    "limit": positive | st.just(np.inf),
+    "period": st.none() | positive,
+    "delay": positive | st.just(0.0),
+    "kp": positive,
+    "velocity_filter": filters,
+}
+
+
+def columns(channel: str) -> st.SearchStrategy[Column]:
+    choices: dict[str, Any] = {}
+    if channel == "torque":
+        choices = {"tap": st.sampled_from(Tap), "unit": st.sampled_from(("N", "kN"))}
+    elif channel == "injected":
+        choices = {"at": st.sampled_from(InjectionPoint), "unit": st.just("mN")}
+    else:
+        choices = {"unit": st.sampled_from(known_units(channel, "prismatic"))}
+    return st.builds(
+        Column,
+        words,
+        gain=positive,
+        sign=st.sampled_from((1, -1)),
+        timing=st.none() | st.sampled_from(Timing),
+        sample_time=st.none() | positive,
+        optional=st.booleans(),
+        **choices,
+    )
+
+
+JOINTS: list[Joint] = [
+    RigidJoint(),
+    RigidJoint(friction=AsymmetricFriction()),
+    FlexibleJoint(),
+    FlexibleJoint(friction=AsymmetricFriction()),
+]
+
+
+@st.composite
+def joint_files(draw: st.DrawFn) -> JointFile:
+    joint = draw(st.sampled_from(JOINTS))
+    names = ["torque", "reference", "reference_velocity", "motor_position"]
+    names += draw(st.lists(st.sampled_from(("load_position", "injected")), unique=True))
+    whole = st.integers(1, 50)
+    return JointFile(
+        joint=joint,
+        columns={name: draw(columns(name)) for name in names},
+        method=draw(
+            st.just(IDIM())
+            | st.builds(
+                DIDIM,
+                form=st.sampled_from(("residual", "paper")),
+                scaled_iterations=whole,
+                tolerance=positive,
+                iterations=whole,
+            )
+        ),
+        controller=draw(
+            st.builds(Cascade, kv=positive, **law)
+            | st.builds(PD, kd=positive, reference_velocity=st.sampled_from(("none", "channel")), **law)
+        ),
+        filtering=draw(
+            st.just(Filtering.published())
+            | st.builds(Filtering, st.none() | positive, borders=st.tuples(whole, whole), timing=st.just("as_sampled"))
+        ),
+        parameters={
+            p.name: draw(st.sampled_from((p, p.fixed(3.0), dataclasses.replace(p, upper=5.0))))
+            for p in joint.parameters
+            if p.free and draw(st.booleans())
+        },
+        source=draw(
+            st.builds(
+                Source,
+                st.sampled_from(("run.csv", "runs/run 1.TXT", "../run.dat")),
+                time=st.none() | words,
+                sample_time=st.none() | positive,
+                options=st.fixed_dictionaries({}, optional={"decimal": st.just(","), "header": st.booleans()}),
+            )
+        ),
+        name=draw(st.none() | words),
+    )
+
+
+@given(joint_files())
+def test_what_is_written_is_read_back(file: JointFile) -> None:
+    assert loads(dumps(file)) == file
+
+
+def test_a_saved_file_is_loaded(tmp_path: Path) -> None:
+    file = load(EXAMPLE)
+    save(file, tmp_path / "copy.toml")
+    assert load(tmp_path / "copy.toml") == file
+    with pytest.raises(JointFileError, match=r"cannot be written \(.*\); check the folder"):
+        save(file, tmp_path / "none" / "joint.toml")
+
+
+def test_a_state_space_law_is_written() -> None:
+    law = StateSpaceController(A=np.eye(1) / 2, B={"position": np.ones(1)}, C=[1.0], D={"reference": 1.0})
+    file = dataclasses.replace(loads(SMALLEST), controller=law)
+    again = loads(dumps(file)).controller
+    assert again is not None
+    for name in ("A", "B", "C", "D"):
+        np.testing.assert_array_equal(getattr(again.law(1.0), name), getattr(law.law(1.0), name))
+
+
+def test_what_a_joint_file_cannot_say_is_not_written() -> None:
+    file = loads(SMALLEST)
+
+    class Other(Cascade):
+        pass
+
+    class OtherFriction(SymmetricFriction):
+        pass
+
+    with pytest.raises(JointFileError, match="no word for the controller Other; give a StateSpaceController"):
+        dumps(dataclasses.replace(file, controller=Other(kp=1.0, kv=1.0)))
+    with pytest.raises(JointFileError, match="no word for the friction OtherFriction; use symmetric or asymmetric"):
+        dumps(dataclasses.replace(file, joint=RigidJoint(friction=OtherFriction())))
+    with pytest.raises(JointFileError, match="The joint's torque is in A, but its channel's in N; give"):
+        dumps(dataclasses.replace(file, joint=RigidJoint(torque_unit="A")))
+    unknown = {"mass": Parameter("mass", "M", file.joint.parameters[0].quantity)}
+    with pytest.raises(JointFileError, match=r"parameters\.mass is not known for a rigid joint"):
+        dumps(dataclasses.replace(file, parameters=unknown))
+
+
+# Whatever stands in the file
+
+
+def test_spoiled_text_is_read_or_refused() -> None:
+    text = EXAMPLE.read_text(encoding="utf-8")
+
+    @given(st.integers(0, len(text)), st.integers(0, 40), st.text(max_size=12) | st.sampled_from(list('"[]{}=,.\n-')))
+    def spoiled(at: int, length: int, put: str) -> None:
+        read_or_refused(text[:at] + put + text[at + length :])
+
+    spoiled()
+
+
+anything = st.recursive(
+    st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.text(max_size=5)
+    | st.dates()
+    | st.sampled_from(("cascade", "pd", "state_space", "didim", "idim", "flexible", "asymmetric", "paper", "A", "deg")),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(["numerator", "position"]), inner),
+    max_leaves=6,
+)
+
+
+@given(st.data())
+def test_any_value_at_any_key_is_read_or_refused(data: st.DataObject) -> None:
+    tables = tomllib.loads(EXAMPLE.read_text(encoding="utf-8"))
+    for _ in range(data.draw(st.integers(1, 4))):
+        path = data.draw(st.sampled_from([*TABLES, *sorted(schema_keys())]))
+        path = path.replace("<channel>", data.draw(st.sampled_from(CHANNELS_NAMED)))
+        *above, key = path.replace("<name>", data.draw(st.sampled_from(("inertia", "offset", "x")))).split(".")
+        table = tables
+        for name in above:
+            below = table.setdefault(name, {})
+            table = below if isinstance(below, dict) else {}
+        table[key] = data.draw(anything)
+    try:
+        file = JointFile.of(tables)
+    except JointFileError as error:
+        in_our_words(error)
+    else:
+        assert JointFile.of(file.tables()) == file or isinstance(file.controller, StateSpaceController)
+
+
+TABLES = ("joint", "record", "controller", "filtering", "method", "parameters", "other")
+CHANNELS_NAMED = ("torque", "reference", "motor_position", "injected", "other")
+
+
+def read_or_refused(text: str) -> None:
+    try:
+        loads(text)
+    except JointFileError as error:
+        in_our_words(error)
+
+
+def in_our_words(error: JointFileError) -> None:
+    for sentence in error.faults:
+        assert sentence.endswith((".", "?"))
+        assert "\n" not in sentence
+        assert not re.search("Input should|Field required|Extra inputs|Value error|pydantic|_type", sentence)
+
+
+# Records
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A short record in a folder below the joint file's."""
+    time = np.arange(400) * 1e-3
+    table = np.column_stack([time, 300 * np.sin(20 * time), 0.1 * np.sin(20 * time), 0.1 * np.sin(20 * time - 0.1)])
+    (tmp_path / "runs").mkdir()
+    np.savetxt(tmp_path / "runs" / "run.csv", table, delimiter=";", header="t;i;r;q", comments="")
+    return tmp_path / "runs" / "run.csv"
+
+
+def saved(folder: Path, text: str) -> JointFile:
+    (folder / "joint.toml").write_text(text, encoding="utf-8")
+    return load(folder / "joint.toml")
+
+
+def test_the_record_lies_beside_the_joint_file(run: Path) -> None:
+    folder = run.parents[1]
+    record = saved(folder, "[record]\nfile = 'runs/run.csv'\ndelimiter = ';'\n" + SMALLEST).record()
+    assert record.channels == ("torque", "reference", "motor_position")
+    assert record.name == "run"
+    assert saved(folder, SMALLEST).record(run).channels == record.channels
+    with pytest.raises(
+        RecordError, match=r"joint.toml names no record; add file to \[record\], or name one by --record"
+    ):
+        saved(folder, SMALLEST).record()
+
+
+def test_a_channel_that_the_method_does_not_need_may_be_absent(run: Path) -> None:
+    without_motor = SMALLEST.replace('"q"', '"nowhere"')
+    assert loads(without_motor).record(run).channels == ("torque", "reference")
+    with pytest.raises(RecordError, match=r'has no column "nowhere" \(for motor_position\)'):
+        loads(without_motor).overridden(method="idim").record(run)
+    without_reference = SMALLEST.replace('"r"', '"nowhere"')
+    assert loads(without_reference).overridden(method="idim").record(run).channels == ("torque", "motor_position")
+    with pytest.raises(RecordError, match=r'has no column "nowhere" \(for reference\)'):
+        loads(without_reference).record(run)
+
+
+def test_an_injected_signal_may_be_absent_only_if_it_is_optional(run: Path) -> None:
+    injected = SMALLEST.replace("[controller]", 'injected = { column = "x" }\n[controller]')
+    with pytest.raises(RecordError, match=r'has no column "x" \(for injected\)'):
+        loads(injected).record(run)
+    optional = injected.replace('"x"', '"x", optional = true')
+    assert loads(optional).record(run).injected is None
+
+
+def test_a_torque_beyond_the_limit_is_refused(run: Path) -> None:
+    limited = loads(SMALLEST + "gain = 2.0\nlimit = 100.0")
+    with pytest.raises(RecordError, match=r"The torque reaches .* beyond the controller's limit of 200 N"):
+        limited.record(run)
+    assert loads(SMALLEST + "gain = 2.0\nlimit = 160.0").record(run).torque is not None
+
+
+def test_the_emps_file_serves_both_records(data_dir: Path) -> None:
+    file = load(EXAMPLE)
+    channels = ("torque", "reference", "motor_position")
+    first = file.record(data_dir / "emps" / "DATA_EMPS.mat")
+    second = file.record(data_dir / "emps" / "DATA_EMPS_PULSES.mat")
+    assert first.channels == channels
+    assert second.channels == (*channels, "injected")
+    assert second.injected is not None
+    assert second.injected.channel.values.max() == pytest.approx(5.07 * 35.15, rel=1e-3)
+    assert file.loop is not None
+    estimate = identify(first, file.loop, file.method, filtering=file.filtering, parameters=file.parameters)
+    found = {parameter.name: parameter.value for parameter in estimate.parameters}
+    assert found["inertia"] == pytest.approx(94.9, abs=0.1)
+    assert found["viscous"] == pytest.approx(207.5, abs=0.5)
+    assert found["coulomb"] == pytest.approx(20.1, abs=0.1)
+    assert found["offset"] == pytest.approx(-3.17, abs=0.02)
+    assert estimate.relative_error == pytest.approx(0.0456, abs=2e-4)
+
+
+# The page and the schema
+
+
+@cache
+def schema_keys() -> dict[str, set[str]]:
+    """Return every key below the tables of the file, as the page writes it, with its defaults."""
+    schema = json_schema()
+    found: dict[str, set[str]] = {}
+
+    def walk(described: dict[str, Any], path: str) -> None:
+        if "$ref" in described:
+            walk(schema["$defs"][described["$ref"].rsplit("/", 1)[1]], path)
+        for one in (*described.get("anyOf", ()), *described.get("oneOf", ())):
+            walk(one, path)
+        if described.get("additionalProperties"):
+            found[f"{path}.<name>"] = {"—"}
+            walk(described["additionalProperties"], f"{path}.<name>")
+        for key, below in described.get("properties", {}).items():
+            at = f"{path}.{key}" if path else key
+            default = f"`{json.dumps(below['default'])}`" if "default" in below else "—"
+            if "." in at:
+                found.setdefault(at, set()).add("required" if key in described.get("required", ()) else default)
+            walk(below, at)
+
+    walk(schema, "")
+    channels = [key.rsplit(".", 1)[1] for key in found if re.fullmatch(r"record\.channels\.\w+", key)]
+    shared = {key.rsplit(".", 1)[1] for key in found if key.startswith("record.channels.reference.")}
+    for channel in channels:
+        for key in shared:
+            found[f"record.channels.<channel>.{key}"] = found.pop(f"record.channels.{channel}.{key}")
+    return found
+
+
+def page_keys() -> dict[str, set[str]]:
+    found: dict[str, set[str]] = {}
+    for line in PAGE.read_text(encoding="utf-8").splitlines():
+        if match := re.match(r"\| `([\w<>]+(?:\.[\w<>]+)+)` \|", line):
+            cells = [cell.strip() for cell in line.strip("|").split("|")]
+            assert len(cells) == 4, line
+            assert all(cells), line
+            found.setdefault(match[1], set()).add(cells[2])
+    return found
+
+
+def test_the_page_has_every_key_and_no_other() -> None:
+    assert page_keys() == schema_keys()
+
+
+def test_the_page_has_every_unit_and_parameter() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    for kind in ("prismatic", "revolute"):
+        cells = ["reference", "reference_velocity", "torque"]
+        row = " | ".join(", ".join(known_units(channel, kind)) for channel in cells)
+        assert f"| {kind} | {row} |" in page
+    for joint in (RigidJoint, FlexibleJoint):
+        for friction, law_ in (("symmetric", SymmetricFriction()), ("asymmetric", AsymmetricFriction())):
+            made = joint(friction=law_)
+            names = ", ".join(f"`{parameter.name}`" for parameter in made.parameters)
+            assert f"| {made.model} | {friction} | {names} |" in page
+    assert ", ".join(f'`"{name}"`' for name in units_of("time")) in page
+
+
+def test_the_files_on_the_page_are_right() -> None:
+    texts = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert len(texts) == 2
+    smallest, whole = map(loads, texts)
+    assert isinstance(smallest.method, DIDIM)
+    assert whole.joint.torque_unit == "A"
+
+
+def test_the_schema_has_no_null_and_a_description_of_every_key() -> None:
+    text = json.dumps(json_schema())
+    assert "null" not in text
+    for name in json_schema()["$defs"]:
+        assert all("description" in key for key in table(name).values())
+
+
+def test_importing_loads_nothing_heavy() -> None:
+    heavy = "numba, matplotlib, scipy.signal, scipy.optimize"
+    program = f"import sys, jointid.jointfile; print([m for m in '{heavy}'.split(', ') if m in sys.modules])"
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
