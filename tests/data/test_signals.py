@@ -8,7 +8,15 @@ import pytest
 from jointid.common.errors import MethodError, RecordError
 from jointid.data.excitation import pulses, trapezoids
 from jointid.data.record import Channel, Timing
-from jointid.data.signals import Filtering, centred, decimate, derivative, lowpass
+from jointid.data.signals import (
+    Filtering,
+    decimate,
+    derivative,
+    differences,
+    lowpass,
+    windowed,
+    windowed_torque,
+)
 
 T = 1e-3
 
@@ -84,12 +92,35 @@ def test_a_record_too_short_to_filter_is_refused() -> None:
         decimate(np.zeros(20), Filtering().resolved(T), T)
 
 
-def test_a_torque_is_brought_to_the_instants_of_the_positions() -> None:
-    """Held: half of it before, half after. Averaged: from the mean before. Sampled: as it is."""
-    values = np.array([0.0, 1.0, 4.0, 9.0, 16.0])
-    assert centred(Channel(values, "N", T, Timing.HELD))[1:4] == pytest.approx([0.5, 2.5, 6.5])
-    assert centred(Channel(values, "N", T, Timing.AVERAGED))[1:4] == pytest.approx([2.5, 6.5, 12.5])
-    assert centred(Channel(values, "N", T, Timing.SAMPLED)).tolist() == values.tolist()
+def test_a_held_torque_is_windowed_exactly() -> None:
+    """Held: weights 1, 3, 3, 1 over 8, later samples first. Averaged: one sample later. Sampled: between the two."""
+    values = np.arange(12.0) ** 3
+    held = windowed_torque(Channel(values, "N", T, Timing.HELD))
+    assert held[2:-1] == pytest.approx((values[:-3] + 3 * values[1:-2] + 3 * values[2:-1] + values[3:]) / 8)
+    averaged = windowed_torque(Channel(values, "N", T, Timing.AVERAGED))
+    assert averaged[1:-2] == pytest.approx(held[2:-1])
+
+
+def test_columns_go_through_the_torque_s_window() -> None:
+    """A smooth signal held on a fine clock and windowed over a coarse one is the same signal, windowed by Simpson."""
+    time = np.arange(400) * T
+    smooth = np.sin(2 * np.pi * 40.0 * time)
+    fine = np.sin(2 * np.pi * 40.0 * (np.arange(-20_000, 60_000) * T / 100))
+    window = np.convolve(np.ones(200) / 200, np.ones(200) / 200)
+    exact = np.convolve(fine, window, "same")[20_000::100][:400]
+    assert np.max(np.abs(windowed(smooth) - exact)[5:-5]) < 1e-4
+    assert np.max(np.abs(smooth - exact)[5:-5]) > 1e-2
+
+
+def test_five_point_differences_are_of_fourth_order() -> None:
+    errors = []
+    for period in (2e-3, 1e-3):
+        time = np.arange(int(0.5 / period)) * period
+        first, second = differences(np.sin(40.0 * time), period)
+        inside = slice(4, -4)
+        errors.append(np.max(np.abs(first - 40.0 * np.cos(40.0 * time))[inside]))
+        assert np.max(np.abs(second + 1600.0 * np.sin(40.0 * time))[inside]) < 1e-3 * 1600.0
+    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.05)
 
 
 @pytest.mark.parametrize("timing", list(Timing))
@@ -106,7 +137,7 @@ def test_a_delayed_torque_acts_later(timing: Timing) -> None:
         Timing.HELD: torque(time + period / 2),  # the middle of what it is held for
         Timing.AVERAGED: torque(time - period / 2),
     }[timing]
-    found = centred(Channel(stamped, "N", period, timing), delay)
+    found = windowed_torque(Channel(stamped, "N", period, timing), delay)
     assert np.max(np.abs(found - torque(time - delay))[20:-20]) < 1e-5
 
 

@@ -9,7 +9,7 @@ from jointid.common.errors import MethodError
 from jointid.data.excitation import trapezoids
 from jointid.model.controllers import Cascade
 from jointid.model.friction import AsymmetricFriction, SymmetricFriction
-from jointid.model.joints import FlexibleJoint, RigidJoint, frequencies, friction_named, rigid_sums
+from jointid.model.joints import FlexibleJoint, Motion, RigidJoint, frequencies, friction_named, rigid_sums
 from jointid.model.parameters import Parameter, Quantity, adjusted
 from jointid.paper.twin import TABLE_2, TABLE_4
 from jointid.simulation.closed_loop import ClosedLoop
@@ -26,7 +26,8 @@ def test_regressor_times_parameters_is_the_inverse_dynamics(friction: SymmetricF
     fv, fv_back, fc, fc_back = joint.friction.directions(values, "")
     force = np.where(velocity > 0, fv * velocity + fc, np.where(velocity < 0, fv_back * velocity - fc_back, 0.0))
     expected = values["inertia"] * acceleration + force + values["offset"]
-    found = joint.regressor(velocity, acceleration) @ np.array(list(values.values()))
+    motion = Motion(np.zeros(200), velocity, acceleration)
+    found = joint.regressor(motion)[0] @ np.array(list(values.values()))
     assert np.allclose(found, expected, rtol=1e-12, atol=1e-12)
 
 

@@ -144,9 +144,9 @@ def test_an_injected_signal_acts_and_is_logged_as_declared(at: str, in_torque: b
     moved = run.motor_position - quiet.motor_position
     assert np.max(np.abs(moved)) > 1e-5
     acting = run.torque if in_torque else run.torque + known
-    expected = RIGID["inertia"] * run.acceleration + RIGID["viscous"] * run.velocity
-    expected += RIGID["coulomb"] * np.sign(run.velocity) + RIGID["offset"]
-    slides = run.velocity != 0
+    expected = RIGID["inertia"] * run.motor.acceleration + RIGID["viscous"] * run.motor.velocity
+    expected += RIGID["coulomb"] * np.sign(run.motor.velocity) + RIGID["offset"]
+    slides = run.motor.velocity != 0
     assert np.max(np.abs(acting - expected)[slides]) <= 1e-9 * np.max(np.abs(acting))
 
 
@@ -204,7 +204,7 @@ def test_candidates_fail_with_a_status_and_finite_numbers() -> None:
         run = simulate(unlimited, prepare(unlimited, record()), RIGID | change)
         assert run.outcome is outcome
         assert np.all(np.isfinite(run.torque))
-        assert np.all(np.isfinite(run.acceleration))
+        assert np.all(np.isfinite(run.motor.acceleration))
         with pytest.raises(MethodError, match="stopped after"):
             require_finished(run)
     negative = simulate(loop, experiment, RIGID | {"viscous": -30.0})  # odd, but it can be simulated

@@ -13,13 +13,11 @@ import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.data.record import FloatArray, Record
-from jointid.data.signals import decimate
 from jointid.estimation.estimate import Estimate, IdentifiedJoint, MethodName, fingerprint, relative_error
-from jointid.estimation.idim import motion_of
+from jointid.estimation.idim import idim_channels, motion_of
 from jointid.estimation.problem import INITIAL_STATE, Problem, initial_of
 from jointid.estimation.regression import least_squares
 from jointid.estimation.starts import initial_state, reconstructed_position
-from jointid.model.joints import RigidJoint
 from jointid.simulation.closed_loop import Initial, Simulation, prepare, require_finished
 
 _STEPS = 6  # for two numbers that act almost linearly on the torque
@@ -99,28 +97,26 @@ def _test(identified: IdentifiedJoint, record: Record) -> Literal["direct", "cro
 
 
 def _inverse(identified: IdentifiedJoint, record: Record) -> Validation:
-    joint = identified.joint
-    if not isinstance(joint, RigidJoint):
-        raise MethodError("Validation by the inverse model is for rigid joints; simulate the loop instead.")
     assert record.torque is not None
-    filtering, sample_time = identified.filtering, record.torque.sample_time
+    joint, filtering, sample_time = identified.joint, identified.filtering, record.torque.sample_time
     model = motion_of(record, identified.delay, filtering, joint)
-    predicted = model.columns @ np.array([identified.values[p.name] for p in joint.parameters])
-    both = np.column_stack([model.torque - predicted, model.torque])[model.inside]
-    seen = decimate(both, filtering, sample_time)
+    values = np.array([identified.values[p.name] for p in joint.parameters])
+    measured, predicted = model.torque[0], model.columns[0] @ values
+    error, _ = model.decimated(filtering, sample_time, values)
+    whole, _ = model.decimated(filtering, sample_time, np.zeros_like(values))
     return Validation(
         test=_test(identified, record),
         method=identified.method,
         record=record.name,
         identified_from=identified.record,
-        channels=("torque", "motor_position", *(("injected",) if record.injected is not None else ())),
+        channels=(*idim_channels(joint.model), *(("injected",) if record.injected is not None else ())),
         sample_time=sample_time,
         torque_unit=record.torque.unit,
-        measured=model.torque,
+        measured=measured,
         predicted=predicted,
         borders=filtering.borders,
-        relative_error=relative_error(model.torque, predicted, filtering.borders),
-        filtered_error=float(np.linalg.norm(seen[:, 0]) / np.linalg.norm(seen[:, 1])),
+        relative_error=relative_error(measured, predicted, filtering.borders),
+        filtered_error=float(np.linalg.norm(error) / np.linalg.norm(whole)),
         tracking_error=None,
         initial=None,
         simulations=0,

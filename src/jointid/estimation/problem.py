@@ -113,16 +113,16 @@ class Problem:
                 "The inverse-dynamic regressor of a simulated flexible joint is no approximation of its Jacobian "
                 "(the load is not controlled); identify the joint as rigid, at low frequency."
             )
-        columns = self.loop.joint.regressor(simulation.velocity, simulation.acceleration)
+        columns = self.loop.joint.regressor(simulation.motor)[0]
         names = [p.name for p in self.loop.joint.parameters]
-        return columns[:, [names.index(p.name) for p in self.free_joint]]
+        return np.asarray(columns[:, [names.index(p.name) for p in self.free_joint]])
 
     def fixed_torque(self, simulation: Simulation) -> FloatArray:
         """Return the torque that the joint's fixed parameters take on a run, (samples,)."""
         joint = self.loop.joint
         assert isinstance(joint, RigidJoint)
         kept = [0.0 if p.free else p.start or 0.0 for p in self.parameters[: len(joint.parameters)]]
-        return np.asarray(joint.regressor(simulation.velocity, simulation.acceleration) @ np.array(kept))
+        return np.asarray(joint.regressor(simulation.motor)[0] @ np.array(kept))
 
     def scales(self, x: FloatArray, columns: FloatArray) -> FloatArray:
         """Return the size a change of each joint parameter is measured against: its value, or a small torque's."""
@@ -175,4 +175,10 @@ def torque_problem(
         raise MethodError("Every parameter of the joint is fixed, so there is nothing to identify; free one of them.")
     experiment = prepare(loop, record)
     measured = record.torque.values[: experiment.samples]
-    return Problem(loop, experiment, (*parameters, *initial), measured, filtering.resolved(experiment.sample_time))
+    return Problem(
+        loop,
+        experiment,
+        (*parameters, *initial),
+        measured,
+        filtering.resolved(experiment.sample_time, loop.joint.model),
+    )

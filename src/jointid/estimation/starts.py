@@ -5,15 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.errors import MethodError
 from jointid.data.record import Channel, FloatArray, Timing
-from jointid.data.signals import Filtering, centred
-from jointid.estimation.idim import inverse_model, regress
+from jointid.estimation.idim import InverseModel, inverse_model, regress
 from jointid.estimation.problem import Problem
 from jointid.model.controllers import POSITION, REFERENCE, REFERENCE_VELOCITY, invert
 from jointid.model.joints import RigidJoint
 
+_SETTLED = 5.0  # periods of the position filter's cut-off after which a fault is forgotten
 _SLOPE = 20  # samples the initial velocity is first read from: the search corrects it
 
 
@@ -71,8 +72,8 @@ def inversion_start(problem: Problem) -> Start:
     experiment, joint = problem.experiment, _rigid(problem)
     position = reconstructed_position(problem)
     acting = problem.measured - experiment.logged + experiment.after_limit
-    torque = centred(Channel(acting, "N", experiment.law.period, Timing.HELD), experiment.law.delay)
-    return Start(_kept(problem, _regressed(problem, joint, torque, position) | initial_state(problem, position)), None)
+    found = _regressed(problem, joint, acting, position, _unlimited(problem), experiment.law.delay)
+    return Start(_kept(problem, found | initial_state(problem, position)), None)
 
 
 def regular_start(problem: Problem, given: dict[str, float] | None = None) -> Start:
@@ -88,7 +89,7 @@ def regular_start(problem: Problem, given: dict[str, float] | None = None) -> St
     torque = (
         problem.measured - np.repeat(experiment.logged[:: experiment.every], experiment.repeat)[: problem.measured.size]
     )
-    tracked = _regressed(problem, joint, torque, reference)
+    tracked = _regressed(problem, joint, torque, reference, np.ones(torque.size, dtype=np.bool_))
     nominal = abs(tracked["inertia"])
     regular = {p.name: 0.0 for p in problem.parameters} | {"inertia": nominal}
     regular |= {"initial_position": float(reference[0]), "initial_velocity": 0.0}
@@ -103,12 +104,38 @@ def given_start(problem: Problem) -> Start:
     return regular_start(problem, given)
 
 
-def _regressed(problem: Problem, joint: RigidJoint, torque: FloatArray, position: FloatArray) -> dict[str, float]:
-    sample_time = problem.experiment.sample_time
-    filtering: Filtering = replace(problem.filtering, borders=(50, 50) if torque.size > 500 else (0, 0))
-    model = inverse_model(joint, torque, position, filtering, sample_time)
+def _unlimited(problem: Problem) -> NDArray[np.bool_]:
+    """Return where the law can be turned round: away from its limit, and from what the filter smears of it.
+
+    Where nothing would be left, everything: a poor start is better than none.
+    """
+    experiment = problem.experiment
+    output = np.abs(problem.measured - experiment.logged)
+    cutoff = problem.filtering.position_cutoff
+    assert cutoff is not None
+    reach = experiment.law.C.size + round(_SETTLED / (cutoff * experiment.sample_time))
+    at_limit = output >= experiment.law.limit * (1 - 1e-9)
+    limited = np.convolve(at_limit, np.ones(2 * reach + 1))[reach : reach + at_limit.size] > 0.5
+    return ~limited if np.mean(limited) < 0.5 else np.ones_like(limited)
+
+
+def _regressed(
+    problem: Problem,
+    joint: RigidJoint,
+    torque: FloatArray,
+    position: FloatArray,
+    known: NDArray[np.bool_],
+    delay: float = 0.0,
+) -> dict[str, float]:
+    """Return what IDIM finds where the position is known; elsewhere it is bridged, and both sides weigh nothing."""
+    sample_time, instants = problem.experiment.sample_time, np.arange(torque.size)
+    filtering = replace(problem.filtering, borders=(50, 50) if torque.size > 500 else (0, 0), timing="respected")
+    held = Channel(torque, joint.torque_unit or "N", sample_time, Timing.HELD)
+    bridged = np.interp(instants, instants[known], position[known])
+    model = inverse_model(joint, held, (bridged,), filtering, delay)
+    masked = InverseModel(model.torque * known, model.columns * known[:, np.newaxis], model.inside)
     parameters = problem.parameters[: len(joint.parameters)]
-    fit = regress(joint, parameters, model, filtering, sample_time)
+    fit = regress(parameters, masked, filtering, sample_time)
     return dict(zip((p.name for p in parameters if p.free), map(float, fit.values), strict=True))
 
 

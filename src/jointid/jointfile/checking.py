@@ -95,7 +95,8 @@ class _Draft:
         """Yield what is wrong between the tables."""
         yield from unit_faults(self.channels, self.kinds)
         if self.method is not None:
-            yield from method_faults(self.method, self.named, self.controller, self.controlled)
+            model = self.joint.model if self.joint is not None else "rigid"
+            yield from method_faults(self.method, self.named, self.controller, self.controlled, model)
         if self.joint is not None:
             yield from parameter_faults(self.joint, self.parameters, self.bare)
 

@@ -142,7 +142,7 @@ class JointFile:
             if self.source.file is None:
                 raise RecordError(f"{self.path} names no record; add file to [record], or name one by --record.")
             path = self.path.parent / self.source.file
-        needed = {*needed_channels(self._method_name, self.controller), "injected"}
+        needed = {*needed_channels(self._method_name, self.controller, self.joint.model), "injected"}
         columns = {n: c if n in needed else replace(c, optional=True) for n, c in self.columns.items()}
         source = self.source
         record = read(

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from jointid.common import units
 from jointid.data.columns import known_units
-from jointid.estimation.idim import IDIM
+from jointid.estimation.idim import idim_channels
 from jointid.jointfile import wording
 from jointid.jointfile.schema import ChannelTable, JointTable, MethodTable, ParameterTable
 from jointid.model.controllers import Controller
@@ -87,20 +87,20 @@ def chosen_method(name: str | None, channels: Collection[str], controlled: bool)
     return "idim" if {"torque", "motor_position"} <= set(channels) else None
 
 
-def needed_channels(method: str, controller: Controller | None) -> tuple[str, ...]:
+def needed_channels(method: str, controller: Controller | None, model: str) -> tuple[str, ...]:
     """Return the names of the channels that a method reads; of a controller not known, only the reference."""
     if method == "idim":
-        return IDIM.channels
+        return idim_channels(model)
     return ("torque", *(("reference",) if controller is None else controller.channels))
 
 
 def method_faults(
-    table: MethodTable, channels: Collection[str], controller: Controller | None, controlled: bool
+    table: MethodTable, channels: Collection[str], controller: Controller | None, controlled: bool, model: str
 ) -> Iterator[str]:
     """Yield what the method lacks, and settings of the other one; arguments as for `chosen_method`."""
 
     def lacking(method: str) -> list[str]:
-        missing = [f"record.channels.{n}" for n in needed_channels(method, controller) if n not in channels]
+        missing = [f"record.channels.{n}" for n in needed_channels(method, controller, model) if n not in channels]
         return missing if controlled or method == "idim" else [*missing, "controller"]
 
     name = chosen_method(table.name, channels, controlled)

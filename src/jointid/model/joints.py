@@ -27,6 +27,15 @@ from jointid.model.parameters import TORQUE_UNIT, Kind, Parameter, Quantity, uni
 _TINY = 1e-300  # keeps a bound on inertias open: a mass of zero has no motion
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """The motion of one side of a joint, each (samples,)."""
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+
+
 def _offset(friction: Friction) -> Parameter:
     offset = Parameter("offset", "offset", Quantity.FORCE)
     return offset if friction.symmetric else offset.fixed(0.0)
@@ -66,9 +75,13 @@ class RigidJoint:
         """Return the unit of a parameter of this joint."""
         return unit_of(parameter.quantity, self.kind, self.torque_unit or TORQUE_UNIT[self.kind])
 
-    def regressor(self, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """Return the columns of (1), in the order of `parameters`, shape (samples, parameters)."""
-        return np.column_stack([acceleration, self.friction.columns(velocity), np.ones_like(velocity)])
+    def regressor(self, motor: Motion, load: Motion | None = None) -> FloatArray:
+        """Return the columns of (1), in the order of `parameters`, shape (1, samples, parameters).
+
+        The load of a rigid joint moves with the motor, so its motion is not read.
+        """
+        ones = np.ones_like(motor.velocity)
+        return np.column_stack([motor.acceleration, self.friction.columns(motor.velocity), ones])[np.newaxis]
 
     def coefficients(self, values: Mapping[str, float]) -> FloatArray:
         """Return the drive as the simulation sees it (`simulation.kernels`): a motor, and a load nothing moves."""
@@ -115,6 +128,26 @@ class FlexibleJoint:
     def unit(self, parameter: Parameter) -> str:
         """Return the unit of a parameter of this joint."""
         return unit_of(parameter.quantity, self.kind, self.torque_unit or TORQUE_UNIT[self.kind])
+
+    def regressor(self, motor: Motion, load: Motion | None = None) -> FloatArray:
+        """Return the columns of both rows of (2), in the order of `parameters`, shape (2, samples, parameters).
+
+        The first row adds up to the motor's torque, the second to 0. (The paper prints velocities in columns 1 and 6
+        of (5), where (2) has accelerations.)
+
+        Raises:
+            MethodError: there is no motion of the load.
+        """
+        if load is None:
+            raise MethodError(
+                "The equations of a flexible joint need the motion of the load; IDIM needs load_position."
+            )
+        zeros, ones = np.zeros_like(motor.velocity), np.ones_like(motor.velocity)
+        deflection, slip = load.position - motor.position, load.velocity - motor.velocity
+        motor_friction, load_friction = (self.friction.columns(side.velocity) for side in (motor, load))
+        first = [motor.acceleration, motor_friction, -deflection, -slip, zeros, np.zeros_like(load_friction), ones]
+        second = [zeros, np.zeros_like(motor_friction), deflection, slip, load.acceleration, load_friction, zeros]
+        return np.stack([np.column_stack(first), np.column_stack(second)])
 
     def coefficients(self, values: Mapping[str, float]) -> FloatArray:
         """Return the drive as the simulation sees it (`simulation.kernels`)."""

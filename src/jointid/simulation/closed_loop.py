@@ -29,7 +29,7 @@ from jointid.model.controllers import (
     run,
     scaled,
 )
-from jointid.model.joints import Joint
+from jointid.model.joints import Joint, Motion
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -143,8 +143,8 @@ class Simulation:
         torque, outcome, finished, events, at_limit: see `Response`; after a failure everything is held.
         motor_position, motor_velocity: (samples,).
         load_position, load_velocity: (samples,), None for a rigid joint.
-        velocity, acceleration: (samples,) of the motor at the instant each torque begins to act, which is where
-            torque = regressor . parameters holds exactly.
+        motor, load: motion at the instant each torque begins to act, which is where torque = regressor . parameters
+            holds exactly; the load's is None for a rigid joint.
     """
 
     sample_time: float
@@ -153,8 +153,8 @@ class Simulation:
     motor_velocity: FloatArray
     load_position: FloatArray | None
     load_velocity: FloatArray | None
-    velocity: FloatArray
-    acceleration: FloatArray
+    motor: Motion
+    load: Motion | None
     outcome: Outcome
     finished: float
     events: int
@@ -328,7 +328,12 @@ def simulate(
     newest = int(np.argmin(experiment.lags))
     rows = np.minimum(np.arange(out.command.size) + experiment.lags[newest], out.command.size - 1)
     begin = states[rows, newest]
-    acceleration = _acceleration(out.drive, begin, out.command + experiment.after_limit)
+    push = out.command + experiment.after_limit
+
+    def motion(side: int) -> Motion:
+        acceleration = _acceleration(out.drive, begin, push, side)
+        return Motion(*(_at_log(experiment, v) for v in (begin[:, 2 * side], begin[:, 2 * side + 1], acceleration)))
+
     flexible = loop.joint.model == "flexible"
     return Simulation(
         experiment.sample_time,
@@ -337,8 +342,8 @@ def simulate(
         seen[:, 1],
         seen[:, 2] if flexible else None,
         seen[:, 3] if flexible else None,
-        _at_log(experiment, begin[:, 1]),
-        _at_log(experiment, acceleration),
+        motion(0),
+        motion(1) if flexible else None,
         out.outcome,
         *_tally(out),
     )
@@ -389,16 +394,16 @@ def _delayed(values: FloatArray, lag: int) -> FloatArray:
     return np.concatenate([np.full(lag, values[0]), values])[: values.size]
 
 
-def _acceleration(drive: FloatArray, states: FloatArray, torque: FloatArray) -> FloatArray:
-    """Return the motor's acceleration just after `torque` begins to act; 0 where friction holds it."""
-    inertia, _, stiffness, damping, viscous, viscous_back, coulomb, coulomb_back = drive[:8]
-    velocity = states[:, 1]
-    spring = stiffness * (states[:, 2] - states[:, 0]) + damping * (states[:, 3] - states[:, 1])
-    push = torque - drive[12] + spring
+def _acceleration(drive: FloatArray, states: FloatArray, torque: FloatArray, side: int) -> FloatArray:
+    """Return the acceleration of the motor (side 0) or load (1) just after `torque` begins to act; 0 at rest."""
+    viscous, viscous_back, coulomb, coulomb_back = drive[4 + 4 * side : 8 + 4 * side]
+    spring = drive[2] * (states[:, 2] - states[:, 0]) + drive[3] * (states[:, 3] - states[:, 1])
+    push = torque - drive[12] + spring if side == 0 else -drive[13] - spring
+    velocity = states[:, 1 + 2 * side]
     moving = np.where(velocity != 0, np.sign(velocity), (push > coulomb) * 1.0 - (push < -coulomb_back) * 1.0)
     forwards, backwards = viscous * velocity + coulomb, viscous_back * velocity - coulomb_back
     friction = np.where(moving > 0, forwards, backwards)
-    return np.asarray(np.where(moving == 0, 0.0, (push - friction) / inertia))
+    return np.asarray(np.where(moving == 0, 0.0, (push - friction) / drive[side]))
 
 
 def simulate_many(
