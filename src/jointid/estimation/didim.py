@@ -6,9 +6,8 @@ motion; least squares on the torque gives the next parameters; until nothing cha
 The paper's form (11) solves ``tau = W chi``, which does not hold while an axis rests: friction then takes what it
 must, not Fc. The residual form ``tau - tau_sim = W dchi`` has the truth as its fixed point wherever the axis rests,
 and is the default. Both read W on the simulation, which the noise of the record cannot reach, so W acts as a set
-of instruments and the standard deviations are those of an instrumental-variable estimator::
-
-    cov = s^2 (W' J)^-1 (W' W) (J' W)^-1,     J = d tau_sim / d chi, the output sensitivities
+of instruments for the output sensitivities J = d tau_sim / d chi, and the covariance is that of an
+instrumental-variable estimator (`uncertainty`).
 """
 
 from __future__ import annotations
@@ -27,6 +26,7 @@ from jointid.estimation.problem import Problem, initial_of, torque_problem
 from jointid.estimation.regression import least_squares
 from jointid.estimation.search import End, Search, State, require_simulated
 from jointid.estimation.starts import Start, given_start, inversion_start, regular_start
+from jointid.estimation.uncertainty import Covariance, sandwich, words
 from jointid.model.controllers import REFERENCE
 from jointid.model.parameters import Parameter
 from jointid.simulation.closed_loop import ClosedLoop
@@ -149,21 +149,13 @@ def _solve(search: Search, settings: DIDIM, start: Start) -> End:
     return search.repeat(end.state, steps.exact, settings.iterations, 1.0 + settings.tolerance)
 
 
-def _deviations(search: Search, state: State) -> tuple[FloatArray, FloatArray]:
-    """Return the standard deviations of the free parameters, and their correlations (see the module)."""
+def _covariance(search: Search, state: State) -> Covariance:
+    """Return the covariance of the free parameters (see the module)."""
     problem = search.problem
     W = problem.regressor(state.simulation)
     J = search.sensitivities(state, W)
-    Z, J = problem.filtered(np.hstack([W, J[:, W.shape[1] :]])), problem.filtered(J)
-    norms = np.linalg.norm(Z, axis=0)
-    Z, J = Z / norms, J / norms
-    rows, count = Z.shape
-    spread = np.linalg.pinv(Z.T @ J)
-    variance = float(state.error @ state.error) / max(rows - count, 1)
-    covariance = variance * spread @ (Z.T @ Z) @ spread.T
-    std = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(std, std) if np.all(std > 0) else np.eye(count)
-    return std / norms, correlation
+    Z = np.hstack([W, J[:, W.shape[1] :]])
+    return sandwich(problem.filtered(Z), problem.filtered(J), state.error)
 
 
 def identify_didim(
@@ -232,10 +224,10 @@ def _or_moving(problem: Problem, search: Search, settings: DIDIM, resting: End, 
 
 def _estimate(record: Record, settings: DIDIM, search: Search, end: End) -> Estimate:
     assert record.torque is not None
-    std, correlation = _deviations(search, end.state)
+    covariance = _covariance(search, end.state)
     problem, state = search.problem, end.state
     values = problem.values(state.x)
-    spread = dict(zip((p.name for p in problem.free), map(float, std), strict=True))
+    spread = dict(zip((p.name for p in problem.free), map(float, covariance.std), strict=True))
     joint = problem.loop.joint
     of_joint = {p.name for p in joint.parameters}
     rows = tuple(
@@ -271,8 +263,8 @@ def _estimate(record: Record, settings: DIDIM, search: Search, end: End) -> Esti
         simulations=search.simulations,
         stop=end.stop,
         converged=end.converged,
-        intervals="from the output sensitivities, for a white residual; on a real axis they are too small",
-        warnings=_warnings(problem, state, correlation, end.converged),
+        intervals=f"from the output sensitivities, {words(covariance)}",
+        warnings=_warnings(problem, state, covariance.correlation, end.converged),
         fingerprint=fingerprint(record.torque.values),
         delay=problem.experiment.law.delay,
     )

@@ -27,6 +27,7 @@ from jointid.data.signals import (
 )
 from jointid.estimation.estimate import Estimate, EstimatedParameter, fingerprint, relative_error
 from jointid.estimation.regression import Fit, least_squares
+from jointid.estimation.uncertainty import Covariance, sandwich, words
 from jointid.model.joints import Joint, Motion
 from jointid.model.parameters import Parameter
 
@@ -101,14 +102,18 @@ def inverse_model(
     return InverseModel(rows, columns, slice(filtering.borders[0], size - filtering.borders[1]))
 
 
-def regress(parameters: tuple[Parameter, ...], model: InverseModel, filtering: Filtering, sample_time: float) -> Fit:
+def regress(
+    parameters: tuple[Parameter, ...], model: InverseModel, filtering: Filtering, sample_time: float
+) -> tuple[Fit, Covariance]:
     """Fit the free parameters to a motion; the fixed ones' torque is taken off first."""
     free = [i for i, p in enumerate(parameters) if p.free]
     if not free:
         raise MethodError("Every parameter of the joint is fixed, so there is nothing to identify; free one of them.")
     kept = np.array([0.0 if p.free else p.start or 0.0 for p in parameters])
     Y, W = model.decimated(filtering, sample_time, kept)
-    return least_squares(W[:, free], Y, tuple(parameters[i].name for i in free))
+    W = W[:, free]
+    fit = least_squares(W, Y, tuple(parameters[i].name for i in free))
+    return fit, sandwich(W, W, fit.residual, equations=len(model.torque))
 
 
 def motor_torque(record: Record) -> Channel:
@@ -165,7 +170,8 @@ def identify_idim(
         filtering: how the signals are filtered.
         delay: seconds from the logged torque to the torque that acts.
 
-    The standard deviations are those of the regression, for a white residual; on real records they are too small.
+    The standard deviations are those of the regression, robust to autocorrelation; noise in the positions, and what
+    repeats with the motion, is not covered.
 
     Raises:
         RecordError: a channel is missing or cannot be used.
@@ -176,8 +182,8 @@ def identify_idim(
     sample_time = record.torque.sample_time
     filtering = filtering.resolved(sample_time, joint.model)
     model = motion_of(record, delay, filtering, joint)
-    fit = regress(parameters, model, filtering, sample_time)
-    found = iter(zip(fit.values, fit.std, strict=True))
+    fit, covariance = regress(parameters, model, filtering, sample_time)
+    found = iter(zip(fit.values, covariance.std, strict=True))
     rows: list[EstimatedParameter] = []
     for p in parameters:
         value, std = next(found) if p.free else (p.start or 0.0, None)
@@ -207,7 +213,7 @@ def identify_idim(
         simulations=0,
         stop="a linear regression has one step",
         converged=True,
-        intervals="of the regression, for a white residual; a real one repeats with position, and they are too small",
+        intervals=f"of the regression, {words(covariance)}",
         warnings=_warnings(record, filtering),
         fingerprint=fingerprint(record.torque.values),
         delay=delay,

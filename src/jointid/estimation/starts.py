@@ -135,7 +135,7 @@ def _regressed(
     model = inverse_model(joint, held, (bridged,), filtering, delay)
     masked = InverseModel(model.torque * known, model.columns * known[:, np.newaxis], model.inside)
     parameters = problem.parameters[: len(joint.parameters)]
-    fit = regress(parameters, masked, filtering, sample_time)
+    fit, _ = regress(parameters, masked, filtering, sample_time)
     return dict(zip((p.name for p in parameters if p.free), map(float, fit.values), strict=True))
 
 
