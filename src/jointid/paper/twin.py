@@ -24,6 +24,7 @@ from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering, decimate
 from jointid.model.controllers import Cascade
 from jointid.model.joints import FlexibleJoint
+from jointid.paper.published import TABLES
 from jointid.simulation.closed_loop import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 
@@ -33,35 +34,12 @@ ENCODER_STEP = 5e-8  # m: 100,000 counts on a screw of 5 mm
 RESIDUAL = 0.08  # of the filtered, decimated torque
 _GAIN = 35.15065188  # N per volt, the drive chain of the EMPS benchmark
 _WIDE_OPEN = 1e3  # V: a limit that is never reached
+_OFFSET = -3.16  # N
 
-TABLE_2 = MappingProxyType(
-    {
-        "motor_inertia": 70.2,
-        "motor_viscous": 92.0,
-        "motor_coulomb": 10.0,
-        "stiffness": 8.0e5,
-        "damping": 126.0,
-        "load_inertia": 34.8,
-        "load_viscous": 110.0,
-        "load_coulomb": 10.4,
-        "offset": -3.16,
-    }
-)
+TABLE_2 = MappingProxyType({**TABLES[2].values, "offset": _OFFSET})
 """Table 2 of the paper (IDIM, no added mass), with the offset of the real axis."""
 
-TABLE_4 = MappingProxyType(
-    {
-        "motor_inertia": 70.1,
-        "motor_viscous": 95.0,
-        "motor_coulomb": 10.0,
-        "stiffness": 8.2e5,
-        "damping": 210.0,
-        "load_inertia": 45.0,
-        "load_viscous": 110.0,
-        "load_coulomb": 10.0,
-        "offset": -3.16,
-    }
-)
+TABLE_4 = MappingProxyType({**TABLES[4].values, "offset": _OFFSET})
 """Table 4 of the paper (IDIM, 10 kg added to the load), with the offset of the real axis."""
 
 CONTROLLERS = MappingProxyType(
