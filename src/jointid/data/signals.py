@@ -7,7 +7,7 @@ what the filter takes from one side it takes from the other.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,8 +38,10 @@ class Filtering:
             for a flexible joint.
             A rigid model of a flexible joint needs an edge below a fifth of the first mode.
         decimation: keep one sample in so many; the most that leaves `cutoff` within 80 % of the new Nyquist
-            frequency when None. A larger one aliases, and is refused unless it is a documented preset.
+            frequency when None.
         borders: samples dropped at the start and at the end of the filtered, differentiated positions.
+        aliasing: a decimation that leaves the cut-off above 80 % of the new Nyquist frequency is "refused", or only
+            "warned" of, to repeat what others did.
         timing: "respected" looks at torque and motion through one window, whatever the torque's timing;
             "as_sampled" reads a held torque as sampled, half a period early, as the EMPS benchmark's authors did.
     """
@@ -49,6 +51,7 @@ class Filtering:
     decimation: int | None = None
     borders: tuple[int, int] = (50, 50)
     timing: str = "respected"
+    aliasing: str = "refused"
 
     def __post_init__(self) -> None:
         cutoffs = (self.position_cutoff, self.cutoff)
@@ -60,6 +63,8 @@ class Filtering:
             raise MethodError(f"The borders are numbers of samples, 0 or more; received {self.borders}.")
         if self.timing not in ("respected", "as_sampled"):
             raise MethodError(f'Timing is "respected" or "as_sampled"; received "{self.timing}".')
+        if self.aliasing not in ("refused", "warned"):
+            raise MethodError(f'Aliasing is "refused" or "warned"; received "{self.aliasing}".')
 
     @classmethod
     def published(cls) -> Self:
@@ -69,6 +74,23 @@ class Filtering:
         sampled.
         """
         return cls(position_cutoff=100.0, cutoff=40.0, decimation=10, borders=(49, 0), timing="as_sampled")
+
+    @classmethod
+    def as_printed(cls) -> Self:
+        """Return the paper's filtering for a flexible joint: 60 Hz, one sample in twelve, which aliases at 1 kHz."""
+        return cls(cutoff=60.0, decimation=12, aliasing="warned")
+
+    def warnings(self, sample_time: float) -> tuple[str, ...]:
+        """Return what a reader of the answer must know of this filtering, which is `resolved`."""
+        assert self.cutoff is not None
+        assert self.decimation is not None
+        nyquist = 0.5 / (sample_time * self.decimation)
+        if self.cutoff <= nyquist:
+            return ()
+        return (
+            f"one sample in {self.decimation} has its Nyquist frequency at {nyquist:.1f} Hz, below the cut-off of "
+            f"{self.cutoff:g} Hz: what lies between is folded onto lower frequencies, as the paper printed it",
+        )
 
     def resolved(self, sample_time: float, model: str = "rigid") -> Filtering:
         """Return this filtering with every default filled in for signals of that sample time and a joint's model.
@@ -85,13 +107,13 @@ class Filtering:
                     f"{name} = {value:g} Hz is not below the Nyquist frequency of {nyquist:g} Hz; lower it."
                 )
         most = max(math.floor(_ROOM * nyquist / cutoff + 1e-9), 1)
-        if self.decimation is not None and self.decimation > most:
+        if self.decimation is not None and self.decimation > most and self.aliasing == "refused":
             raise MethodError(
                 f"Keeping one sample in {self.decimation} puts the new Nyquist frequency at "
                 f"{nyquist / self.decimation:.4g} Hz, too close to the cut-off of {cutoff:g} Hz: keep at least one "
                 f"in {most}, or lower the cut-off."
             )
-        return Filtering(position, cutoff, self.decimation or most, self.borders, self.timing)
+        return replace(self, position_cutoff=position, cutoff=cutoff, decimation=self.decimation or most)
 
 
 def lowpass(values: FloatArray, cutoff: float, sample_time: float, order: int = 4) -> FloatArray:

@@ -29,7 +29,7 @@ from jointid.estimation.starts import Start, given_start, inversion_start, regul
 from jointid.estimation.uncertainty import Covariance, sandwich, words
 from jointid.model.controllers import REFERENCE
 from jointid.model.parameters import Parameter
-from jointid.simulation.closed_loop import ClosedLoop
+from jointid.simulation.closed_loop import ClosedLoop, Simulation
 
 _MOVING = 9.0  # times the residual's variance: what a velocity at the first sample must explain to be believed
 _AT_LIMIT = 0.01  # of the periods: more is said
@@ -190,7 +190,18 @@ def identify_didim(
     end = _solve(search, settings, start)
     if settings.initial_state == "free" and not end.reproduced:
         end = _or_moving(problem, search, settings, end, start)
-    return _estimate(record, settings, search, end)
+    covariance = _covariance(search, end.state)
+    found = answer(
+        record, search.problem, end.state.x, end.state.simulation, end.state.error, covariance, end.stop, end.converged
+    )
+    form = "the paper's form (11)" if settings.form == "paper" else "residual form"
+    start_name = f"{'an' if settings.start == 'inversion' else 'a'} {settings.start} start"
+    return replace(
+        found,
+        variant=f"DIDIM in {form} from {start_name}",
+        trace=tuple(search.trace),
+        simulations=search.simulations,
+    )
 
 
 def _at_rest(problem: Problem, settings: DIDIM) -> Problem:
@@ -222,13 +233,31 @@ def _or_moving(problem: Problem, search: Search, settings: DIDIM, resting: End, 
     return resting
 
 
-def _estimate(record: Record, settings: DIDIM, search: Search, end: End) -> Estimate:
+def answer(
+    record: Record,
+    problem: Problem,
+    x: FloatArray,
+    run: Simulation,
+    error: FloatArray,
+    covariance: Covariance,
+    stop: str,
+    converged: bool,
+) -> Estimate:
+    """Return the estimate that ends a simulation of the loop; how it was found is for the caller to add.
+
+    Args:
+        record: what was identified from.
+        problem: what was solved.
+        x: free parameters.
+        run: simulation with them.
+        error: filtered torque error.
+        covariance: of the free parameters, or of the joint's alone.
+        stop: why the search ended.
+        converged: whether that is a good end.
+    """
     assert record.torque is not None
-    covariance = _covariance(search, end.state)
-    problem, state = search.problem, end.state
-    values = problem.values(state.x)
-    spread = dict(zip((p.name for p in problem.free), map(float, covariance.std), strict=True))
-    joint = problem.loop.joint
+    values, joint, borders = problem.values(x), problem.loop.joint, problem.filtering.borders
+    spread = dict(zip((p.name for p in problem.free), map(float, covariance.std), strict=False))
     of_joint = {p.name for p in joint.parameters}
     rows = tuple(
         EstimatedParameter(
@@ -237,44 +266,43 @@ def _estimate(record: Record, settings: DIDIM, search: Search, end: End) -> Esti
         )
         for p in problem.parameters
     )  # fmt: skip
-    borders = problem.filtering.borders
-    used = (*problem.loop.channels, *(("injected",) if record.injected is not None else ()))
     return Estimate(
         method="didim",
-        variant=f"DIDIM in {'the paper’s form (11)' if settings.form == 'paper' else 'residual form'} "
-        f"from {'an' if settings.start == 'inversion' else 'a'} {settings.start} start",
+        variant="DIDIM",
         joint=joint,
         loop=problem.loop,
         parameters=rows,
-        channels=used,
+        channels=(*problem.loop.channels, *(("injected",) if record.injected is not None else ())),
         record=record.name,
         sample_time=problem.experiment.sample_time,
         torque_unit=record.torque.unit,
         measured=problem.measured,
-        predicted=state.simulation.torque,
+        predicted=run.torque,
         borders=borders,
-        relative_error=relative_error(problem.measured, state.simulation.torque, borders),
-        filtered_error=state.norm / search.size,
-        rows=state.error.size,
+        relative_error=relative_error(problem.measured, run.torque, borders),
+        filtered_error=float(np.linalg.norm(error) / np.linalg.norm(problem.filtered(problem.measured))),
+        rows=error.size,
         conditioning=None,
         initial=initial_of(values),
         filtering=problem.filtering,
-        trace=tuple(search.trace),
-        simulations=search.simulations,
-        stop=end.stop,
-        converged=end.converged,
+        trace=(),
+        simulations=0,
+        stop=stop,
+        converged=converged,
         intervals=f"from the output sensitivities, {words(covariance)}",
-        warnings=_warnings(problem, state, covariance.correlation, end.converged),
+        warnings=_warnings(problem, x, run, covariance.correlation, converged),
         fingerprint=fingerprint(record.torque.values),
         delay=problem.experiment.law.delay,
     )
 
 
-def _warnings(problem: Problem, state: State, correlation: FloatArray, converged: bool) -> tuple[str, ...]:
+def _warnings(
+    problem: Problem, x: FloatArray, run: Simulation, correlation: FloatArray, converged: bool
+) -> tuple[str, ...]:
     found = [] if converged else ["the search did not converge; the values are where it stopped"]
-    if state.simulation.at_limit > _AT_LIMIT:
+    if run.at_limit > _AT_LIMIT:
         found.append(
-            f"the controller is at its limit in {100 * state.simulation.at_limit:.1f} % of the periods, where the "
+            f"the controller is at its limit in {100 * run.at_limit:.1f} % of the periods, where the "
             "torque says nothing of the joint"
         )
     names = [p.name for p in problem.free]
@@ -286,7 +314,7 @@ def _warnings(problem: Problem, state: State, correlation: FloatArray, converged
     ]
     negative = [
         f"{p.name} came out at {value:.4g}, below what is physical"
-        for p, value in zip(problem.free, state.x, strict=True)
+        for p, value in zip(problem.free, x, strict=True)
         if value < p.lower
     ]
     return (*found, *pairs, *negative)

@@ -12,12 +12,13 @@ from jointid.data.record import Record
 from jointid.data.signals import Filtering
 from jointid.estimation.didim import DIDIM, identify_didim
 from jointid.estimation.estimate import Estimate
+from jointid.estimation.flexible import FlexibleDIDIM, identify_flexible
 from jointid.estimation.idim import IDIM, identify_idim
 from jointid.model.joints import Joint
 from jointid.model.parameters import Parameter, adjusted
 from jointid.simulation.closed_loop import ClosedLoop
 
-Method: TypeAlias = DIDIM | IDIM
+Method: TypeAlias = DIDIM | FlexibleDIDIM | IDIM
 
 
 def identify(
@@ -34,8 +35,8 @@ def identify(
     Args:
         record: what was logged.
         model: the loop (joint and controller), or the joint alone when the controller is not known.
-        method: `DIDIM` or `IDIM` with its settings; by default DIDIM when the controller is known, even where the
-            record has a motor position, which is then not read; otherwise IDIM.
+        method: `DIDIM` (rigid), `FlexibleDIDIM` or `IDIM` with its settings; by default DIDIM when the controller is
+            known, even where the record has a motor position, which is then not read; otherwise IDIM.
         filtering: see `Filtering`; its defaults follow the sample time.
         parameters: changes to the joint's parameters by name: fixed values, starts, bounds.
         progress: is told each step in a sentence.
@@ -59,7 +60,7 @@ def identify(
     loop = model if isinstance(model, ClosedLoop) else None
     joint = loop.joint if loop else model
     assert not isinstance(joint, ClosedLoop)
-    chosen = method or (DIDIM() if loop else IDIM())
+    chosen = method or default_method(joint, loop is not None)
     adjustments = adjusted(joint.parameters, parameters or {})
     filtering = filtering or Filtering()
     check_record(record)
@@ -71,4 +72,18 @@ def identify(
             "DIDIM simulates the closed loop, so it needs the controller; give a ClosedLoop, or use IDIM with a "
             "motor_position."
         )
+    if isinstance(chosen, FlexibleDIDIM) != (joint.model == "flexible"):
+        raise MethodError(
+            f"{type(chosen).__name__} is not for a {joint.model} joint; "
+            f"use {type(default_method(joint, True)).__name__}."
+        )
+    if isinstance(chosen, FlexibleDIDIM):
+        return identify_flexible(record, loop, adjustments, filtering, chosen, progress)
     return identify_didim(record, loop, adjustments, filtering, chosen, progress)
+
+
+def default_method(joint: Joint, controlled: bool) -> Method:
+    """Return DIDIM for the joint's model where the controller is known, else IDIM."""
+    if not controlled:
+        return IDIM()
+    return FlexibleDIDIM() if joint.model == "flexible" else DIDIM()

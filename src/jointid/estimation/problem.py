@@ -22,6 +22,7 @@ from jointid.simulation.closed_loop import (
     Experiment,
     Initial,
     Outcome,
+    Response,
     Simulation,
     in_threads,
     prepare,
@@ -93,18 +94,19 @@ class Problem:
         values = self.values(x)
         return simulate_torque(self.loop, self.experiment, values, initial_of(values)).torque
 
-    def error(self, simulation: Simulation) -> FloatArray:
+    def error(self, run: Simulation | Response) -> FloatArray:
         """Return the filtered torque error of a run; of one that failed, something large and finite."""
-        error = self.measured - simulation.torque
-        if simulation.outcome is not Outcome.FINISHED:
+        error = self.measured - run.torque
+        if run.outcome is not Outcome.FINISHED:
             # The earlier it failed the worse: a search must see which way to go.
             size = float(np.sqrt(np.mean(self.measured**2)))
-            error = np.full_like(error, _FAILED * size * (2.0 - simulation.finished))
+            error = np.full_like(error, _FAILED * size * (2.0 - run.finished))
         return self.filtered(error)
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the filtered, decimated torque error, (rows,)."""
-        return self.error(self.simulate(x))
+        values = self.values(x)
+        return self.error(simulate_torque(self.loop, self.experiment, values, initial_of(values)))
 
     def regressor(self, simulation: Simulation) -> FloatArray:
         """Return the inverse-dynamic columns of the free joint parameters on a run, raw, (samples, parameters)."""

@@ -1,0 +1,335 @@
+"""DIDIM for flexible joints: the criterion (9) minimised over all the parameters of (2), from torque and reference.
+
+The load is not controlled, so the regressor on the simulated motion is no approximation of the Jacobian [P section
+IV.B]; what is left is the criterion itself, ``J = ||Y - Ys||^2`` of the filtered, decimated torque. Two ways down:
+
+- least squares with the output sensitivities, by SciPy's bounded trust region;
+- Nelder-Mead by the rules of MATLAB's ``fminsearch``, as the paper did, restarted because it stops early.
+
+Both begin as the paper does, with a rigid identification at low frequency. Its values are divided between the sides,
+by halves in the paper (13), and the stiffness follows from a known or guessed frequency: ``K12 = mu (2 pi f)^2`` with
+``mu = ZZ1 ZZ2 / (ZZ1 + ZZ2)``. Where the frequency is not known, a grid of frequencies and load shares is simulated,
+and the best few are refined: half of such a grid is unstable for a fast loop, and the rest has local minima.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from jointid.common.errors import MethodError
+from jointid.common.progress import Progress, silent
+from jointid.data.record import FloatArray, Record
+from jointid.data.signals import Filtering
+from jointid.estimation.didim import DIDIM, answer, identify_didim
+from jointid.estimation.estimate import Estimate, Iteration
+from jointid.estimation.problem import INITIAL_STATE, Problem, initial_of, torque_problem
+from jointid.estimation.uncertainty import Covariance, sandwich, words
+from jointid.model.joints import FlexibleJoint, RigidJoint
+from jointid.model.parameters import Parameter
+from jointid.simulation.closed_loop import ClosedLoop, in_threads, simulate
+
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
+
+_RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
+_GUESSES = (0.2, 0.27, 0.35, 0.45, 0.55, 0.7, 0.9)  # frequencies to try, as shares of the cut-off
+_SHARES = (0.2, 0.33, 0.5, 0.67)  # of the load in the inertia, to try
+_REFINED = 4  # starts of a grid that are refined
+_DAMPING = 0.02  # of the mode, to begin with (ours: the paper gives none)
+_EVALUATIONS = 60  # of one refinement
+_REASONS = {2: "the criterion", 3: "the parameters", 4: "the criterion and the parameters"}
+_IMPROVED = 1e-4  # of the criterion: a restart that gains less was not needed
+
+
+@dataclass(frozen=True, slots=True)
+class FlexibleDIDIM:
+    """Settings of DIDIM for a flexible joint.
+
+    Attributes:
+        minimiser: "least-squares", or the paper's "nelder-mead".
+        frequency: free-free frequency in Hz the stiffness starts from, with the inertia halved (13); None tries a
+            grid, a simulation each.
+        rigid_cutoff: Hz, of the rigid identification that gives the start; 0.5 % of the sampling frequency when None.
+        tolerance: relative, on the parameters and the criterion.
+        simulations: at most, of one descent.
+        restarts: of Nelder-Mead, each from where the last one stopped; it ends when one gains nothing.
+        statistics: "sensitivities" for the deviations of the output sensitivities, or the paper's "inverse-model".
+    """
+
+    minimiser: Literal["least-squares", "nelder-mead"] = "least-squares"
+    frequency: float | None = None
+    rigid_cutoff: float | None = None
+    tolerance: float = 1e-8
+    simulations: int = 6000
+    restarts: int = 3
+    statistics: Literal["sensitivities", "inverse-model"] = "sensitivities"
+
+    def __post_init__(self) -> None:
+        choices = {
+            "minimiser": (self.minimiser, ("least-squares", "nelder-mead")),
+            "statistics": (self.statistics, ("sensitivities", "inverse-model")),
+        }
+        for name, (value, allowed) in choices.items():
+            if value not in allowed:
+                raise MethodError(f'The {name} is one of {", ".join(allowed)}; received "{value}".')
+        positive = (self.frequency or 1.0, self.rigid_cutoff or 1.0, self.tolerance, float(self.simulations))
+        if min(positive) <= 0 or self.restarts < 0:
+            raise MethodError(
+                "Frequencies, tolerance and simulations are positive, restarts 0 or more; received "
+                f"{self.frequency}, {self.rigid_cutoff}, {self.tolerance}, {self.simulations} and {self.restarts}."
+            )
+
+    @classmethod
+    def paper(cls, frequency: float | None = 30.0) -> FlexibleDIDIM:
+        """Return the settings of the paper: Nelder-Mead with the tolerance of ``fminsearch``, its statistics.
+
+        The frequency is the 30 Hz the paper measured with its output blocked.
+        """
+        return cls("nelder-mead", frequency, None, 1e-4, 6000, 1, "inverse-model")
+
+
+class _Descent:
+    """A criterion on its way down: what it is evaluated on, what it cost, and the trace."""
+
+    def __init__(self, problem: Problem, progress: Progress) -> None:
+        self.problem, self.progress = problem, progress
+        self.trace: list[Iteration] = []
+        self.simulations = 0
+        self.scales = np.ones(len(problem.free))
+        self.size = float(np.linalg.norm(problem.filtered(problem.measured)))
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the filtered torque error; large and finite where the loop cannot be simulated."""
+        self.simulations += 1
+        return self.problem.residual(x)
+
+    def jacobian(self, x: FloatArray) -> FloatArray:
+        """Return the derivatives of the residual, by central differences."""
+        joint = len(self.problem.free_joint)
+        J, runs = self.problem.jacobian(x, np.maximum(np.abs(x[:joint]), 1e-3 * self.scales[:joint]))
+        self.simulations += runs
+        return -self.problem.filtered(J)
+
+    def note(self, x: FloatArray, norm: float) -> None:
+        """Add a line to the trace, and tell every tenth."""
+        before = self.trace[-1] if self.trace else None
+        change = step = None
+        if before is not None:
+            change = abs(norm - before.residual_norm) / before.residual_norm if before.residual_norm else 0.0
+            last = self.problem.vector(before.values)
+            step = float(np.max(np.abs(x - last) / np.maximum(np.abs(x), 1e-3 * self.scales)))
+        values, number = self.problem.values(x), len(self.trace)
+        self.trace.append(Iteration(number, values, norm, change, step, self.simulations))
+        if number % 100 == 0 or number < 10:  # a simplex takes more than a thousand steps
+            self.progress(f"iteration {number}: torque error {100 * norm / self.size:.4f} %")
+
+
+def identify_flexible(
+    record: Record,
+    loop: ClosedLoop,
+    parameters: tuple[Parameter, ...],
+    filtering: Filtering,
+    settings: FlexibleDIDIM | None = None,
+    progress: Progress = silent,
+) -> Estimate:
+    """Identify a flexible joint from torque and reference.
+
+    Args:
+        record: with the torque and what the controller reads.
+        loop: flexible joint and controller.
+        parameters: of the joint; a start of its own replaces that of the method.
+        filtering: cut-off and decimation; the mode must lie below the cut-off.
+        settings: see `FlexibleDIDIM`.
+        progress: is told the iterations.
+
+    Raises:
+        RecordError: a channel is missing.
+        MethodError: the loop cannot be simulated at any start.
+    """
+    settings = settings or FlexibleDIDIM()
+    rigid = _rigid(record, loop, settings, progress)
+    initial = tuple(_initial(p, rigid, settings) for p in rigid_initial(rigid))
+    problem = torque_problem(record, loop, filtering, parameters, initial)
+    descent = _Descent(problem, progress)
+    starts = _starts(descent, rigid, settings)
+    if settings.minimiser == "nelder-mead":
+        x, stop, converged = _by_simplex(descent, starts[0], settings)
+    else:
+        x, stop, converged = _by_least_squares(descent, starts, settings)
+    error = descent.residual(x)
+    covariance, intervals = _covariance(descent, x, error, settings)
+    values = problem.values(x)
+    run = simulate(loop, problem.experiment, values, initial_of(values))
+    descent.simulations += 1
+    estimate = answer(record, problem, x, run, error, covariance, stop, converged)
+    how = "Nelder-Mead" if settings.minimiser == "nelder-mead" else "least squares"
+    return replace(
+        estimate,
+        variant=f"DIDIM by {how} from the pseudo-regular start",
+        intervals=intervals,
+        trace=tuple(descent.trace),
+        simulations=descent.simulations + rigid.simulations,
+        warnings=(*estimate.warnings, *problem.filtering.warnings(problem.experiment.sample_time)),
+    )
+
+
+def _rigid(record: Record, loop: ClosedLoop, settings: FlexibleDIDIM, progress: Progress) -> Estimate:
+    """Identify the joint as rigid, below its resonance."""
+    assert isinstance(loop.joint, FlexibleJoint)
+    joint = RigidJoint(loop.joint.kind, loop.joint.friction, loop.joint.torque_unit)
+    record.require(loop.channels, "DIDIM")
+    assert record.torque is not None
+    cutoff = settings.rigid_cutoff or _RIGID_CUTOFF / record.torque.sample_time
+    progress(f"identifying the joint as rigid, below {cutoff:g} Hz")
+    rigid = ClosedLoop(joint, loop.controller)
+    return identify_didim(record, rigid, joint.parameters, Filtering(cutoff=cutoff), DIDIM(), progress)
+
+
+def rigid_initial(rigid: Estimate) -> tuple[Parameter, ...]:
+    """Return the initial state that the rigid identification found, as parameters."""
+    return tuple(replace(p, start=rigid[p.name].value, free=rigid[p.name].free) for p in INITIAL_STATE)
+
+
+def _initial(parameter: Parameter, rigid: Estimate, settings: FlexibleDIDIM) -> Parameter:
+    """Keep the initial state as it was found, where the paper's eight parameters are all there is to search."""
+    value = rigid[parameter.name].value or 0.0
+    return parameter.fixed(value) if settings.minimiser == "nelder-mead" else parameter
+
+
+def pseudo_regular(rigid: Estimate, frequency: float, share: float = 0.5) -> dict[str, float]:
+    """Return the start (13): the rigid values divided between the sides, the spring from the frequency.
+
+    Args:
+        rigid: a rigid estimate of the joint.
+        frequency: free-free, Hz.
+        share: of the load in the inertia; the frictions are halved.
+    """
+    start = {}
+    for name, value in rigid.values.items():
+        if name == "offset":
+            start[name] = value
+        else:
+            start |= {f"{side}_{name}": 0.5 * value for side in ("motor", "load")}
+    whole = rigid.values["inertia"]
+    start |= {"motor_inertia": (1 - share) * whole, "load_inertia": share * whole}
+    reduced, rate = share * (1 - share) * whole, 2 * math.pi * frequency
+    return start | {"stiffness": reduced * rate**2, "damping": 2 * _DAMPING * reduced * rate}
+
+
+def _starts(descent: _Descent, rigid: Estimate, settings: FlexibleDIDIM) -> list[FloatArray]:
+    """Return the starts, best first: the paper's at a known frequency, else the best of a grid."""
+    problem = descent.problem
+    cutoff = problem.filtering.cutoff
+    assert cutoff is not None
+    grid = [(settings.frequency, 0.5)] if settings.frequency else [(g * cutoff, s) for g in _GUESSES for s in _SHARES]
+    given = {p.name: p.start for p in problem.parameters if p.start is not None}
+    made = [{p.name: 0.0 for p in problem.parameters} | pseudo_regular(rigid, *at) | given for at in grid]
+    starts = [problem.vector(values) for values in made]
+    # A friction that came out at zero or less still needs a size to be searched on.
+    sizes = np.abs(starts[0])
+    descent.scales = np.where(sizes > 0, sizes, np.max(sizes) * 1e-6)
+    lower = np.array([p.lower for p in problem.free])
+    floor = np.where(np.isfinite(lower), lower + 1e-3 * descent.scales, lower)
+    starts = [np.maximum(x, floor) for x in starts]
+    costs = [float(np.linalg.norm(error)) for error in in_threads(problem.residual, starts)]
+    descent.simulations += len(starts)
+    order = np.argsort(costs)
+    descent.note(starts[order[0]], costs[order[0]])
+    return [starts[i] for i in order[: _REFINED if len(starts) > 1 else 1]]
+
+
+def _by_least_squares(
+    descent: _Descent, starts: list[FloatArray], settings: FlexibleDIDIM
+) -> tuple[FloatArray, str, bool]:
+    """Refine the starts by least squares; return the best end, and say how many of them came to it."""
+    ends = [_refined(descent, x, settings) for x in starts]
+    best = min(ends, key=lambda end: float(end.cost))
+    same = sum(float(end.cost) <= (1 + _IMPROVED) * float(best.cost) for end in ends)
+    agreed = f" ({same} of {len(ends)} starts end there)" if len(ends) > 1 else ""
+    if best.status not in _REASONS:
+        return best.x, f"not converged after {best.nfev} evaluations{agreed}", False
+    limit = f"{100 * settings.tolerance:g} %"
+    return best.x, f"converged: {_REASONS[best.status]} changed by less than {limit}{agreed}", True
+
+
+def _refined(descent: _Descent, x: FloatArray, settings: FlexibleDIDIM) -> OptimizeResult:
+    from scipy.optimize import least_squares
+
+    free = descent.problem.free
+    return least_squares(
+        descent.residual,
+        x,
+        descent.jacobian,
+        (np.array([p.lower for p in free]), np.array([p.upper for p in free])),
+        x_scale="jac",
+        xtol=settings.tolerance,
+        ftol=settings.tolerance,
+        gtol=None,
+        max_nfev=_EVALUATIONS,
+        callback=lambda intermediate_result: descent.note(
+            intermediate_result.x, math.sqrt(2 * float(intermediate_result.cost))
+        ),
+    )
+
+
+def _by_simplex(descent: _Descent, x: FloatArray, settings: FlexibleDIDIM) -> tuple[FloatArray, str, bool]:
+    """Nelder-Mead by the rules of ``fminsearch``: its simplex, coefficients and stopping rule, scaled parameters."""
+    from scipy.optimize import minimize
+
+    def criterion(scaled: FloatArray) -> float:
+        norm = float(np.linalg.norm(descent.residual(scaled * descent.scales))) / descent.size
+        return norm * norm
+
+    best, runs = math.inf, []
+    for restart in range(settings.restarts + 1):
+        before = descent.simulations
+        found = minimize(
+            criterion,
+            x / descent.scales,
+            method="Nelder-Mead",
+            options={
+                "xatol": settings.tolerance,
+                "fatol": settings.tolerance**2,  # of the torque's: what a simplex of that size spans near a minimum
+                "maxfev": settings.simulations,
+                "maxiter": settings.simulations,
+            },
+            callback=lambda intermediate_result: descent.note(
+                intermediate_result.x * descent.scales, descent.size * math.sqrt(float(intermediate_result.fun))
+            ),
+        )
+        x = np.asarray(found.x * descent.scales)
+        gained = (best - float(found.fun)) / float(found.fun) if math.isfinite(best) else math.inf
+        best = min(best, float(found.fun))
+        runs.append(f"{found.nit} iterations and {descent.simulations - before} simulations")
+        if restart and gained < _IMPROVED:
+            break
+        descent.progress(f"Nelder-Mead stopped after {runs[-1]}")
+    stop = f"Nelder-Mead stopped by its tolerance of {settings.tolerance:g} after {', then '.join(runs)}"
+    return x, stop, bool(found.success)
+
+
+def _covariance(descent: _Descent, x: FloatArray, error: FloatArray, settings: FlexibleDIDIM) -> tuple[Covariance, str]:
+    problem = descent.problem
+    if settings.statistics == "sensitivities":
+        J = -descent.jacobian(x)
+        covariance = sandwich(J, J, error)
+        return covariance, f"from the output sensitivities, {words(covariance)}"
+    run = problem.simulate(x)
+    descent.simulations += 1
+    columns = problem.loop.joint.regressor(run.motor, run.load)
+    names = [p.name for p in problem.loop.joint.parameters]
+    free = [names.index(p.name) for p in problem.free_joint]
+    W = np.concatenate([problem.filtered(equation[:, free]) for equation in columns])
+    variance = float(error @ error) / (len(W) - W.shape[1])
+    norms = np.linalg.norm(W, axis=0)
+    inverse = np.linalg.inv((W / norms).T @ (W / norms))
+    std = np.sqrt(variance * np.diag(inverse)) / norms
+    roots = np.sqrt(np.diag(inverse))
+    return (
+        Covariance(std, inverse / np.outer(roots, roots), 0),
+        "the paper's: of the inverse model on the simulated motion, which is not what was solved; far too small",
+    )
