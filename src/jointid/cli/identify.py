@@ -14,8 +14,10 @@ def identify(
     *,
     record: Path | None = None,
     method: Literal["didim", "idim"] | None = None,
-    filtering: Literal["default", "published"] | None = None,
+    filtering: Literal["default", "published", "as-printed"] | None = None,
     friction: Literal["symmetric", "asymmetric"] | None = None,
+    minimiser: Literal["least-squares", "nelder-mead"] | None = None,
+    frequency: float | None = None,
     json: Path | None = None,
     figure: Path | None = None,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
@@ -25,9 +27,13 @@ def identify(
     Args:
         joint: the joint file (TOML).
         record: the record, instead of the one the joint file names.
-        method: didim reads torque and reference only; idim reads torque and motor position.
-        filtering: published repeats the results of the EMPS benchmark; default is the program's own.
+        method: didim reads torque and reference only; idim reads torque and motor position, and the load's position
+            too if the joint is flexible.
+        filtering: published repeats the results of the EMPS benchmark, as-printed the paper's for a flexible joint;
+            default is the program's own.
         friction: the same in both directions, or not.
+        minimiser: of didim for a flexible joint; nelder-mead is the paper's.
+        frequency: in Hz, free-free, from which didim for a flexible joint starts its stiffness.
         json: also write the answer as JSON to this file.
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         quiet: say nothing of the progress.
@@ -38,7 +44,9 @@ def identify(
     from jointid.jointfile import load
 
     listener = progress(quiet)
-    file = load(joint).overridden(method=method, filtering=filtering, friction=friction)
+    file = load(joint).overridden(
+        method=method, filtering=filtering, friction=friction, minimiser=minimiser, frequency=frequency
+    )
     logged = file.record(record)
     with compiling(listener):
         estimate = run(

@@ -33,7 +33,7 @@ from jointid.simulation.closed_loop import ClosedLoop, Simulation
 
 _MOVING = 9.0  # times the residual's variance: what a velocity at the first sample must explain to be believed
 _AT_LIMIT = 0.01  # of the periods: more is said
-_INSEPARABLE = 0.98  # a correlation that says two parameters are known only together
+_INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
 _WORSE = 2.0  # times the residual: with an approximate Jacobian, a little worse is no reason to turn back
 
 

@@ -42,6 +42,7 @@ _REFINED = 4  # starts of a grid that are refined
 _DAMPING = 0.02  # of the mode, to begin with (ours: the paper gives none)
 _EVALUATIONS = 60  # of one refinement
 _REASONS = {2: "the criterion", 3: "the parameters", 4: "the criterion and the parameters"}
+_SURE = 3.0  # deviations from the reference, or from rest, that are believed
 _IMPROVED = 1e-4  # of the criterion: a restart that gains less was not needed
 
 
@@ -152,7 +153,8 @@ def identify_flexible(
     """
     settings = settings or FlexibleDIDIM()
     rigid = _rigid(record, loop, settings, progress)
-    initial = tuple(_initial(p, rigid, settings) for p in rigid_initial(rigid))
+    assert record.reference is not None
+    initial = _initial_state(rigid, float(record.reference.values[0]), settings)
     problem = torque_problem(record, loop, filtering, parameters, initial)
     descent = _Descent(problem, progress)
     starts = _starts(descent, rigid, settings)
@@ -189,15 +191,21 @@ def _rigid(record: Record, loop: ClosedLoop, settings: FlexibleDIDIM, progress: 
     return identify_didim(record, rigid, joint.parameters, Filtering(cutoff=cutoff), DIDIM(), progress)
 
 
-def rigid_initial(rigid: Estimate) -> tuple[Parameter, ...]:
-    """Return the initial state that the rigid identification found, as parameters."""
-    return tuple(replace(p, start=rigid[p.name].value, free=rigid[p.name].free) for p in INITIAL_STATE)
+def _initial_state(rigid: Estimate, reference: float, settings: FlexibleDIDIM) -> tuple[Parameter, ...]:
+    """Return the initial state as parameters: as the rigid identification found it, and free where it was.
 
-
-def _initial(parameter: Parameter, rigid: Estimate, settings: FlexibleDIDIM) -> Parameter:
-    """Keep the initial state as it was found, where the paper's eight parameters are all there is to search."""
-    value = rigid[parameter.name].value or 0.0
-    return parameter.fixed(value) if settings.minimiser == "nelder-mead" else parameter
+    Nelder-Mead keeps it: the paper's eight parameters are all a simplex should have to search. It then stands on the
+    reference, at rest, unless the rigid identification says otherwise.
+    """
+    found = []
+    for p in INITIAL_STATE:
+        known = rigid[p.name]
+        value, home = known.value or 0.0, reference if p.name == "initial_position" else 0.0
+        if settings.minimiser == "least-squares":
+            found.append(replace(p, start=value, free=known.free))
+        else:
+            found.append(p.fixed(home if abs(value - home) <= _SURE * (known.std or 0.0) else value))
+    return tuple(found)
 
 
 def pseudo_regular(rigid: Estimate, frequency: float, share: float = 0.5) -> dict[str, float]:

@@ -15,7 +15,15 @@ from pydantic import ValidationError
 from jointid.common.errors import JointFileError
 from jointid.jointfile.fitting import method_faults, parameter_faults, unit_faults
 from jointid.jointfile.laws import LAWS
-from jointid.jointfile.schema import ChannelsTable, ChannelTable, FileTable, JointTable, MethodTable, ParameterTable
+from jointid.jointfile.schema import (
+    DIDIMS,
+    ChannelsTable,
+    ChannelTable,
+    FileTable,
+    JointTable,
+    MethodTable,
+    ParameterTable,
+)
 from jointid.jointfile.table import Table, sentences
 from jointid.model.controllers import Controller
 from jointid.model.parameters import Kind
@@ -49,6 +57,7 @@ class _Draft:
     Attributes:
         joint: what is identified.
         kinds: its kind; every kind, while that is not known.
+        model: its model, while that is known.
         channels: the channels that are right.
         named: names of those and of the others.
         controller: the controller's law.
@@ -60,6 +69,7 @@ class _Draft:
 
     joint: JointTable | None
     kinds: Collection[Kind]
+    model: str | None
     channels: Mapping[str, ChannelTable]
     named: Collection[str]
     controller: Controller | None
@@ -76,6 +86,7 @@ class _Draft:
         return cls(
             joint=_part(JointTable, raw.get("joint")),
             kinds=[known for known in _KINDS if known == kind] or _KINDS,
+            model=_model(raw.get("joint")),
             channels={
                 name: getattr(table, name)
                 for name, value in channels.items()
@@ -95,8 +106,7 @@ class _Draft:
         """Yield what is wrong between the tables."""
         yield from unit_faults(self.channels, self.kinds)
         if self.method is not None:
-            model = self.joint.model if self.joint is not None else "rigid"
-            yield from method_faults(self.method, self.named, self.controller, self.controlled, model)
+            yield from method_faults(self.method, self.named, self.controller, self.controlled, self.model)
         if self.joint is not None:
             yield from parameter_faults(self.joint, self.parameters, self.bare)
 
@@ -107,6 +117,12 @@ def _part(model: type[T], raw: object) -> T | None:
         return model.model_validate(raw)
     except ValidationError:
         return None
+
+
+def _model(joint: object) -> str | None:
+    """Return the model that [joint] names, right otherwise or not; None for a model that there is not."""
+    named = joint.get("model", "rigid") if isinstance(joint, dict) else None
+    return next((model for model in DIDIMS if model == named), None)
 
 
 def _table(raw: Mapping[str, Any], *path: str) -> Mapping[str, Any]:

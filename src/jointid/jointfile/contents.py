@@ -14,8 +14,8 @@ from jointid.data.columns import Column
 from jointid.data.reading import read
 from jointid.data.record import Record
 from jointid.data.signals import Filtering
-from jointid.estimation.didim import DIDIM
 from jointid.estimation.identify import Method
+from jointid.estimation.idim import IDIM
 from jointid.jointfile import written
 from jointid.jointfile.checking import checked
 from jointid.jointfile.fitting import changed, chosen_method, needed_channels, torque_unit
@@ -59,7 +59,7 @@ class JointFile:
     Attributes:
         joint: the model; its torque is in A or V where the torque's channel is.
         columns: the channels, and where they are found.
-        method: `DIDIM` or `IDIM` with its settings.
+        method: `DIDIM` (rigid), `FlexibleDIDIM` or `IDIM` with its settings.
         controller: the controller's law, None while it is not known.
         filtering: how signals are filtered.
         parameters: changes to the joint's parameters by name, as `identify` takes them.
@@ -104,13 +104,13 @@ class JointFile:
         file = checked(tables)
         channels = file.record.channels.given()
         joint = file.joint.joint(torque_unit(channels, file.joint.kind))
-        method = chosen_method(file.method.name, channels, file.controller is not None)
+        method = chosen_method(file.method.name, channels, file.controller is not None, joint.model)
         assert method is not None
         known = {parameter.name: parameter for parameter in joint.parameters}
         return cls(
             joint=joint,
             columns={name: table.declared() for name, table in channels.items()},
-            method=file.method.method(method),
+            method=file.method.method(method, joint.model),
             controller=file.controller.controller() if file.controller else None,
             filtering=file.filtering.filtering(),
             parameters={name: changed(known[name], table) for name, table in file.parameters.items()},
@@ -179,16 +179,21 @@ class JointFile:
         method: str | None = None,
         filtering: str | None = None,
         friction: str | None = None,
+        minimiser: str | None = None,
+        frequency: float | None = None,
     ) -> JointFile:
         """Return this file with some choices replaced, and checked again; None leaves a choice as it is.
 
         Args:
             method: "didim" or "idim"; another one than the file's comes with its default settings.
-            filtering: a preset, "default" or "published".
+            filtering: a preset, "default", "published" or "as-printed".
             friction: "symmetric" or "asymmetric".
+            minimiser: of DIDIM for a flexible joint, "least-squares" or "nelder-mead".
+            frequency: in Hz, that DIDIM for a flexible joint starts from.
 
         Raises:
-            JointFileError: the file does not have what the method needs, or a parameter is not one of the law's.
+            JointFileError: the file does not have what the method needs, a parameter is not one of the law's, or a
+                setting is not one of the method's.
         """
         tables = self.tables()
         if method is not None and method != self._method_name:
@@ -197,13 +202,16 @@ class JointFile:
             tables["filtering"] = {"preset": filtering}
         if friction is not None:
             tables["joint"]["friction"] = friction
+        settings = {"minimiser": minimiser, "frequency": frequency}
+        tables["method"] |= {key: value for key, value in settings.items() if value is not None}
         return type(self).of(tables, self.path)
 
     def tables(self) -> dict[str, Any]:
         """Return the tables that say the same, as `of` takes them; what is at its default is left out.
 
         Raises:
-            JointFileError: a joint file has no word for the friction or the controller.
+            JointFileError: a joint file has no word for the friction or the controller, or the method is for the other
+                model.
         """
         model = {parameter.name: parameter for parameter in self.joint.parameters}
         channels = {name: written.settings(column) for name, column in self.columns.items()}
@@ -214,11 +222,11 @@ class JointFile:
             "record": record,
             "controller": {} if self.controller is None else written.controller_table(self.controller),
             "filtering": written.filtering_table(self.filtering),
-            "method": written.method_table(self.method),
+            "method": written.method_table(self.method, self.joint.model),
             "parameters": parameters,
         }
         return {name: table for name, table in tables.items() if table}
 
     @property
     def _method_name(self) -> str:
-        return "didim" if isinstance(self.method, DIDIM) else "idim"
+        return "idim" if isinstance(self.method, IDIM) else "didim"

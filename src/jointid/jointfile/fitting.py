@@ -62,7 +62,6 @@ def _misfit(channel: str, unit: str, known: Collection[str], kinds: Collection[K
 
 
 _NEXT_TO_ZERO = 1e-200
-_NEEDS = {"didim": "torque, reference and controller", "idim": "torque and motor_position"}
 _NO_OFFSET = (
     " cannot be identified beside asymmetric friction: a constant adds to the Coulomb force forwards and takes as much "
     'from it backwards, so the two cannot be told apart; give it a value, or set joint.friction = "symmetric".'
@@ -70,7 +69,7 @@ _NO_OFFSET = (
 _OTHER = {"didim": "idim", "idim": "didim"}
 
 
-def chosen_method(name: str | None, channels: Collection[str], controlled: bool) -> str | None:
+def chosen_method(name: str | None, channels: Collection[str], controlled: bool, model: str) -> str | None:
     """Return the method: the one named, or the first whose needs are met, or None.
 
     DIDIM comes first, even where there is a motor position, which it does not read.
@@ -79,12 +78,13 @@ def chosen_method(name: str | None, channels: Collection[str], controlled: bool)
         name: of the method, if the file names one.
         channels: names of the channels there are.
         controlled: whether the controller is known.
+        model: of the joint; IDIM of a flexible one needs the load's position too.
     """
     if name is not None:
         return name
     if controlled and {"torque", "reference"} <= set(channels):
         return "didim"
-    return "idim" if {"torque", "motor_position"} <= set(channels) else None
+    return "idim" if set(idim_channels(model)) <= set(channels) else None
 
 
 def needed_channels(method: str, controller: Controller | None, model: str) -> tuple[str, ...]:
@@ -95,28 +95,66 @@ def needed_channels(method: str, controller: Controller | None, model: str) -> t
 
 
 def method_faults(
-    table: MethodTable, channels: Collection[str], controller: Controller | None, controlled: bool, model: str
+    table: MethodTable, channels: Collection[str], controller: Controller | None, controlled: bool, model: str | None
 ) -> Iterator[str]:
-    """Yield what the method lacks, and settings of the other one; arguments as for `chosen_method`."""
+    """Yield what the method lacks, and settings that are not its own.
+
+    Args:
+        table: what the file says of the method.
+        channels: names of the channels there are.
+        controller: the controller, if it is right.
+        controlled: whether the controller is known.
+        model: of the joint, if that is known; else what is missing for every model is said.
+    """
+    of_model = model or "rigid"  # whose channels every model needs
 
     def lacking(method: str) -> list[str]:
-        missing = [f"record.channels.{n}" for n in needed_channels(method, controller, model) if n not in channels]
+        missing = [f"record.channels.{n}" for n in needed_channels(method, controller, of_model) if n not in channels]
         return missing if controlled or method == "idim" else [*missing, "controller"]
 
-    name = chosen_method(table.name, channels, controlled)
+    name = chosen_method(table.name, channels, controlled, of_model)
     if name is None:
-        lacks = [f"{method.upper()} lacks {' and '.join(lacking(method))}" for method in _NEEDS]
-        yield f"method.name is missing, and no method can be chosen: {', '.join(lacks)}; add what one of them lacks."
-        return
-    other = _OTHER[name]
-    for key in lacking(name):
-        yield (
-            f"{key} is missing, but {name.upper()} needs it: add it, "
-            f'or use method.name = "{other}", which needs only {_NEEDS[other]}.'
-        )
-    if name == "idim":
-        for key in table.given("name"):
-            yield f'method.{key} is for DIDIM, but the method is IDIM: leave it out, or use method.name = "didim".'
+        yield _no_method({method: lacking(method) for method in _OTHER}, channels, controlled, of_model)
+    else:
+        other = _OTHER[name]
+        for key in lacking(name):
+            yield (
+                f"{key} is missing, but {_called(name, of_model)} needs it: add it, "
+                f'or use method.name = "{other}", which needs only {_needs(other, of_model)}.'
+            )
+    for key, sentence in _not_its_own(table, name, model):
+        yield f"method.{key}{sentence}"
+
+
+def _called(method: str, model: str) -> str:
+    """Return what a sentence on a method's needs calls it: those of IDIM are the model's."""
+    return "IDIM of a flexible joint" if (method, model) == ("idim", "flexible") else method.upper()
+
+
+def _needs(method: str, model: str) -> str:
+    *most, last = idim_channels(model) if method == "idim" else ("torque", "reference", "controller")
+    return f"{', '.join(most)} and {last}"
+
+
+def _no_method(lacking: Mapping[str, list[str]], channels: Collection[str], controlled: bool, model: str) -> str:
+    """Return the sentence on a file that has what no method needs."""
+    lacks = [f"{_called(method, model)} lacks {' and '.join(keys)}" for method, keys in lacking.items()]
+    rigid = chosen_method(None, channels, controlled, "rigid") is not None
+    remedy = "add what one of them lacks" + (', or set joint.model = "rigid"' if rigid else "")
+    return f"method.name is missing, and no method can be chosen: {', '.join(lacks)}; {remedy}."
+
+
+def _not_its_own(table: MethodTable, name: str | None, model: str | None) -> Iterator[tuple[str, str]]:
+    """Yield the key and the rest of the sentence on settings of the other model or method, or of a preset."""
+    for key, value in table.given("name").items():
+        own = table.model_of(key)
+        if None not in (own, model) and own != model:
+            remedy = f'leave it out, or set joint.model = "{own}"'
+            yield key, f" is for DIDIM of a {own} joint, but the joint is {model}: {remedy}."
+        elif name == "idim":
+            yield key, ' is for DIDIM, but the method is IDIM: leave it out, or use method.name = "didim".'
+        elif key in table.beside_preset():
+            yield key, wording.beside_preset(value, str(table.preset))
 
 
 def parameter_faults(joint: JointTable, tables: Mapping[str, ParameterTable], bare: Collection[str]) -> Iterator[str]:

@@ -5,7 +5,8 @@ What a key is when it is left out is the default of the object the table becomes
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields
 from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -20,8 +21,10 @@ from jointid.data.formats import Csv, format_of
 from jointid.data.record import Channel, Injection
 from jointid.data.signals import Filtering
 from jointid.estimation.didim import DIDIM
+from jointid.estimation.flexible import FlexibleDIDIM
 from jointid.estimation.identify import Method
 from jointid.estimation.idim import IDIM
+from jointid.jointfile import wording
 from jointid.jointfile.laws import ControllerTable
 from jointid.jointfile.table import Table, accepted, refusal
 from jointid.jointfile.values import (
@@ -38,7 +41,6 @@ from jointid.jointfile.values import (
     Text,
     TimeUnit,
 )
-from jointid.jointfile.wording import shown
 from jointid.model.joints import FRICTIONS, FlexibleJoint, Joint, RigidJoint, friction_named
 
 OPTIONS = ("delimiter", "decimal", "header")
@@ -46,6 +48,16 @@ OPTIONS = ("delimiter", "decimal", "header")
 
 Delimiter = Annotated[Text, accepted(lambda mark: Csv(delimiter=mark))]
 RecordFile = Annotated[Text, accepted(format_of)]
+
+FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
+    "default": Filtering,
+    "published": Filtering.published,
+    "as-printed": Filtering.as_printed,
+}
+"""The presets of [filtering]."""
+
+DIDIMS: Mapping[str, type[DIDIM] | type[FlexibleDIDIM]] = {"rigid": DIDIM, "flexible": FlexibleDIDIM}
+"""What [method] becomes with the name "didim", by the joint's model."""
 
 
 class JointTable(Table):
@@ -133,56 +145,65 @@ class RecordTable(Table):
         return {key: value for key, value in self.given().items() if key in OPTIONS}
 
 
-def _beside_preset(table: Table, preset: str | None) -> Iterator[tuple[str, str]]:
-    if preset is not None:
-        for key, value in table.given("name", "preset").items():
-            yield key, f' is {shown(value)} beside preset = "{preset}", which sets it: leave one of them out.'
-
-
 class FilteringTable(Table):
     """[filtering]: how torque and columns are filtered, position and decimation each with its cut-off."""
 
-    preset: Literal["default", "published"] | None = Field(None, description="all of it at once")
+    preset: Literal["default", "published", "as-printed"] | None = Field(None, description="all of it at once")
     position_cutoff: Positive | None = Field(None, description="of the low-pass on measured positions [Hz]")
     cutoff: Positive | None = Field(None, description="of the decimation filter on torque and columns [Hz]")
     decimation: Count | None = Field(None, description="one sample is kept in so many")
     borders: Borders = Field([50, 50], description="samples dropped at the start and at the end")
     timing: Literal["respected", "as_sampled"] = Field("respected", description="how a held torque is read")
+    aliasing: Literal["refused", "warned"] = Field("refused", description="what of a decimation that aliases")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield the keys beside a preset."""
-        yield from _beside_preset(self, self.preset)
+        if self.preset is not None:
+            for key, value in self.given("preset").items():
+                yield key, wording.beside_preset(value, self.preset)
 
     def filtering(self) -> Filtering:
         """Return the filtering."""
         if self.preset is not None:
-            return Filtering.published() if self.preset == "published" else Filtering()
+            return FILTERINGS[self.preset]()
         given = self.given()
         return Filtering(**given | ({"borders": tuple(given["borders"])} if "borders" in given else {}))
 
 
 class MethodTable(Table):
-    """[method]: how the joint is identified."""
+    """[method]: how the joint is identified; all but the tolerance and the first two keys is for one model only."""
 
     name: Literal["didim", "idim"] | None = Field(None, description="the method")
     preset: Literal["paper"] | None = Field(None, description="all settings of DIDIM at once")
     form: Literal["residual", "paper"] = Field("residual", description="what each step solves")
     start: Literal["inversion", "regular", "given"] = Field("inversion", description="where the search begins")
     scaled_iterations: Natural = Field(2, description="first iterations under scaled controller gains")
-    tolerance: Positive = Field(1e-7, description="change of the residual norm to stop at, relative")
+    tolerance: Positive | None = Field(None, description="change to stop at, relative")
     step_tolerance: Positive = Field(1e-7, description="change of the parameters to stop at, relative")
     iterations: Count = Field(30, description="iterations at most")
     initial_state: Literal["free", "reference"] = Field("free", description="the motor at the first sample")
+    minimiser: Literal["least-squares", "nelder-mead"] = Field("least-squares", description="how the criterion falls")
+    frequency: Positive | None = Field(None, description="free-free, where the stiffness starts from [Hz]")
+    rigid_cutoff: Positive | None = Field(None, description="of the rigid identification before [Hz]")
+    simulations: Count = Field(6000, description="simulations of one descent at most")
+    restarts: Natural = Field(3, description="restarts of Nelder-Mead at most")
+    statistics: Literal["sensitivities", "inverse-model"] = Field("sensitivities", description="of the deviations")
 
-    def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield the keys beside a preset."""
-        yield from _beside_preset(self, self.preset)
+    def model_of(self, key: str) -> str | None:
+        """Return the joint's model that a key is for, None where it is for both."""
+        models = [model for model, made in DIDIMS.items() if key in {field.name for field in fields(made)}]
+        return models[0] if len(models) == 1 else None
 
-    def method(self, name: str) -> Method:
-        """Return the method of that name with these settings."""
+    def beside_preset(self) -> dict[str, Any]:
+        """Return the values that the preset sets too; the paper knew its frequency, and another joint has another."""
+        return {} if self.preset is None else self.given("name", "preset", "frequency")
+
+    def method(self, name: str, model: str) -> Method:
+        """Return the method of that name with these settings, for a joint of that model."""
         if name == "idim":
             return IDIM()
-        return DIDIM.paper() if self.preset == "paper" else DIDIM(**self.given("name", "preset"))
+        made, given = DIDIMS[model], self.given("name", "preset")
+        return made.paper(**given) if self.preset == "paper" else made(**given)
 
 
 class ParameterTable(Table):

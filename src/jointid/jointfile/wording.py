@@ -89,6 +89,11 @@ def no_table(value: object) -> str:
     return f" is {shown(value)}; expected a table: put its keys below a [heading], or in braces."
 
 
+def beside_preset(value: object, preset: str) -> str:
+    """Return the rest of the sentence on a value that a preset sets already."""
+    return f' is {shown(value)} beside preset = "{preset}", which sets it: leave one of them out.'
+
+
 def unexpected(value: object, says: Says, optional: bool) -> str:
     """Return the rest of the sentence on a value that is not what was expected."""
     remedy = "correct it, or leave it out" if optional else "correct it"

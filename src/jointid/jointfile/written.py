@@ -10,8 +10,9 @@ import numpy as np
 
 from jointid.common.errors import JointFileError
 from jointid.data.signals import Filtering
-from jointid.estimation.didim import DIDIM
 from jointid.estimation.identify import Method
+from jointid.estimation.idim import IDIM
+from jointid.jointfile.schema import DIDIMS, FILTERINGS
 from jointid.model.controllers import PD, Cascade, Controller, DigitalFilter, StateSpaceController
 from jointid.model.joints import FRICTIONS, Joint
 from jointid.model.parameters import Parameter
@@ -51,12 +52,18 @@ def controller_table(controller: Controller) -> dict[str, Any]:
 
 def filtering_table(filtering: Filtering) -> dict[str, Any]:
     """Return [filtering]."""
-    return {"preset": "published"} if filtering == Filtering.published() else settings(filtering)
+    presets = [name for name, made in FILTERINGS.items() if name != "default" and filtering == made()]
+    return {"preset": presets[0]} if presets else settings(filtering)
 
 
-def method_table(method: Method) -> dict[str, Any]:
-    """Return [method]."""
-    return {"name": "didim", **settings(method)} if isinstance(method, DIDIM) else {"name": "idim"}
+def method_table(method: Method, model: str) -> dict[str, Any]:
+    """Return [method] for a joint of that model."""
+    if isinstance(method, IDIM):
+        return {"name": "idim"}
+    if type(method) is not DIDIMS[model]:  # it would be read back as the other one
+        made = type(method).__name__
+        raise JointFileError(f"{made} is not for a {model} joint; use {DIDIMS[model].__name__}.")
+    return {"name": "didim", **settings(method)}
 
 
 def parameter_table(parameter: Parameter, model: Parameter) -> dict[str, Any] | float:

@@ -84,6 +84,7 @@ class Experiment:
         feedforward: (periods,) the law's answer to everything but the position.
         sample_time: of the log, which is every `every`-th period, or shows each period `repeat` times.
         lengths, lags: the parts of a period, see `kernels.run`.
+        far: a motor position that no loop comes back from, reckoned from the initial one.
         tap: where the torque is logged. timing: what a logged value is.
         samples: of the log.
     """
@@ -99,6 +100,7 @@ class Experiment:
     repeat: int
     lengths: FloatArray
     lags: NDArray[np.int64]
+    far: float
     tap: Tap
     timing: Timing
     samples: int
@@ -235,9 +237,10 @@ def _experiment(
     slope = (reference[1] - reference[0]) / law.period if reference.size > 1 else 0.0
     state = law.memory(REFERENCE, reference[0], slope) + law.memory(REFERENCE_VELOCITY, velocity[0], 0.0)
     feedforward = run(law, inputs, state) + before_limit
+    far = _far(law, feedforward, after_limit)
     return Experiment(
         law, inputs, before_limit, after_limit, logged, feedforward, sample_time, every, repeat, lengths, lags,
-        tap, timing, samples,
+        far, tap, timing, samples,
     )  # fmt: skip
 
 
@@ -289,7 +292,7 @@ def _run(
             drive, experiment.lengths, experiment.lags, state, law.A,
             np.ascontiguousarray(law.B[:, POSITION]), np.ascontiguousarray(law.B[:, EXCESS]), law.C,
             law.D[POSITION], law.limit, experiment.feedforward, experiment.after_limit, before,
-            loop.joint.start(values, position, velocity), _far(experiment, position), command, states, counts,
+            loop.joint.start(values, position, velocity), experiment.far + abs(position), command, states, counts,
         )  # fmt: skip
         outcome = _OUTCOMES[status]
     done = int(counts[2])
@@ -360,13 +363,13 @@ def _possible(drive: FloatArray) -> bool:
     return bool(np.all(np.isfinite(drive)) and drive[0] > 0 and drive[1] > 0 and min(drive[2:4]) >= 0 and cones)
 
 
-def _far(experiment: Experiment, position: float) -> float:
-    gain = abs(experiment.law.D[POSITION])
+def _far(law: SampledLaw, feedforward: FloatArray, after_limit: FloatArray) -> float:
+    gain = abs(law.D[POSITION])
     if gain == 0.0:
         return math.inf
-    asked = experiment.feedforward / gain
-    travel = float(np.ptp(asked) + np.max(np.abs(experiment.after_limit)) / gain)
-    return float(np.max(np.abs(asked))) + abs(position) + _FAR * travel + 1e-9
+    asked = feedforward / gain
+    travel = float(np.ptp(asked) + np.max(np.abs(after_limit)) / gain)
+    return float(np.max(np.abs(asked))) + _FAR * travel + 1e-9
 
 
 def _at_log(experiment: Experiment, values: FloatArray) -> FloatArray:
