@@ -13,6 +13,7 @@ from cyclopts import App, CycloptsError
 from jointid import __version__
 from jointid.cli.demo import demo
 from jointid.cli.identify import identify
+from jointid.cli.reproduce import reproduce
 from jointid.cli.simulate import simulate
 from jointid.cli.validate import validate
 from jointid.common.errors import JointidError
@@ -26,7 +27,7 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (demo, identify, simulate, validate):
+for command in (demo, identify, validate, simulate, reproduce):
     app.command(command)
 
 
