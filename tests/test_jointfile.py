@@ -10,7 +10,7 @@ import sys
 import tomllib
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
@@ -23,9 +23,11 @@ from jointid.data.columns import Column, known_units
 from jointid.data.record import InjectionPoint, Tap, Timing
 from jointid.data.signals import Filtering
 from jointid.estimation.didim import DIDIM
+from jointid.estimation.flexible import FlexibleDIDIM
 from jointid.estimation.identify import identify
 from jointid.estimation.idim import IDIM
 from jointid.jointfile import JointFile, Source, dumps, json_schema, load, loads, save
+from jointid.jointfile.schema import DIDIMS, FILTERINGS
 from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
 from jointid.model.friction import AsymmetricFriction, SymmetricFriction
 from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
@@ -44,6 +46,7 @@ motor_position = { column = "q" }
 """
 CASCADE = '[controller]\nlaw = "cascade"\nkp = 100.0\nkv = 2000.0\n'
 SMALLEST = JOINT + CHANNELS + CASCADE
+FLEXIBLE = SMALLEST.replace(JOINT, JOINT + 'model = "flexible"\n')
 
 
 def faults(text: str) -> tuple[str, ...]:
@@ -97,6 +100,7 @@ def test_every_key_that_is_written_at_its_default_changes_nothing() -> None:
         [filtering]
         borders = [50, 50]
         timing = "respected"
+        aliasing = "refused"
         [method]
         name = "didim"
         form = "residual"
@@ -109,6 +113,15 @@ def test_every_key_that_is_written_at_its_default_changes_nothing() -> None:
         """
     )
     assert file == loads(SMALLEST)
+    flexible = """[method]
+        name = "didim"
+        tolerance = 1e-8
+        minimiser = "least-squares"
+        simulations = 6000
+        restarts = 3
+        statistics = "sensitivities"
+        """
+    assert loads(FLEXIBLE + flexible) == loads(FLEXIBLE)
 
 
 def test_the_schema_has_the_objects_own_defaults() -> None:
@@ -122,13 +135,13 @@ def test_the_schema_has_the_objects_own_defaults() -> None:
         "StateSpaceTable": StateSpaceController,
         "FilterTable": DigitalFilter,
         "FilteringTable": Filtering,
-        "MethodTable": DIDIM,
         "RecordTable": Source,
     }
-    for name, home in homes.items():
+    # A key of both methods has two defaults, and so none in the schema.
+    for name, home in (*homes.items(), ("MethodTable", DIDIM), ("MethodTable", FlexibleDIDIM)):
         own = {field.name: field.default for field in dataclasses.fields(home)}
         for key, described in table(name).items():
-            if "default" in described:
+            if "default" in described and (key in own or name in homes):
                 default = own[key]
                 assert described["default"] == (list(default) if isinstance(default, tuple) else default), (name, key)
 
@@ -139,7 +152,14 @@ def test_every_word_of_the_objects_is_a_word_of_the_file() -> None:
     assert table("TorqueTable")["tap"]["enum"] == [str(word) for word in Tap]
     assert table("InjectedTable")["at"]["enum"] == [str(word) for word in InjectionPoint]
     assert [field.name for field in dataclasses.fields(Filtering)] == list(table("FilteringTable"))[1:]
-    assert [field.name for field in dataclasses.fields(DIDIM)] == list(table("MethodTable"))[2:]
+    assert table("FilteringTable")["preset"]["enum"] == list(FILTERINGS)
+    assert table("JointTable")["model"]["enum"] == list(DIDIMS)
+    settings = [field.name for method in (DIDIM, FlexibleDIDIM) for field in dataclasses.fields(method)]
+    assert list(dict.fromkeys(settings)) == list(table("MethodTable"))[2:]
+    for method in (DIDIM, FlexibleDIDIM):
+        for name, hint in get_type_hints(method).items():
+            if get_origin(hint) is Literal:
+                assert table("MethodTable")[name]["enum"] == list(get_args(hint)), name
 
 
 def test_all_of_a_file() -> None:
@@ -181,15 +201,16 @@ def test_all_of_a_file() -> None:
         decimation = 5
         borders = [10, 0]
         timing = "as_sampled"
+        aliasing = "warned"
         [method]
         name = "didim"
-        form = "paper"
-        start = "given"
-        scaled_iterations = 0
+        minimiser = "nelder-mead"
+        frequency = 25.0
+        rigid_cutoff = 4.0
         tolerance = 1e-3
-        step_tolerance = 1e-2
-        iterations = 7
-        initial_state = "reference"
+        simulations = 500
+        restarts = 0
+        statistics = "inverse-model"
         [parameters]
         stiffness = { start = 8e5, lower = 1e3, upper = 1e7 }
         damping = 126
@@ -209,7 +230,7 @@ def test_all_of_a_file() -> None:
             "load_position": Column("p", optional=True, sample_time=0.002),
             "injected": Column("x", "A", in_torque=False),
         },
-        method=DIDIM("paper", "given", 0, 1e-3, 1e-2, 7, "reference"),
+        method=FlexibleDIDIM("nelder-mead", 25.0, 4.0, 1e-3, 500, 0, "inverse-model"),
         controller=PD(
             kp=3.0,
             kd=0.1,
@@ -220,7 +241,7 @@ def test_all_of_a_file() -> None:
             period=0.002,
             delay=0.0005,
         ),
-        filtering=Filtering(100.0, 20.0, 5, (10, 0), "as_sampled"),
+        filtering=Filtering(100.0, 20.0, 5, (10, 0), "as_sampled", "warned"),
         parameters={
             "stiffness": dataclasses.replace(known["stiffness"], start=8e5, lower=1e3, upper=1e7),
             "damping": known["damping"].fixed(126.0),
@@ -234,6 +255,19 @@ def test_all_of_a_file() -> None:
     assert file.loop is not None
     assert file.loop.joint is file.joint
     assert file.loop.controller is file.controller
+
+
+def test_all_settings_of_a_rigid_joint() -> None:
+    text = """[method]
+        form = "paper"
+        start = "given"
+        scaled_iterations = 0
+        tolerance = 1e-3
+        step_tolerance = 1e-2
+        iterations = 7
+        initial_state = "reference"
+        """
+    assert loads(SMALLEST + text).method == DIDIM("paper", "given", 0, 1e-3, 1e-2, 7, "reference")
 
 
 def test_a_state_space_law() -> None:
@@ -268,6 +302,46 @@ def test_a_state_space_law() -> None:
 )
 def test_the_method(text: str, expected: object) -> None:
     assert loads(JOINT + text).method == expected
+
+
+BOTH_ENCODERS = CHANNELS + 'load_position = { column = "p" }\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (CHANNELS + CASCADE, FlexibleDIDIM()),
+        (BOTH_ENCODERS + CASCADE, FlexibleDIDIM()),  # even though there are both positions
+        (BOTH_ENCODERS, IDIM()),
+        (BOTH_ENCODERS.replace("reference", "injected") + CASCADE, IDIM()),
+        (BOTH_ENCODERS + CASCADE + '[method]\nname = "idim"', IDIM()),
+        (CHANNELS + CASCADE + '[method]\nname = "didim"', FlexibleDIDIM()),
+        (CHANNELS + CASCADE + "[method]\ntolerance = 1e-3", FlexibleDIDIM(tolerance=1e-3)),
+        (CHANNELS + CASCADE + '[method]\nname = "didim"\npreset = "paper"', FlexibleDIDIM.paper()),
+        (CHANNELS + CASCADE + '[method]\npreset = "paper"\nfrequency = 42.0', FlexibleDIDIM.paper(42.0)),
+        (CHANNELS + CASCADE + '[method]\nminimiser = "nelder-mead"', FlexibleDIDIM("nelder-mead")),
+    ],
+)
+def test_the_method_of_a_flexible_joint(text: str, expected: object) -> None:
+    file = loads(JOINT + 'model = "flexible"\n' + text)
+    assert file.method == expected
+    assert loads(dumps(file)) == file
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('preset = "default"', Filtering()),
+        ('preset = "published"', Filtering.published()),
+        ('preset = "as-printed"', Filtering.as_printed()),
+        ('cutoff = 60.0\ndecimation = 12\naliasing = "warned"', Filtering.as_printed()),
+        ('aliasing = "warned"', Filtering(aliasing="warned")),
+    ],
+)
+def test_the_filtering(text: str, expected: Filtering) -> None:
+    file = loads(f"{SMALLEST}[filtering]\n{text}")
+    assert file.filtering == expected
+    assert loads(dumps(file)) == file
 
 
 @pytest.mark.parametrize("unit", ["A", "mA", "V"])
@@ -500,6 +574,18 @@ FAULTS = [
         "controller: A state-space law with 1 states (the length of C) needs A (1, 1) and each column of B (1,), "
         "for the inputs reference, reference_velocity, position, excess; received B.position (2,).",
     ),
+    (
+        SMALLEST + '[filtering]\npreset = "as-printed"\naliasing = "refused"',
+        'filtering.aliasing is "refused" beside preset = "as-printed", which sets it: leave one of them out.',
+    ),
+    (
+        SMALLEST + '[filtering]\naliasing = "refuse"',
+        'filtering.aliasing is "refuse"; expected "refused" or "warned": did you mean "refused"?',
+    ),
+    (
+        FLEXIBLE + '[method]\npreset = "paper"\nfrequency = 25.0\nrestarts = 2',
+        'method.restarts is 2 beside preset = "paper", which sets it: leave one of them out.',
+    ),
     # units
     (
         SMALLEST.replace('"r"', '"r", unit = "deg"'),
@@ -554,6 +640,70 @@ FAULTS = [
     (
         JOINT + CHANNELS + '[method]\nform = "paper"',
         'method.form is for DIDIM, but the method is IDIM: leave it out, or use method.name = "didim".',
+    ),
+    # the method of a flexible joint
+    *(
+        (
+            f"{FLEXIBLE}[method]\n{key} = {value}",
+            f"method.{key} is for DIDIM of a rigid joint, but the joint is flexible: leave it out, or set "
+            'joint.model = "rigid".',
+        )
+        for key, value in (
+            ("form", '"paper"'),
+            ("start", '"given"'),
+            ("scaled_iterations", 1),
+            ("step_tolerance", 1e-3),
+            ("iterations", 3),
+            ("initial_state", '"free"'),
+        )
+    ),
+    *(
+        (
+            f"{SMALLEST}[method]\n{key} = {value}",
+            f"method.{key} is for DIDIM of a flexible joint, but the joint is rigid: leave it out, or set "
+            'joint.model = "flexible".',
+        )
+        for key, value in (
+            ("minimiser", '"nelder-mead"'),
+            ("frequency", 30.0),
+            ("rigid_cutoff", 5.0),
+            ("simulations", 10),
+            ("restarts", 0),
+            ("statistics", '"sensitivities"'),
+        )
+    ),
+    (
+        SMALLEST + '[method]\npreset = "paper"\nfrequency = 30.0',
+        "method.frequency is for DIDIM of a flexible joint, but the joint is rigid: leave it out, or set "
+        'joint.model = "flexible".',
+    ),
+    (
+        JOINT + 'model = "flexible"\n' + BOTH_ENCODERS + '[method]\nminimiser = "nelder-mead"',
+        'method.minimiser is for DIDIM, but the method is IDIM: leave it out, or use method.name = "didim".',
+    ),
+    (
+        FLEXIBLE + "[method]\nfrequency = -30",
+        "method.frequency is -30; expected a positive number: correct it, or leave it out.",
+    ),
+    (
+        JOINT + 'model = "flexible"\n' + CHANNELS,
+        "method.name is missing, and no method can be chosen: DIDIM lacks controller, IDIM of a flexible joint lacks "
+        'record.channels.load_position; add what one of them lacks, or set joint.model = "rigid".',
+    ),
+    (
+        JOINT + 'model = "flexible"\n' + CHANNELS.replace("motor_", "load_"),
+        "method.name is missing, and no method can be chosen: DIDIM lacks controller, IDIM of a flexible joint lacks "
+        "record.channels.motor_position; add what one of them lacks.",
+    ),
+    (
+        FLEXIBLE + '[method]\nname = "idim"',
+        "record.channels.load_position is missing, but IDIM of a flexible joint needs it: add it, or use "
+        'method.name = "didim", which needs only torque, reference and controller.',
+    ),
+    (
+        JOINT + 'model = "flexible"\n' + CHANNELS + '[method]\nname = "didim"',
+        'controller is missing, but DIDIM needs it: add it, or use method.name = "idim", which needs only torque, '
+        "motor_position and load_position.",
     ),
     # parameters
     (
@@ -701,6 +851,14 @@ def test_all_faults_come_at_once() -> None:
         assert sum(sentence.startswith(key) for sentence in found) == 1, key
 
 
+def test_a_joint_with_other_faults_still_has_its_model() -> None:
+    found = faults(FLEXIBLE.replace('"flexible"', '"flexible"\nfriktion = 3') + "[method]\niterations = 3")
+    assert [sentence.split()[0] for sentence in found] == ["joint.friktion", "method.iterations"]
+    for unknown in (FLEXIBLE.replace("flexible", "flexibel"), SMALLEST.replace(JOINT, "joint = 3\n")):
+        (sentence,) = faults(f"{unknown}[method]\niterations = 3\nminimiser = 'nelder-mead'")
+        assert sentence.startswith("joint")
+
+
 def test_a_file_that_is_not_there_or_no_text(tmp_path: Path) -> None:
     with pytest.raises(JointFileError, match=r"none\.toml cannot be opened \(no such file .*\); check the path"):
         load(tmp_path / "none.toml")
@@ -723,8 +881,12 @@ def test_overrides_are_checked_in_the_same_way() -> None:
     assert viscous.startswith("parameters.viscous is not known for a rigid joint with asymmetric friction")
     with pytest.raises(JointFileError, match=r'method.name is "didm"; expected .*: did you mean "didim"\?'):
         file.overridden(method="didm")
-    with pytest.raises(JointFileError, match=r'filtering.preset is "x"; expected "default" or "published"'):
+    with pytest.raises(JointFileError, match=r'preset is "x"; expected "default", "published" or "as-printed"'):
         file.overridden(filtering="x")
+    with pytest.raises(JointFileError, match=r"^method.minimiser is for DIDIM of a flexible joint, but .* is rigid"):
+        file.overridden(minimiser="nelder-mead")
+    with pytest.raises(JointFileError, match=r"^method.frequency is for DIDIM, but the method is IDIM"):
+        loads(JOINT + 'model = "flexible"\n' + BOTH_ENCODERS).overridden(frequency=30.0)
 
 
 def test_an_override_replaces_one_choice() -> None:
@@ -737,6 +899,24 @@ def test_an_override_replaces_one_choice() -> None:
     assert file.overridden(filtering="default") == dataclasses.replace(file, filtering=Filtering())
     assert file.overridden(friction="asymmetric").joint == RigidJoint(friction=AsymmetricFriction())
     assert file.overridden(friction="symmetric") == file
+
+
+def test_an_override_of_a_flexible_joint() -> None:
+    file = loads(FLEXIBLE.replace(CHANNELS, BOTH_ENCODERS) + '[method]\npreset = "paper"')
+    paper = FlexibleDIDIM.paper()
+    assert file.overridden() == file
+    assert file.overridden(frequency=42.0).method == FlexibleDIDIM.paper(42.0)
+    assert file.overridden(minimiser="nelder-mead") == file
+    changed = file.overridden(minimiser="least-squares", frequency=20.0, filtering="as-printed")
+    assert changed.method == dataclasses.replace(paper, minimiser="least-squares", frequency=20.0)
+    assert changed.filtering == Filtering.as_printed()
+    assert file.overridden(method="idim").method == IDIM()
+    back = file.overridden(method="idim").overridden(method="didim", frequency=9.0)
+    assert back.method == FlexibleDIDIM(frequency=9.0)
+    with pytest.raises(JointFileError, match=r'minimiser is "simplex"; expected "least-squares" or "nelder-mead"'):
+        file.overridden(minimiser="simplex")
+    with pytest.raises(JointFileError, match=r"frequency is 0.0; expected a positive number"):
+        file.overridden(frequency=0.0)
 
 
 def test_an_override_keeps_the_folder(tmp_path: Path) -> None:
@@ -797,26 +977,40 @@ def joint_files(draw: st.DrawFn) -> JointFile:
     names = ["torque", "reference", "reference_velocity", "motor_position", "load_position"]
     names += draw(st.lists(st.just("injected"), max_size=1))
     whole = st.integers(1, 50)
+    rigid = st.builds(
+        DIDIM,
+        form=st.sampled_from(("residual", "paper")),
+        scaled_iterations=whole,
+        tolerance=positive,
+        iterations=whole,
+    )
+    flexible = st.just(FlexibleDIDIM.paper()) | st.builds(
+        FlexibleDIDIM,
+        minimiser=st.sampled_from(("least-squares", "nelder-mead")),
+        frequency=st.none() | positive,
+        rigid_cutoff=st.none() | positive,
+        tolerance=positive,
+        simulations=whole,
+        restarts=whole,
+        statistics=st.sampled_from(("sensitivities", "inverse-model")),
+    )
     return JointFile(
         joint=joint,
         columns={name: draw(columns(name)) for name in names},
-        method=draw(
-            st.just(IDIM())
-            | st.builds(
-                DIDIM,
-                form=st.sampled_from(("residual", "paper")),
-                scaled_iterations=whole,
-                tolerance=positive,
-                iterations=whole,
-            )
-        ),
+        method=draw(st.just(IDIM()) | (flexible if joint.model == "flexible" else rigid)),
         controller=draw(
             st.builds(Cascade, kv=positive, **law)
             | st.builds(PD, kd=positive, reference_velocity=st.sampled_from(("none", "channel")), **law)
         ),
         filtering=draw(
-            st.just(Filtering.published())
-            | st.builds(Filtering, st.none() | positive, borders=st.tuples(whole, whole), timing=st.just("as_sampled"))
+            st.sampled_from((Filtering.published(), Filtering.as_printed()))
+            | st.builds(
+                Filtering,
+                st.none() | positive,
+                borders=st.tuples(whole, whole),
+                timing=st.just("as_sampled"),
+                aliasing=st.sampled_from(("refused", "warned")),
+            )
         ),
         parameters={
             p.name: draw(st.sampled_from((p, p.fixed(3.0), dataclasses.replace(p, upper=5.0))))
@@ -873,6 +1067,12 @@ def test_what_a_joint_file_cannot_say_is_not_written() -> None:
         dumps(dataclasses.replace(file, joint=RigidJoint(friction=OtherFriction())))
     with pytest.raises(JointFileError, match="The joint's torque is in A, but its channel's in N; give"):
         dumps(dataclasses.replace(file, joint=RigidJoint(torque_unit="A")))
+    for joint, method, right in (
+        (RigidJoint(), FlexibleDIDIM(), "DIDIM"),
+        (FlexibleJoint(), DIDIM(), "FlexibleDIDIM"),
+    ):
+        with pytest.raises(JointFileError, match=f"DIDIM is not for a {joint.model} joint; use {right}"):
+            dumps(dataclasses.replace(file, joint=joint, method=method))
     unknown = {"mass": Parameter("mass", "M", file.joint.parameters[0].quantity)}
     with pytest.raises(JointFileError, match=r"parameters\.mass is not known for a rigid joint"):
         dumps(dataclasses.replace(file, parameters=unknown))
@@ -897,7 +1097,8 @@ anything = st.recursive(
     | st.floats()
     | st.text(max_size=5)
     | st.dates()
-    | st.sampled_from(("cascade", "pd", "state_space", "didim", "idim", "flexible", "asymmetric", "paper", "A", "deg")),
+    | st.sampled_from(("cascade", "pd", "state_space", "didim", "idim", "flexible", "asymmetric", "paper", "A", "deg"))
+    | st.sampled_from(("nelder-mead", "inverse-model", "as-printed", "warned")),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(["numerator", "position"]), inner),
     max_leaves=6,
 )
@@ -1076,6 +1277,17 @@ def test_the_page_has_every_unit_and_parameter() -> None:
             names = ", ".join(f"`{parameter.name}`" for parameter in made.parameters)
             assert f"| {made.model} | {friction} | {names} |" in page
     assert ", ".join(f'`"{name}"`' for name in units_of("time")) in page
+
+
+def test_the_page_has_the_defaults_that_depend_on_the_model() -> None:
+    rows = {line.split("`")[1]: line for line in PAGE.read_text(encoding="utf-8").splitlines() if line[:3] == "| `"}
+    assert {float(word) for word in re.findall(r"else (1e-\d+)", rows["method.tolerance"])} == {
+        DIDIM().tolerance, FlexibleDIDIM().tolerance,
+    }  # fmt: skip
+    for key in ("position_cutoff", "cutoff"):
+        rigid, flexible = (getattr(Filtering().resolved(1e-3, model), key) for model in ("rigid", "flexible"))
+        said = f"else {rigid / 10:g} % of the sampling frequency, for a flexible joint {flexible / 10:g} %"
+        assert said in rows[f"filtering.{key}"]
 
 
 def test_the_files_on_the_page_are_right() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from jointid.cli.app import app, main
 from jointid.data.reading import read
-from jointid.paper.twin import JOINT_FILE
+from jointid.paper.twin import JOINT_FILE, TABLE_2
 
 ROOT = Path(__file__).resolve().parents[2]
 EMPS = ROOT / "examples" / "emps" / "joint.toml"
@@ -131,6 +131,27 @@ def test_the_motor_position_may_be_removed_from_the_file(emps_path: Path, tmp_pa
     assert answers[0] == answers[1]
 
 
+def test_the_flexible_axis_by_command(demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flexible = JOINT_FILE.replace('"rigid"', '"flexible"').replace("cutoff = 5.0", "cutoff = 60.0")
+    (tmp_path / "joint.toml").write_text(flexible, encoding="utf-8")
+    out = tmp_path / "out.json"
+    words = ("identify", tmp_path / "joint.toml", "--record", demo / "record.csv", "--json", out, "-q")
+
+    def stiffness() -> float:
+        return float(json.loads(out.read_text(encoding="utf-8"))["parameters"]["stiffness"]["value"])
+
+    assert run(*words, "--frequency", 30) == 0
+    said = capsys.readouterr().out
+    assert "by least squares" in said
+    assert "Nyquist" not in said
+    assert abs(stiffness() / TABLE_2["stiffness"] - 1) <= 0.05
+    assert run(*words, "--frequency", 30, "--filtering", "as-printed") == 0
+    assert "its Nyquist frequency at 41.7 Hz, below the cut-off of 60 Hz" in capsys.readouterr().out
+    assert run(*words, "--frequency", 30, "--minimiser", "nelder-mead") == 0
+    assert "by Nelder-Mead" in capsys.readouterr().out
+    assert abs(stiffness() / TABLE_2["stiffness"] - 1) <= 0.05
+
+
 MISTAKES = {
     "no such record": (("identify", EMPS, "--record", "nothing.mat"), "nothing.mat cannot be opened"),
     "no such joint file": (("identify", "nothing.toml"), "nothing.toml cannot be opened"),
@@ -138,6 +159,9 @@ MISTAKES = {
     "unknown command": (("identfy", EMPS), "identfy"),
     "unknown option": (("identify", EMPS, "--recrod", "x.mat"), "--recrod"),
     "unknown method": (("identify", EMPS, "--method", "magic"), "magic"),
+    "unknown minimiser": (("identify", EMPS, "--minimiser", "simplex"), "simplex"),
+    "no frequency": (("identify", EMPS, "--frequency", "fast"), "fast"),
+    "frequency of a rigid joint": (("identify", EMPS, "--frequency", "30"), 'set joint.model = "flexible"'),
     "no estimate": (("validate", EMPS, "--estimate", EMPS), "is no JSON file"),
     "unwritable folder": (("demo", EMPS / "inside"), "cannot be made a folder"),
 }

@@ -107,7 +107,7 @@ def test_a_document_escapes_what_it_is_given(tmp_path: Path) -> None:
     document = Document(evil, blocks)
     page = document.html()
     assert "<script" not in page
-    assert page.count("&lt;script&gt;") == 9
+    assert page.count("&lt;script&gt;") == 10
     assert "a\\|b" in document.markdown()
     assert document.markdown().startswith("# <script>")
     with pytest.raises(RecordError, match="name another folder"):

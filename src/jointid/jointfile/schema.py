@@ -154,7 +154,7 @@ class FilteringTable(Table):
     decimation: Count | None = Field(None, description="one sample is kept in so many")
     borders: Borders = Field([50, 50], description="samples dropped at the start and at the end")
     timing: Literal["respected", "as_sampled"] = Field("respected", description="how a held torque is read")
-    aliasing: Literal["refused", "warned"] = Field("refused", description="what of a decimation that aliases")
+    aliasing: Literal["refused", "warned"] = Field("refused", description="what becomes of a decimation that aliases")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield the keys beside a preset."""
@@ -171,7 +171,7 @@ class FilteringTable(Table):
 
 
 class MethodTable(Table):
-    """[method]: how the joint is identified; all but the tolerance and the first two keys is for one model only."""
+    """[method]: how the joint is identified; some keys are for a rigid joint only, others for a flexible one."""
 
     name: Literal["didim", "idim"] | None = Field(None, description="the method")
     preset: Literal["paper"] | None = Field(None, description="all settings of DIDIM at once")
@@ -182,7 +182,9 @@ class MethodTable(Table):
     step_tolerance: Positive = Field(1e-7, description="change of the parameters to stop at, relative")
     iterations: Count = Field(30, description="iterations at most")
     initial_state: Literal["free", "reference"] = Field("free", description="the motor at the first sample")
-    minimiser: Literal["least-squares", "nelder-mead"] = Field("least-squares", description="how the criterion falls")
+    minimiser: Literal["least-squares", "nelder-mead"] = Field(
+        "least-squares", description="the way down the criterion"
+    )
     frequency: Positive | None = Field(None, description="free-free, where the stiffness starts from [Hz]")
     rigid_cutoff: Positive | None = Field(None, description="of the rigid identification before [Hz]")
     simulations: Count = Field(6000, description="simulations of one descent at most")
