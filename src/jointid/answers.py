@@ -52,6 +52,7 @@ def estimate_answer(estimate: Estimate) -> Json:
         else {"raw": conditioning.raw, "normalised": conditioning.normalised, "scaled": conditioning.scaled},
         "filtering": _filtering(estimate.filtering),
         "delay": estimate.delay,
+        "controller_sha256": estimate.identified.controller or None,
         "iterations": estimate.iterations,
         "simulations": estimate.simulations,
         "converged": estimate.converged,
@@ -78,6 +79,7 @@ def validation_answer(validation: Validation) -> Json:
         "samples_left_out": list(validation.borders),
         "initial": _initial(validation.initial),
         "simulations": validation.simulations,
+        "warnings": list(validation.warnings),
     }
 
 
@@ -134,8 +136,8 @@ def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> 
         return _identified(answer, joint, loop)
     except (KeyError, TypeError, ValueError):
         raise RecordError(
-            f"{path} is no estimate of schema {ESTIMATE_SCHEMA} for a {joint.model} joint with these parameters; "
-            "identify with this joint file first."
+            f"{path} is no estimate of schema {ESTIMATE_SCHEMA} for a {joint.kind} {joint.model} joint with these "
+            "parameters in these units; identify with this joint file first."
         ) from None
 
 
@@ -167,12 +169,19 @@ def _read(path: str | Path) -> Json:
 
 
 def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
-    if answer["schema"] != ESTIMATE_SCHEMA or answer["model"] != joint.model:
+    found = answer["parameters"]
+    same = answer["schema"] == ESTIMATE_SCHEMA and (answer["model"], answer["kind"]) == (joint.model, joint.kind)
+    if not same or any(found[p.name]["unit"] != joint.unit(p) for p in joint.parameters):
         raise ValueError
-    values = {p.name: float(answer["parameters"][p.name]["value"]) for p in joint.parameters}
+    values = {p.name: float(found[p.name]["value"]) for p in joint.parameters}
     given = answer["filtering"]
     filtering = Filtering(
-        given["position_cutoff"], given["cutoff"], given["decimation"], tuple(given["borders"]), given["timing"]
+        given["position_cutoff"],
+        given["cutoff"],
+        given["decimation"],
+        tuple(given["borders"]),
+        given["timing"],
+        given["aliasing"],
     )
     method: MethodName = "didim" if answer["method"] == "didim" else "idim"
     record = answer["record"]
@@ -185,6 +194,7 @@ def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identifi
         float(answer["delay"]),
         str(record["name"]),
         str(record["torque_sha256"]),
+        str(answer["controller_sha256"] or ""),
     )
 
 
@@ -219,6 +229,7 @@ def _filtering(filtering: Filtering) -> Json:
         "decimation": filtering.decimation,
         "borders": list(filtering.borders),
         "timing": filtering.timing,
+        "aliasing": filtering.aliasing,
     }
 
 

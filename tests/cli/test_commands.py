@@ -35,15 +35,16 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_demo_writes_a_folder_to_play_with(demo: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert {path.name for path in demo.iterdir()} == {"record.csv", "joint.toml", "estimate.json", "torque.png"}
     answer = json.loads((demo / "estimate.json").read_text(encoding="utf-8"))
-    truth = {"inertia": 105.0, "viscous": 202.0, "coulomb": 20.4, "offset": -3.16}
-    for name, value in truth.items():
+    for name, value in TABLE_2.items():
         found = answer["parameters"][name]
-        assert abs(found["value"] - value) <= 3 * found["std"]
-    changed = (demo / "joint.toml").read_text(encoding="utf-8").replace("cutoff = 5.0", "cutoff = 4.0")
+        assert abs(found["value"] - value) <= 3 * found["std"], name
+    assert abs(answer["parameters"]["stiffness"]["value"] / 8e5 - 1) <= 0.01
+    assert answer["channels"] == ["torque", "reference", "injected"]
+    changed = (demo / "joint.toml").read_text(encoding="utf-8").replace("cutoff = 60.0", "cutoff = 50.0")
     (demo / "joint.toml").write_text(changed, encoding="utf-8")
     assert run("identify", demo / "joint.toml") == 0
     said = capsys.readouterr()
-    assert "ZZ" in said.out
+    assert "K12" in said.out
     assert "iteration 0" in said.err
 
 
@@ -182,16 +183,25 @@ def test_a_mistake_is_one_sentence_and_exit_code_2(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_figure_of_an_unknown_kind_loses_nothing(
+def test_what_could_not_be_written_is_refused_before_anything_runs(
     demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The answer is printed and written before the figure is refused."""
-    out = tmp_path / "out.json"
-    assert run("identify", demo / "joint.toml", "-q", "--json", out, "--figure", tmp_path / "t.bmp") == 2
-    said = capsys.readouterr()
-    assert "ZZ" in said.out
-    assert out.is_file()
-    assert '".png, .svg, .pdf' in said.err or ".png, .svg, .pdf" in said.err
+    for words, sentence in (
+        (("--figure", tmp_path / "t.bmp"), ".png, .svg, .pdf"),
+        (("--json", tmp_path / "none" / "out.json"), "there is no folder"),
+    ):
+        assert run("identify", demo / "joint.toml", "-q", *words) == 2
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert sentence in said.err
+
+
+def test_the_rigid_example_finds_the_sums(demo: Path, tmp_path: Path) -> None:
+    rigid = ROOT / "examples" / "twin" / "rigid.toml"
+    assert run("identify", rigid, "--record", demo / "record.csv", "-q", "--json", tmp_path / "out.json") == 0
+    found = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["parameters"]
+    for name, truth in (("inertia", 105.0), ("viscous", 202.0), ("coulomb", 20.4), ("offset", -3.16)):
+        assert abs(found[name]["value"] - truth) <= 3 * found[name]["std"], name
 
 
 def test_a_failure_of_ours_is_a_sentence_and_exit_code_1(

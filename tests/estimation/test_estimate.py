@@ -71,13 +71,13 @@ TABLE = """\
 Rigid joint, DIDIM in residual form from an inversion start, of run 1
 read: torque, reference
 
-symbol  parameter              value  2 sigma       %  unit
-------------------------------------------------------------
-ZZ      inertia               94.903     0.22    0.12  kg
-Fv      viscous               207.53      2.5    0.60  N s/m
-Fc      coulomb             > 12.500        -       -  N
-offset  offset                     0    fixed       -  N
-q(0)    initial position  3.2000e-07  4.4e-06  687.50  m
+symbol  parameter              value  2 sigma  sigma %  unit
+-------------------------------------------------------------
+ZZ      inertia               94.903     0.22     0.12  kg
+Fv      viscous               207.53      2.5     0.60  N s/m
+Fc      coulomb             > 12.500        -        -  N
+offset  offset                     0    fixed        -  N
+q(0)    initial position  3.2000e-07  4.4e-06   687.50  m
 
 torque error  4.0000 % raw (50 + 50 samples at the ends left out), 3.9700 % filtered (31 rows)
 effort        1 iterations, 14 simulations

@@ -38,9 +38,15 @@ EMPS = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, lim
 REFERENCE = trapezoids((0.05, 0.1), 1.0, 0.05, T, rest=0.15)
 
 
-def record(reference: np.ndarray = REFERENCE, period: float = T, **more: object) -> Record:
-    torque = Channel(np.zeros(reference.size), "N", period, Timing.HELD)
-    return Record(torque=torque, reference=Channel(reference, "m", period), **more)  # type: ignore[arg-type]
+def record(
+    reference: np.ndarray = REFERENCE,
+    period: float = T,
+    timing: Timing = Timing.HELD,
+    commanded: Timing = Timing.HELD,
+    **more: object,
+) -> Record:
+    torque = Channel(np.zeros(reference.size), "N", period, timing)
+    return Record(torque=torque, reference=Channel(reference, "m", period, commanded), **more)  # type: ignore[arg-type]
 
 
 def test_the_measuring_stick_and_the_reference_agree_over_25_seconds(bench_dir: Path) -> None:
@@ -170,16 +176,97 @@ def test_an_averaged_log_is_the_mean_over_the_period_before() -> None:
     fast = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=2.5e-4)
     loop = ClosedLoop(RigidJoint(), fast)
     every = simulate(loop, prepare(loop, record(np.repeat(REFERENCE, 4), 2.5e-4)), RIGID).torque
-    averaged = Record(
-        torque=Channel(np.zeros(REFERENCE.size), "N", T, Timing.AVERAGED), reference=Channel(REFERENCE, "m", T)
-    )
-    shown = simulate(loop, prepare(loop, averaged), RIGID).torque
+    shown = simulate(loop, prepare(loop, record(timing=Timing.AVERAGED)), RIGID).torque
     assert np.allclose(shown[1:], every.reshape(-1, 4).mean(axis=1)[:-1], rtol=0, atol=1e-9)
+
+
+def test_an_averaged_log_as_fast_as_the_loop_shows_the_period_before() -> None:
+    loop = ClosedLoop(RigidJoint(), EMPS)
+    held = simulate(loop, prepare(loop, record()), RIGID).torque
+    averaged = simulate(loop, prepare(loop, record(timing=Timing.AVERAGED)), RIGID).torque
+    assert np.allclose(averaged[1:], held[:-1], rtol=0, atol=1e-9)
+    twice = record(np.repeat(REFERENCE, 2), T / 2, Timing.AVERAGED)
+    slow = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=T)
+    fine = ClosedLoop(RigidJoint(), slow)
+    shown = simulate(fine, prepare(fine, twice), RIGID).torque
+    assert np.allclose(shown[1::2], held, rtol=0, atol=1e-9)
+    assert np.allclose(shown[2::2], held[:-1], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("delay", [0.5e-3, 1.25e-3])
+def test_a_measured_torque_is_averaged_over_the_parts_it_acts_in(delay: float) -> None:
+    late = Cascade(kp=100.0, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, delay=delay)
+    loop = ClosedLoop(RigidJoint(), late)
+    command = simulate(loop, prepare(loop, record()), RIGID).torque
+    fine = 1000
+    acting = np.concatenate([np.full(round(delay / T * fine), command[0]), np.repeat(command, fine)])
+    measured = simulate(loop, prepare(loop, record(tap=Tap.MEASURED)), RIGID).torque
+    assert np.allclose(measured, acting[: command.size * fine : fine], rtol=0, atol=1e-9)
+    averaged = simulate(loop, prepare(loop, record(timing=Timing.AVERAGED, tap=Tap.MEASURED)), RIGID).torque
+    means = acting[: command.size * fine].reshape(-1, fine).mean(axis=1)
+    assert np.allclose(averaged[1:], means[:-1], rtol=0, atol=1e-9)
+
+
+def test_a_reference_slower_than_the_loop_is_interpolated_or_held_as_declared() -> None:
+    smooth = 0.05 * np.sin(2 * np.pi * 1.5 * np.arange(4000) * T / 4)
+    fast = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=T / 4)
+    loop = ClosedLoop(RigidJoint(), fast)
+    exact = simulate(loop, prepare(loop, record(smooth, T / 4)), RIGID).torque[::4]
+    errors = {}
+    for commanded in (Timing.SAMPLED, Timing.HELD):
+        shown = simulate(loop, prepare(loop, record(smooth[::4], commanded=commanded)), RIGID).torque
+        errors[commanded] = float(np.max(np.abs(shown - exact)[20:]) / np.max(np.abs(exact)))
+    assert errors[Timing.SAMPLED] < 0.01 < 0.1 < errors[Timing.HELD]
+
+
+def test_a_log_that_ends_within_a_period_is_simulated_to_its_last_whole_one() -> None:
+    slow = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=2 * T)
+    loop = ClosedLoop(RigidJoint(), slow)
+    run = simulate(loop, prepare(loop, record(REFERENCE[:3001])), RIGID)
+    assert run.torque.size == run.motor_position.size == run.motor.velocity.size == 3000
+
+
+@pytest.mark.parametrize(
+    ("driven", "controller", "sentence"),
+    [
+        (record(REFERENCE[:5]), EMPS, "fewer than 10 of the controller's periods"),
+        (record(), Cascade(kp=1.0, kv=1.0, period=1e-9), "up to 200 times"),
+        (record(), Cascade(kp=1.0, kv=1.0, period=1.0), "fewer than 10|up to 200 times"),
+    ],
+)
+def test_what_cannot_be_simulated_is_said(driven: Record, controller: Cascade, sentence: str) -> None:
+    with pytest.raises(RecordError, match=sentence):
+        prepare(ClosedLoop(RigidJoint(), controller), driven)
+
+
+def test_a_record_in_other_units_than_the_joint_s_is_refused() -> None:
+    with pytest.raises(RecordError, match=r"torque in N, not N m; reference in m, not rad"):
+        prepare(ClosedLoop(RigidJoint("revolute"), EMPS), record())
+    with pytest.raises(MethodError, match='received "rotary"'):
+        RigidJoint("rotary")  # type: ignore[arg-type]
+    with pytest.raises(RecordError, match="measured torque contains whatever was injected"):
+        record(tap=Tap.MEASURED, injected=Injection(Channel(np.zeros(REFERENCE.size), "N", T), in_torque=False))
+
+
+def test_a_missing_value_is_named() -> None:
+    loop = ClosedLoop(RigidJoint(), EMPS)
+    with pytest.raises(MethodError, match="coulomb, offset has none"):
+        simulate(loop, prepare(loop, record()), {"inertia": 1.0, "viscous": 1.0})
+
+
+def test_a_delayed_loop_in_steady_motion_begins_without_a_kick() -> None:
+    """What acted before the first sample is the torque of the same motion, not zero."""
+    speed, friction = 0.08, 202.0 * 0.08 + 20.4 - 3.16
+    delayed = Cascade(kp=100.0, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, delay=1.3e-3)
+    late = (friction / (35.15 * 243.45) + speed) / 100.0
+    loop = ClosedLoop(FlexibleJoint(), delayed)
+    run = simulate(loop, prepare(loop, record(speed * np.arange(500) * T)), FLEXIBLE, Initial(-late, speed))
+    assert np.max(np.abs(run.torque - friction)) <= 1e-7 * friction
 
 
 def test_clocks_that_do_not_divide_each_other_are_refused() -> None:
     odd = Cascade(kp=160.18, kv=243.45, period=0.7e-3)
-    with pytest.raises(RecordError, match=r"0.0007 s.*no multiples of each other"):
+    with pytest.raises(RecordError, match=r"0\.0007 s and 0\.001 s.*nor is one a multiple"):
         prepare(ClosedLoop(RigidJoint(), odd), record())
 
 

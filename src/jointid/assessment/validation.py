@@ -12,13 +12,21 @@ from typing import Literal
 import numpy as np
 
 from jointid.common.errors import MethodError
+from jointid.data.checks import check_record
 from jointid.data.record import FloatArray, Record
-from jointid.estimation.estimate import Estimate, IdentifiedJoint, MethodName, fingerprint, relative_error
+from jointid.estimation.estimate import (
+    Estimate,
+    IdentifiedJoint,
+    MethodName,
+    fingerprint,
+    law_fingerprint,
+    relative_error,
+)
 from jointid.estimation.idim import idim_channels, motion_of
 from jointid.estimation.problem import INITIAL_STATE, Problem, initial_of
 from jointid.estimation.regression import least_squares
 from jointid.estimation.starts import initial_state, reconstructed_position
-from jointid.simulation.closed_loop import Initial, Simulation, prepare, require_finished
+from jointid.simulation.closed_loop import ClosedLoop, Initial, Simulation, prepare, require_finished
 
 _STEPS = 6  # for two numbers that act almost linearly on the torque
 
@@ -42,6 +50,7 @@ class Validation:
             motor position to compare with; a ratio.
         initial: motor state that was found, for a simulation.
         simulations: that were run.
+        warnings: what the reader must know, one sentence each.
     """
 
     test: Literal["direct", "cross"]
@@ -59,6 +68,7 @@ class Validation:
     tracking_error: float | None
     initial: Initial | None
     simulations: int
+    warnings: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """Return the result in sentences."""
@@ -72,6 +82,7 @@ class Validation:
         ]
         if self.tracking_error is not None:
             lines.append(f"tracking error  {100 * self.tracking_error:.4f} % away from the measured tracking error")
+        lines += [f"warning         {warning}" for warning in self.warnings]
         return "\n".join(lines)
 
 
@@ -83,10 +94,11 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record) -> Validation
         record: with the channels its method reads.
 
     Raises:
-        RecordError: a channel is missing.
+        RecordError: a channel is missing, or the record cannot be what it is said to be.
         MethodError: the loop cannot be simulated on this record.
     """
     record.require(("torque",), "Validation")
+    check_record(record)
     identified = estimate.identified if isinstance(estimate, Estimate) else estimate
     return _inverse(identified, record) if identified.loop is None else _simulated(identified, record)
 
@@ -151,6 +163,15 @@ def _simulated(identified: IdentifiedJoint, record: Record) -> Validation:
         tracking_error=_tracking(record, run, filtering.borders),
         initial=initial_of(problem.values(x)),
         simulations=runs + 1,
+        warnings=_warnings(identified, loop),
+    )
+
+
+def _warnings(identified: IdentifiedJoint, loop: ClosedLoop) -> tuple[str, ...]:
+    if identified.controller in ("", law_fingerprint(loop)):
+        return ()
+    return (
+        "the controller is not the one the joint was identified under; that is right only if its gains were changed",
     )
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from pathlib import Path
 
 from jointid.common.progress import Progress, silent
 
-_PATIENCE = 1.0  # seconds after which the first simulation must be compiling
+_PATIENCE = 2.0  # seconds after which the simulation is not being loaded but compiled
 
 
 def show(text: object = "") -> None:
@@ -27,15 +26,33 @@ def progress(quiet: bool) -> Progress:
     return silent if quiet else tell
 
 
-@contextmanager
-def compiling(listener: Callable[[str], None]) -> Iterator[None]:
-    """Say why the first simulation on a machine takes long; a compiled one is over before that."""
+def ready(listener: Progress) -> None:
+    """Load the compiled simulation; where it must be compiled first, say why that takes long."""
+    from jointid.simulation.closed_loop import warm_up
+
     timer = threading.Timer(
-        _PATIENCE, listener, ["compiling the simulation for this machine; this happens once and takes some 15 s"]
+        _PATIENCE, listener, ["compiling the simulation for this machine; this happens once and takes some 10 s"]
     )
     timer.daemon = True
     timer.start()
     try:
-        yield
+        warm_up()
     finally:
         timer.cancel()
+
+
+def check_outputs(figure: Path | None = None, *files: Path | None) -> None:
+    """Refuse, before anything runs, what could not be written after it.
+
+    Raises:
+        RecordError: a file's folder does not exist, or a figure has no format.
+    """
+    from jointid.common.errors import RecordError
+
+    for path in (figure, *files):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise RecordError(f"{path} cannot be written, because there is no folder {path.parent}; make it first.")
+    if figure is not None:
+        from jointid.report.figures import require_format
+
+        require_format(figure)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    from jointid.estimation.estimate import Estimate
 
 
 def demo(
@@ -15,7 +19,7 @@ def demo(
     seed: int = 1,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
 ) -> None:
-    """Make the digital twin of the paper's flexible axis and identify it as a rigid joint, at low frequency.
+    """Make the digital twin of the paper's flexible axis and identify it, its stiffness too, from torque alone.
 
     Writes the record, the joint file, the answer and the figure; change the joint file and run
     `jointid identify FOLDER/joint.toml` to see what follows.
@@ -26,45 +30,58 @@ def demo(
         quiet: say nothing of the progress.
     """
     from jointid import answers
-    from jointid.cli.console import compiling, progress, show
+    from jointid.cli.console import progress, ready, show
+    from jointid.common.errors import RecordError
     from jointid.common.text import aligned, number
     from jointid.data.reading import write
     from jointid.estimation.identify import identify
     from jointid.jointfile import load
-    from jointid.model.joints import rigid_sums
     from jointid.paper.twin import JOINT_FILE, twin
     from jointid.report.figures import save, torque_figure
 
     listener = progress(quiet)
     made = _folder(folder)
     listener("simulating 24 s of the paper's flexible axis, with an 8 % disturbance")
-    with compiling(listener):
-        axis = twin(seed=seed)
+    ready(listener)
+    axis = twin(seed=seed)
     write(axis.record, made / "record.csv")
-    (made / "joint.toml").write_text(JOINT_FILE, encoding="utf-8")
+    try:
+        (made / "joint.toml").write_text(JOINT_FILE, encoding="utf-8")
+    except OSError as error:
+        raise RecordError(f"{made / 'joint.toml'} cannot be written ({error.strerror}); name another folder.") from None
     listener("identifying it from motor force and reference alone")
     file = load(made / "joint.toml")
-    with compiling(listener):
-        estimate = identify(
-            file.record(), file.loop or file.joint, file.method, filtering=file.filtering,
-            parameters=file.parameters, progress=listener,
-        )  # fmt: skip
+    estimate = identify(
+        file.record(), file.loop or file.joint, file.method, filtering=file.filtering, parameters=file.parameters,
+        progress=listener,
+    )  # fmt: skip
     answers.write(answers.estimate_answer(estimate), made / "estimate.json")
     save(torque_figure(estimate), made / "torque.png")
     show(estimate)
-    truth = rigid_sums(axis.truth)
     rows = []
-    for name, value in truth.items():
-        found = estimate[name]
-        assert found.value is not None
-        rows.append((found.symbol, number(found.value), number(value), found.unit))
+    for name, truth in (axis.truth | _sums(axis.truth)).items():
+        value, std, symbol, unit = _found(estimate, name)
+        rows.append((symbol, number(value), number(2 * std, 2), number(truth), unit))
     show()
-    show("The axis is flexible; below its resonance it shows the sums of its motor and load side:")
-    show(aligned(("symbol", "identified", "true sum", "unit"), rows, (False, True, True, False)))
-    show("The raw error is what lies above 5 Hz: the pulses, the resonance and the disturbance.")
+    show("Beside the truth; torque alone knows the two viscous frictions, and the two Coulomb ones, by their sum:")
+    show(aligned(("symbol", "identified", "2 sigma", "truth", "unit"), rows, (False, True, True, True, False)))
     show()
     show(f"Written to {made}: record.csv, joint.toml, estimate.json, torque.png")
     show(f"Change the joint file, then: jointid identify {made / 'joint.toml'}")
+
+
+def _sums(values: Mapping[str, float]) -> dict[str, float]:
+    return {name: values[f"motor_{name}"] + values[f"load_{name}"] for name in ("viscous", "coulomb")}
+
+
+def _found(estimate: Estimate, name: str) -> tuple[float, float, str, str]:
+    """Return value, deviation, symbol and unit of a parameter, or of the sum of both sides."""
+    if name in estimate.values:
+        found = estimate[name]
+        return estimate.values[name], found.std or 0.0, found.symbol, found.unit
+    motor, load = estimate[f"motor_{name}"], estimate[f"load_{name}"]
+    value, std = estimate.total((motor.name, load.name))
+    return value, std, f"{motor.symbol}+{load.symbol}", motor.unit
 
 
 def _folder(folder: Path) -> Path:

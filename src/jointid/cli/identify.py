@@ -39,24 +39,25 @@ def identify(
         quiet: say nothing of the progress.
     """
     from jointid import answers
-    from jointid.cli.console import compiling, progress, show
+    from jointid.cli.console import check_outputs, progress, ready, show
     from jointid.estimation.identify import identify as run
     from jointid.jointfile import load
 
     listener = progress(quiet)
+    check_outputs(figure, json)
     file = load(joint).overridden(
         method=method, filtering=filtering, friction=friction, minimiser=minimiser, frequency=frequency
     )
     logged = file.record(record)
-    with compiling(listener):
-        estimate = run(
-            logged,
-            file.loop or file.joint,
-            file.method,
-            filtering=file.filtering,
-            parameters=file.parameters,
-            progress=listener,
-        )
+    ready(listener)
+    estimate = run(
+        logged,
+        file.loop or file.joint,
+        file.method,
+        filtering=file.filtering,
+        parameters=file.parameters,
+        progress=listener,
+    )
     show(estimate)
     if json is not None:
         answers.write(answers.estimate_answer(estimate), json)

@@ -21,13 +21,13 @@ def reproduce(
         seed: of the noise; the same seed gives the same bytes.
         quiet: say nothing of the progress.
     """
-    from jointid.cli.console import compiling, progress, show
+    from jointid.cli.console import progress, ready, show
     from jointid.paper.reproduce import reproduce as run
     from jointid.report.reproduction import reproduction_document
 
     listener = progress(quiet)
-    with compiling(listener):
-        found = run(seed, listener)
+    ready(listener)
+    found = run(seed, listener)
     written = reproduction_document(found).save(out, "reproduction")
     didim, best = found.first.didim, found.first.best
     for name in ("motor_inertia", "load_inertia", "stiffness"):

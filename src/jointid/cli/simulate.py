@@ -31,12 +31,13 @@ def simulate(
         quiet: say nothing of the progress.
     """
     from jointid import answers
-    from jointid.cli.console import compiling, progress, show
+    from jointid.cli.console import check_outputs, progress, ready, show
     from jointid.common.errors import MethodError
     from jointid.jointfile import load
     from jointid.simulation.closed_loop import prepare, require_finished
     from jointid.simulation.closed_loop import simulate as run
 
+    check_outputs(None, json, out)
     file = load(joint)
     if estimate is not None:
         file = file.overridden(friction=answers.read_friction(estimate))
@@ -44,8 +45,8 @@ def simulate(
         raise MethodError("A simulation needs the controller; add a [controller] table to the joint file.")
     logged = file.record(record)
     values = file.values() if estimate is None else answers.read_identified(estimate, file.joint, file.loop).values
-    with compiling(progress(quiet)):
-        simulation = require_finished(run(file.loop, prepare(file.loop, logged), values))
+    ready(progress(quiet))
+    simulation = require_finished(run(file.loop, prepare(file.loop, logged), values))
     peak = float(abs(simulation.torque).max())
     show(
         f"{simulation.torque.size} samples of {simulation.sample_time:g} s: peak torque {peak:.5g}, "

@@ -30,15 +30,16 @@ def validate(
     """
     from jointid import answers
     from jointid.assessment.validation import validate as run
-    from jointid.cli.console import compiling, progress, show
+    from jointid.cli.console import check_outputs, progress, ready, show
     from jointid.jointfile import load
 
+    check_outputs(figure, json)
     file = load(joint).overridden(friction=answers.read_friction(estimate))
     identified = answers.read_identified(estimate, file.joint, file.loop)
     file = file.overridden(method=identified.method)
     logged = file.record(record)
-    with compiling(progress(quiet)):
-        validation = run(identified, logged)
+    ready(progress(quiet))
+    validation = run(identified, logged)
     show(validation)
     if json is not None:
         answers.write(answers.validation_answer(validation), json)

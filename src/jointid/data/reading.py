@@ -150,6 +150,13 @@ class _Reading:
         if column is None:
             return _Clock()
         known = units.units_of("time")
+        named = unit_in_name(column, known)
+        if time_unit is not None and named is not None and named != time_unit:
+            self.faults.append(
+                f'The time column "{column}" names its unit, and time_unit is "{time_unit}"; leave time_unit out, or '
+                "rename the column."
+            )
+            return _Clock()
         unit = self.unit(f'time (column "{column}")', time_unit or unit_in_name(column, known) or "s", known)
         if unit is None:
             return _Clock()

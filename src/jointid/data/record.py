@@ -146,6 +146,11 @@ class Record:
         channels = dict(self.items())
         if not channels:
             raise RecordError("A record needs at least one channel; give the torque and the reference.")
+        if self.tap is Tap.MEASURED and self.injected is not None and not self.injected.in_torque:
+            raise RecordError(
+                "A measured torque contains whatever was injected before it acts; set in_torque = true, or "
+                "tap = command."
+            )
         longest = max(channel.duration for channel in channels.values())
         slack = max(channel.sample_time for channel in channels.values())
         if any(longest - channel.duration >= slack * (1 - 1e-9) for channel in channels.values()):

@@ -59,8 +59,8 @@ class Filtering:
             raise MethodError(f"Cut-off frequencies are positive numbers of Hz; received {cutoffs}.")
         if self.decimation is not None and self.decimation < 1:
             raise MethodError(f"Decimation keeps one sample in 1 or more; received {self.decimation}.")
-        if min(self.borders) < 0:
-            raise MethodError(f"The borders are numbers of samples, 0 or more; received {self.borders}.")
+        if len(self.borders) != 2 or any(not isinstance(b, int) or b < 0 for b in self.borders):
+            raise MethodError(f"The borders are two whole numbers of samples, 0 or more; received {self.borders}.")
         if self.timing not in ("respected", "as_sampled"):
             raise MethodError(f'Timing is "respected" or "as_sampled"; received "{self.timing}".')
         if self.aliasing not in ("refused", "warned"):

@@ -21,7 +21,7 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering
-from jointid.estimation.estimate import Estimate, EstimatedParameter, fingerprint, relative_error
+from jointid.estimation.estimate import Estimate, EstimatedParameter, fingerprint, poor_fit, relative_error
 from jointid.estimation.problem import Problem, initial_of, torque_problem
 from jointid.estimation.regression import least_squares
 from jointid.estimation.search import End, Search, State, require_simulated
@@ -185,7 +185,13 @@ def identify_didim(
     settings = settings or DIDIM()
     problem = torque_problem(record, loop, filtering, parameters)
     choose = {"inversion": inversion_start, "regular": regular_start, "given": given_start}
-    start = choose[settings.start](problem)
+    try:
+        start, began = choose[settings.start](problem), settings.start
+    except MethodError as error:
+        if settings.start != "inversion":
+            raise
+        progress(f"from a regular start instead: {error}")
+        start, began = regular_start(problem), "regular"
     search = Search(_at_rest(problem, settings), settings.tolerance, settings.step_tolerance, progress)
     end = _solve(search, settings, start)
     if settings.initial_state == "free" and not end.reproduced:
@@ -195,10 +201,9 @@ def identify_didim(
         record, search.problem, end.state.x, end.state.simulation, end.state.error, covariance, end.stop, end.converged
     )
     form = "the paper's form (11)" if settings.form == "paper" else "residual form"
-    start_name = f"{'an' if settings.start == 'inversion' else 'a'} {settings.start} start"
     return replace(
         found,
-        variant=f"DIDIM in {form} from {start_name}",
+        variant=f"DIDIM in {form} from {'an' if began == 'inversion' else 'a'} {began} start",
         trace=tuple(search.trace),
         simulations=search.simulations,
     )
@@ -293,6 +298,7 @@ def answer(
         warnings=_warnings(problem, x, run, covariance.correlation, converged),
         fingerprint=fingerprint(record.torque.values),
         delay=problem.experiment.law.delay,
+        correlation=covariance.correlation,
     )
 
 
@@ -312,9 +318,6 @@ def _warnings(
         for j in range(i)
         if abs(correlation[i, j]) > _INSEPARABLE
     ]
-    negative = [
-        f"{p.name} came out at {value:.4g}, below what is physical"
-        for p, value in zip(problem.free, x, strict=True)
-        if value < p.lower
-    ]
-    return (*found, *pairs, *negative)
+    error = float(np.linalg.norm(problem.error(run)) / np.linalg.norm(problem.filtered(problem.measured)))
+    aliased = problem.filtering.warnings(problem.experiment.sample_time)
+    return (*found, *pairs, *aliased, *poor_fit(error))

@@ -42,7 +42,6 @@ _REFINED = 4  # starts of a grid that are refined
 _DAMPING = 0.02  # of the mode, to begin with (ours: the paper gives none)
 _EVALUATIONS = 60  # of one refinement
 _REASONS = {2: "the criterion", 3: "the parameters", 4: "the criterion and the parameters"}
-_SURE = 3.0  # deviations from the reference, or from rest, that are believed
 _IMPROVED = 1e-4  # of the criterion: a restart that gains less was not needed
 
 
@@ -175,7 +174,6 @@ def identify_flexible(
         intervals=intervals,
         trace=tuple(descent.trace),
         simulations=descent.simulations + rigid.simulations,
-        warnings=(*estimate.warnings, *problem.filtering.warnings(problem.experiment.sample_time)),
     )
 
 
@@ -195,16 +193,17 @@ def _initial_state(rigid: Estimate, reference: float, settings: FlexibleDIDIM) -
     """Return the initial state as parameters: as the rigid identification found it, and free where it was.
 
     Nelder-Mead keeps it: the paper's eight parameters are all a simplex should have to search. It then stands on the
-    reference, at rest, unless the rigid identification says otherwise.
+    reference, at rest, unless the rigid identification found it moving. (The position it finds at rest is no guide: a
+    rigid model of a flexible joint is off by more than its deviations say.)
     """
+    moving = rigid["initial_velocity"].free
     found = []
     for p in INITIAL_STATE:
-        known = rigid[p.name]
-        value, home = known.value or 0.0, reference if p.name == "initial_position" else 0.0
+        value = rigid[p.name].value or 0.0
         if settings.minimiser == "least-squares":
-            found.append(replace(p, start=value, free=known.free))
+            found.append(replace(p, start=value, free=rigid[p.name].free))
         else:
-            found.append(p.fixed(home if abs(value - home) <= _SURE * (known.std or 0.0) else value))
+            found.append(p.fixed(value if moving else reference if p.name == "initial_position" else 0.0))
     return tuple(found)
 
 
@@ -332,7 +331,7 @@ def _covariance(descent: _Descent, x: FloatArray, error: FloatArray, settings: F
     names = [p.name for p in problem.loop.joint.parameters]
     free = [names.index(p.name) for p in problem.free_joint]
     W = np.concatenate([problem.filtered(equation[:, free]) for equation in columns])
-    variance = float(error @ error) / (len(W) - W.shape[1])
+    variance = float(error @ error) / (len(W) - W.shape[1])  # the paper's r counts the rows of both equations
     norms = np.linalg.norm(W, axis=0)
     inverse = np.linalg.inv((W / norms).T @ (W / norms))
     std = np.sqrt(variance * np.diag(inverse)) / norms

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TypeAlias
 
 from jointid.common.errors import MethodError
@@ -15,7 +16,7 @@ from jointid.estimation.estimate import Estimate
 from jointid.estimation.flexible import FlexibleDIDIM, identify_flexible
 from jointid.estimation.idim import IDIM, identify_idim
 from jointid.model.joints import Joint
-from jointid.model.parameters import Parameter, adjusted
+from jointid.model.parameters import Parameter, Quantity, adjusted
 from jointid.simulation.closed_loop import ClosedLoop
 
 Method: TypeAlias = DIDIM | FlexibleDIDIM | IDIM
@@ -44,7 +45,10 @@ def identify(
     Raises:
         RecordError: the record lacks a channel the method needs; the sentence says which, and which method does not;
             or it shows nothing (a constant torque or reference), or cannot be in the units it is said to be in.
-        MethodError: the method does not fit the model, or the record does not determine the parameters.
+        MethodError: the method does not fit the model, the record does not determine the parameters, or it gives an
+            inertia that is not positive.
+
+    A parameter that comes out beyond its bounds is kept at the bound, with a warning, and the others identified anew.
 
     Example:
         >>> import numpy as np
@@ -61,25 +65,69 @@ def identify(
     joint = loop.joint if loop else model
     assert not isinstance(joint, ClosedLoop)
     chosen = method or default_method(joint, loop is not None)
-    adjustments = adjusted(joint.parameters, parameters or {})
-    filtering = filtering or Filtering()
+    wanted = adjusted(joint.parameters, parameters or {})
     check_record(record)
-    if isinstance(chosen, IDIM):
+    estimate = _identified(record, joint, loop, chosen, filtering or Filtering(), wanted, progress)
+    bounds: list[str] = []
+    while (beyond := _beyond(estimate, wanted)) is not None:
+        value, p = beyond
+        bounds.append(f"{p.name} is at its bound: without it, it would be {value:.4g} {joint.unit(p)}")
+        progress(bounds[-1])
+        wanted = tuple(_at_bound(q, value) if q.name == p.name else q for q in wanted)
+        estimate = _identified(record, joint, loop, chosen, filtering or Filtering(), wanted, progress)
+    return replace(estimate, warnings=(*bounds, *estimate.warnings))
+
+
+def _beyond(estimate: Estimate, wanted: tuple[Parameter, ...]) -> tuple[float, Parameter] | None:
+    """Return the free parameter that is farthest beyond its bounds, in its own deviations, with its value.
+
+    Raises:
+        MethodError: an inertia is not positive, for which no bound is a remedy.
+    """
+    found = [(estimate.values[p.name], p) for p in wanted if p.free]
+    for value, p in found:
+        if p.quantity is Quantity.INERTIA and value <= 0:
+            raise MethodError(
+                f"The record gives {p.name} = {value:.4g}, which no joint has: the torque or the motion has the wrong "
+                "sign (set sign = -1), or they do not belong together."
+            )
+    outside = [(value, p) for value, p in found if not p.lower <= value <= p.upper]
+    return max(outside, key=lambda pair: _excess(pair[0], pair[1], estimate), default=None)
+
+
+def _excess(value: float, p: Parameter, estimate: Estimate) -> float:
+    return max(p.lower - value, value - p.upper) / (estimate[p.name].std or abs(value) or 1.0)
+
+
+def _at_bound(p: Parameter, value: float) -> Parameter:
+    return p.fixed(p.lower if value < p.lower else p.upper)
+
+
+def _identified(
+    record: Record,
+    joint: Joint,
+    loop: ClosedLoop | None,
+    method: Method,
+    filtering: Filtering,
+    parameters: tuple[Parameter, ...],
+    progress: Progress,
+) -> Estimate:
+    if isinstance(method, IDIM):
         delay = loop.controller.law(1.0).delay if loop else 0.0
-        return identify_idim(record, joint, adjustments, filtering, delay)
+        return identify_idim(record, joint, parameters, filtering, delay)
     if loop is None:
         raise MethodError(
             "DIDIM simulates the closed loop, so it needs the controller; give a ClosedLoop, or use IDIM with a "
             "motor_position."
         )
-    if isinstance(chosen, FlexibleDIDIM) != (joint.model == "flexible"):
+    if isinstance(method, FlexibleDIDIM) != (joint.model == "flexible"):
         raise MethodError(
-            f"{type(chosen).__name__} is not for a {joint.model} joint; "
+            f"{type(method).__name__} is not for a {joint.model} joint; "
             f"use {type(default_method(joint, True)).__name__}."
         )
-    if isinstance(chosen, FlexibleDIDIM):
-        return identify_flexible(record, loop, adjustments, filtering, chosen, progress)
-    return identify_didim(record, loop, adjustments, filtering, chosen, progress)
+    if isinstance(method, FlexibleDIDIM):
+        return identify_flexible(record, loop, parameters, filtering, method, progress)
+    return identify_didim(record, loop, parameters, filtering, method, progress)
 
 
 def default_method(joint: Joint, controlled: bool) -> Method:

@@ -25,10 +25,10 @@ from jointid.data.signals import (
     windowed,
     windowed_torque,
 )
-from jointid.estimation.estimate import Estimate, EstimatedParameter, fingerprint, relative_error
+from jointid.estimation.estimate import Estimate, EstimatedParameter, fingerprint, poor_fit, relative_error
 from jointid.estimation.regression import Fit, least_squares
 from jointid.estimation.uncertainty import Covariance, sandwich, words
-from jointid.model.joints import Joint, Motion
+from jointid.model.joints import Joint, Motion, require_units
 from jointid.model.parameters import Parameter
 
 
@@ -139,6 +139,7 @@ def motion_of(record: Record, delay: float, filtering: Filtering, joint: Joint) 
         RecordError: a channel is missing, not sampled, or at another rate.
     """
     needed = idim_channels(joint.model)
+    require_units(record, joint)
     record.require(needed, "IDIM of a flexible joint" if joint.model == "flexible" else "IDIM")
     torque = motor_torque(record)
     positions = []
@@ -154,8 +155,21 @@ def motion_of(record: Record, delay: float, filtering: Filtering, joint: Joint) 
         positions.append(position.values[: len(torque)])
     size = min(len(torque), *(len(position) for position in positions))
     cut = Channel(torque.values[:size], torque.unit, torque.sample_time, torque.timing, torque.source)
-    late = 0.0 if record.tap is Tap.MEASURED else delay  # a measured torque is the one that acts
+    late = _late(record, delay, torque.sample_time)
     return inverse_model(joint, cut, tuple(position[:size] for position in positions), filtering, late)
+
+
+def _late(record: Record, delay: float, period: float) -> float:
+    """Return how long after its stamp a logged torque begins to act, in seconds.
+
+    A measured torque is the one that acts; behind a delay of a broken number of periods it began within the period
+    before the sample that shows it, and an average over that period is stamped at its end.
+    """
+    if record.tap is not Tap.MEASURED:
+        return delay
+    fraction = delay / period % 1.0
+    averaged = record.torque is not None and record.torque.timing is Timing.AVERAGED
+    return 0.0 if averaged or min(fraction, 1 - fraction) < 1e-6 else (fraction - 1.0) * period
 
 
 def identify_idim(
@@ -214,17 +228,19 @@ def identify_idim(
         stop="a linear regression has one step",
         converged=True,
         intervals=f"of the regression, {words(covariance)}",
-        warnings=_warnings(record, filtering),
+        warnings=_warnings(record, filtering, fit),
         fingerprint=fingerprint(record.torque.values),
         delay=delay,
+        correlation=covariance.correlation,
     )
 
 
-def _warnings(record: Record, filtering: Filtering) -> tuple[str, ...]:
+def _warnings(record: Record, filtering: Filtering, fit: Fit) -> tuple[str, ...]:
     assert record.torque is not None
+    found = list(filtering.warnings(record.torque.sample_time))
     if filtering.timing == "as_sampled" and record.torque.timing is not Timing.SAMPLED:
-        return (
+        found.append(
             f"the torque is {record.torque.timing.value} but read as sampled, half a period early, as the published "
-            'results were; timing = "respected" is right',
+            'results were; timing = "respected" is right'
         )
-    return ()
+    return (*found, *poor_fit(fit.relative_error))

@@ -158,5 +158,6 @@ def require_simulated(state: State) -> None:
     if outcome is not Outcome.FINISHED:
         raise MethodError(
             f"DIDIM cannot go on, because {outcome.value} ({100 * state.simulation.finished:.0f} % of the record was "
-            'simulated); check the controller\'s gains and units, or choose start = "regular".'
+            "simulated); check the sign and the unit of torque and reference and the controller's gains, or choose "
+            'start = "regular".'
         )

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.errors import MethodError
-from jointid.data.record import Channel, FloatArray, Timing
+from jointid.data.record import Channel, FloatArray, Tap, Timing
 from jointid.estimation.idim import InverseModel, inverse_model, regress
 from jointid.estimation.problem import Problem
 from jointid.model.controllers import POSITION, REFERENCE, REFERENCE_VELOCITY, invert
@@ -40,22 +40,32 @@ def reconstructed_position(problem: Problem) -> FloatArray:
     one more than the law has states, are not to be used.
 
     Raises:
-        MethodError: the log does not show every period once, or the law cannot be inverted.
+        MethodError: the log does not show the output of every period once, or the law cannot be inverted.
     """
-    experiment = problem.experiment
-    if experiment.every > 1 or experiment.repeat > 1:
-        raise MethodError(
-            "The controller can be turned round only when every one of its periods is logged once; "
-            'choose start = "regular".'
-        )
-    law, inputs = experiment.law, experiment.inputs
+    law, inputs = problem.experiment.law, problem.experiment.inputs
     slope = (inputs[1, REFERENCE] - inputs[0, REFERENCE]) / law.period
     state = (
         law.memory(REFERENCE, inputs[0, REFERENCE], slope)
         + law.memory(REFERENCE_VELOCITY, inputs[0, REFERENCE_VELOCITY], 0.0)
         + law.memory(POSITION, inputs[0, REFERENCE], slope)
     )
-    return invert(law, problem.measured - experiment.logged - experiment.before_limit, inputs, state)
+    return invert(law, _command(problem) - problem.experiment.before_limit, inputs, state)
+
+
+def _command(problem: Problem) -> FloatArray:
+    """Return the controller's output after its limit, period by period, from the logged torque."""
+    experiment = problem.experiment
+    whole = np.all(experiment.lags == experiment.lags[0])
+    averaged, measured = experiment.timing is Timing.AVERAGED, experiment.tap is Tap.MEASURED
+    if experiment.every > 1 or experiment.repeat > 1 or (averaged and measured and not whole):
+        raise MethodError(
+            "The controller can be turned round only when the log shows the output of each of its periods once; "
+            'choose start = "regular".'
+        )
+    # A measured torque shows an output when it acts, an averaged one when its period is over.
+    late = int(averaged) + (int(experiment.lags[0]) if measured else 0)
+    output = np.concatenate([problem.measured[late:], np.full(late, problem.measured[-1])])
+    return np.asarray(output - (experiment.after_limit if measured else experiment.logged))
 
 
 def initial_state(problem: Problem, position: FloatArray) -> dict[str, float]:
@@ -69,10 +79,9 @@ def initial_state(problem: Problem, position: FloatArray) -> dict[str, float]:
 
 def inversion_start(problem: Problem) -> Start:
     """Return what IDIM finds on the reconstructed position: nearly what it finds on a measured one."""
-    experiment, joint = problem.experiment, _rigid(problem)
-    position = reconstructed_position(problem)
-    acting = problem.measured - experiment.logged + experiment.after_limit
-    found = _regressed(problem, joint, acting, position, _unlimited(problem), experiment.law.delay)
+    joint, position = _rigid(problem), reconstructed_position(problem)
+    acting = _command(problem) + problem.experiment.after_limit
+    found = _regressed(problem, joint, acting, position, _unlimited(problem), problem.experiment.law.delay)
     return Start(_kept(problem, found | initial_state(problem, position)), None)
 
 
@@ -84,13 +93,12 @@ def regular_start(problem: Problem, given: dict[str, float] | None = None) -> St
     reference, as if the axis tracked it perfectly.
     """
     experiment, joint = problem.experiment, _rigid(problem)
-    reference = np.repeat(experiment.inputs[:: experiment.every, REFERENCE], experiment.repeat)
-    reference = reference[: problem.measured.size]
-    torque = (
-        problem.measured - np.repeat(experiment.logged[:: experiment.every], experiment.repeat)[: problem.measured.size]
-    )
+    periods = experiment.looked // experiment.lengths.size
+    reference = experiment.inputs[periods, REFERENCE]
+    torque = problem.measured - experiment.logged[periods] + experiment.after_limit[periods]
     tracked = _regressed(problem, joint, torque, reference, np.ones(torque.size, dtype=np.bool_))
-    nominal = abs(tracked["inertia"])
+    known = next(p for p in problem.parameters if p.name == "inertia")
+    nominal = abs(tracked["inertia"]) if known.free else float(known.start or 1.0)
     regular = {p.name: 0.0 for p in problem.parameters} | {"inertia": nominal}
     regular |= {"initial_position": float(reference[0]), "initial_velocity": 0.0}
     return Start(_kept(problem, regular | (given or {})), nominal)
@@ -110,7 +118,7 @@ def _unlimited(problem: Problem) -> NDArray[np.bool_]:
     Where nothing would be left, everything: a poor start is better than none.
     """
     experiment = problem.experiment
-    output = np.abs(problem.measured - experiment.logged)
+    output = np.abs(_command(problem))
     cutoff = problem.filtering.position_cutoff
     assert cutoff is not None
     reach = experiment.law.C.size + round(_SETTLED / (cutoff * experiment.sample_time))

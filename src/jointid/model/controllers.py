@@ -114,9 +114,10 @@ class DigitalFilter:
     def __post_init__(self) -> None:
         object.__setattr__(self, "numerator", tuple(float(b) for b in self.numerator))
         object.__setattr__(self, "denominator", tuple(float(a) for a in self.denominator))
-        if not self.numerator or not self.denominator or self.denominator[0] == 0.0:
+        finite = all(map(math.isfinite, (*self.numerator, *self.denominator)))
+        if not self.numerator or not self.denominator or self.denominator[0] == 0.0 or not finite:
             raise MethodError(
-                f"A digital filter needs a numerator, and a denominator that does not start with 0; "
+                f"A digital filter needs a numerator, and a denominator that does not start with 0, of finite numbers; "
                 f"received {self.numerator} / {self.denominator}."
             )
 
@@ -302,7 +303,8 @@ def invert(law: SampledLaw, torque: FloatArray, inputs: FloatArray, state: Float
     """Return the motor position that makes the law put out `torque`, shape (samples,).
 
     ``position = reference - C^-1(torque)``: exact where the torque was not at the limit. It turns noise dT of the
-    torque into dT / |D| of position, far below an encoder's step for most loops.
+    torque into dT / |D| of position within the sample, and dT over the law's static gain slowly: for most loops far
+    below an encoder's step.
 
     Args:
         law: the law; its direct gain from position must not be 0.

@@ -19,10 +19,10 @@ from typing import TypeAlias
 
 import numpy as np
 
-from jointid.common.errors import MethodError
-from jointid.data.record import FloatArray
+from jointid.common.errors import MethodError, RecordError
+from jointid.data.record import CHANNELS, FloatArray, Record
 from jointid.model.friction import AsymmetricFriction, Friction, SymmetricFriction
-from jointid.model.parameters import TORQUE_UNIT, Kind, Parameter, Quantity, unit_of
+from jointid.model.parameters import POSITION_UNIT, TORQUE_UNIT, Kind, Parameter, Quantity, unit_of
 
 _TINY = 1e-300  # keeps a bound on inertias open: a mass of zero has no motion
 
@@ -56,6 +56,9 @@ class RigidJoint:
     kind: Kind = "prismatic"
     friction: Friction = field(default_factory=SymmetricFriction)
     torque_unit: str | None = None
+
+    def __post_init__(self) -> None:
+        _require_kind(self.kind)
 
     @property
     def model(self) -> str:
@@ -106,6 +109,9 @@ class FlexibleJoint:
     kind: Kind = "prismatic"
     friction: Friction = field(default_factory=SymmetricFriction)
     torque_unit: str | None = None
+
+    def __post_init__(self) -> None:
+        _require_kind(self.kind)
 
     @property
     def model(self) -> str:
@@ -174,6 +180,24 @@ class FlexibleJoint:
 
 
 Joint: TypeAlias = RigidJoint | FlexibleJoint
+
+
+def require_units(record: Record, joint: Joint) -> None:
+    """Raise a `RecordError` if a record's channels are in units that are not the joint's."""
+    position, force = POSITION_UNIT[joint.kind], joint.torque_unit or TORQUE_UNIT[joint.kind]
+    units = dict.fromkeys(CHANNELS, position)
+    units |= {"torque": force, "injected": force, "reference_velocity": f"{position}/s"}
+    wrong = [f"{name} in {c.unit}, not {units[name]}" for name, c in record.items() if c.unit != units[name]]
+    if wrong:
+        raise RecordError(
+            f"This {joint.kind} joint does not fit the record, which has {'; '.join(wrong)}: correct the joint's kind "
+            "or torque_unit, or the units of the channels."
+        )
+
+
+def _require_kind(kind: str) -> None:
+    if kind not in POSITION_UNIT:
+        raise MethodError(f'A joint is "prismatic" or "revolute"; received "{kind}".')
 
 
 def rigid_sums(values: Mapping[str, float]) -> dict[str, float]:

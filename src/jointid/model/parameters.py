@@ -79,6 +79,12 @@ def adjusted(parameters: Iterable[Parameter], changes: Mapping[str, Parameter]) 
     Raises:
         MethodError: a name is not one of the parameters; the sentence lists them.
     """
+    wrong = [name for name, change in changes.items() if not isinstance(change, Parameter)]
+    if wrong:
+        raise MethodError(
+            f"A change of {', '.join(wrong)} is a Parameter; received {changes[wrong[0]]!r}: take the joint's own and "
+            "use its fixed(value), or dataclasses.replace."
+        )
     parameters = tuple(parameters)
     names = [parameter.name for parameter in parameters]
     unknown = [name for name in changes if name not in names]

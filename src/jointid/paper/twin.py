@@ -54,11 +54,11 @@ CONTROLLERS = MappingProxyType(
 
 
 JOINT_FILE = """\
-# The digital twin of the paper's flexible axis, identified as a rigid joint below its resonance.
+# The digital twin of the paper's flexible axis, identified from motor force and reference alone.
 
 [joint]
 kind = "prismatic"
-model = "rigid"
+model = "flexible"               # or "rigid", with a cutoff of 5 Hz
 
 [record]
 file = "record.csv"
@@ -80,9 +80,12 @@ gain = 35.15065188               # N per V
 limit = 1000.0                   # V, never reached
 
 [filtering]
-cutoff = 5.0                     # Hz: a rigid model holds well below the resonance at 29.5 Hz
+cutoff = 60.0                    # Hz, twice the resonance
+
+[method]
+frequency = 30.0                 # Hz, about the resonance; leave it out to have a grid of starts tried
 """
-"""The joint file that identifies a run of loop L19 as a rigid joint; `examples/twin/joint.toml` is the same."""
+"""The joint file that identifies a run of loop L19 from torque alone; `examples/twin/joint.toml` is the same."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

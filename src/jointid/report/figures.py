@@ -21,8 +21,10 @@ MEASURED = "#0072B2"
 SIMULATED = "#E69F00"
 ERROR = "#000000"
 
+FORMATS = (".png", ".svg", ".pdf")
+"""What a figure can be saved as."""
+
 _ZOOM = 0.08  # of the record, in the lower panel
-_FORMATS = (".png", ".svg", ".pdf")
 
 
 def torque_figure(answer: Estimate | Validation) -> Figure:
@@ -58,8 +60,7 @@ def save(figure: Figure, path: str | Path) -> Path:
         RecordError: another suffix, or the file cannot be written.
     """
     path = Path(path)
-    if path.suffix.lower() not in _FORMATS:
-        raise RecordError(f'A figure is saved as {", ".join(_FORMATS)}; received "{path.name}": change its suffix.')
+    require_format(path)
     import matplotlib as mpl
 
     metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower(), {})
@@ -69,6 +70,12 @@ def save(figure: Figure, path: str | Path) -> Path:
     except OSError as error:
         raise RecordError(f"{path} cannot be written ({error.strerror}); choose another place.") from None
     return path
+
+
+def require_format(path: Path) -> None:
+    """Raise a `RecordError` if a figure cannot be saved under that name."""
+    if path.suffix.lower() not in FORMATS:
+        raise RecordError(f'A figure is saved as {", ".join(FORMATS)}; received "{path.name}": change its suffix.')
 
 
 def _lines(axes: Axes, time: FloatArray, measured: FloatArray, predicted: FloatArray, word: str | None) -> None:

@@ -24,17 +24,21 @@ from jointid.model.controllers import (
     POSITION,
     REFERENCE,
     REFERENCE_VELOCITY,
+    Cascade,
     Controller,
     SampledLaw,
     run,
     scaled,
 )
-from jointid.model.joints import Joint, Motion
+from jointid.model.joints import Joint, Motion, RigidJoint, require_units
 
 T = TypeVar("T")
 R = TypeVar("R")
 
-_SNAP = 1e-6  # of a period: clocks closer than this are the same clock
+_SNAP = 1e-6  # of a period: instants closer than this are the same instant
+_SAME_RATE = 1e-4  # two clocks whose rates differ by less than crystals do are one clock
+_FEWEST = 10  # periods that can be simulated to any purpose
+_MOST = 200  # periods to one log sample, or the other way round: more is a mistake
 _FAR = 1e3  # times the commanded travel: a motor this far away will not come back
 
 
@@ -84,6 +88,7 @@ class Experiment:
         feedforward: (periods,) the law's answer to everything but the position.
         sample_time: of the log, which is every `every`-th period, or shows each period `repeat` times.
         lengths, lags: the parts of a period, see `kernels.run`.
+        looked: (samples,) which of all parts, period after period, begin at the log's instants.
         far: a motor position that no loop comes back from, reckoned from the initial one.
         tap: where the torque is logged. timing: what a logged value is.
         samples: of the log.
@@ -100,6 +105,7 @@ class Experiment:
     repeat: int
     lengths: FloatArray
     lags: NDArray[np.int64]
+    looked: NDArray[np.intp]
     far: float
     tap: Tap
     timing: Timing
@@ -175,10 +181,17 @@ def prepare(loop: ClosedLoop, record: Record) -> Experiment:
         RecordError: a channel the controller reads is missing, or its clock does not divide the controller's.
     """
     record.require(loop.controller.channels, "The simulation of this controller")
+    require_units(record, loop.joint)
     assert record.reference is not None
     log = record.torque or record.reference
     law = loop.controller.law(log.sample_time)
-    periods = math.floor(record.duration / law.period + _SNAP)
+    periods = math.floor(min(record.duration / law.period, 1e9) + _SNAP)
+    if periods < _FEWEST:
+        raise RecordError(
+            f"The record lasts {record.duration:.4g} s, fewer than {_FEWEST} of the controller's periods of "
+            f"{law.period:.4g} s; use a longer one, or correct the period."
+        )
+    _ratio(law.period, log.sample_time, "the log")
     inputs = np.zeros((periods, 3))
     inputs[:, REFERENCE] = at_period(record.reference, law.period, periods, "reference")
     if "reference_velocity" in loop.controller.channels:
@@ -199,23 +212,29 @@ def prepare(loop: ClosedLoop, record: Record) -> Experiment:
 
 
 def at_period(channel: Channel, period: float, periods: int, name: str) -> FloatArray:
-    """Return a channel at the controller's instants: every so many samples, or each held until the next.
+    """Return a channel at the controller's instants.
+
+    A channel that is faster than the controller is picked; one that is slower is held until its next sample, or, if it
+    is sampled (as a reference is, unless it is declared held), interpolated linearly.
 
     Raises:
         RecordError: neither of the two periods is a multiple of the other.
     """
     every, repeat = _ratio(period, channel.sample_time, name)
+    if repeat > 1 and channel.timing is Timing.SAMPLED:
+        at = np.arange(periods) / repeat
+        return np.asarray(np.interp(at, np.arange(channel.values.size), channel.values), dtype=np.float64)
     return np.asarray(np.repeat(channel.values[::every], repeat)[:periods])
 
 
 def _ratio(long: float, short: float, name: str) -> tuple[int, int]:
     """Return (every, repeat): how many of `short` make one `long`, or the other way round; one of them is 1."""
     ratio = long / short
-    every, repeat = max(round(ratio), 1), max(round(1 / ratio), 1)
-    if abs(ratio * repeat / every - 1) > _SNAP:
+    every, repeat = max(round(min(ratio, 1e9)), 1), max(round(min(1 / ratio, 1e9)), 1)
+    if max(every, repeat) > _MOST or abs(ratio * repeat / every - 1) > _SAME_RATE:
         raise RecordError(
-            f"The controller's period of {long:g} s and the sample time of {short:g} s of {name} are no multiples of "
-            "each other; resample the log, or correct the period."
+            f"The controller's period and the sample time of {name}, {long:.9g} s and {short:.9g} s, are not the same, "
+            f"nor is one a multiple of the other up to {_MOST} times; correct the period, or resample the log."
         )
     return every, repeat
 
@@ -231,8 +250,11 @@ def _experiment(
     tap: Tap,
     timing: Timing,
 ) -> Experiment:
-    repeat, every = _ratio(law.period, sample_time, "torque")
+    repeat, every = _ratio(law.period, sample_time, "the log")
     lengths, lags = _parts(law, repeat)
+    starts = np.cumsum(lengths) - lengths
+    inside = [int(np.argmin(np.abs(starts - j * law.period / repeat))) for j in range(repeat)]
+    looked = (np.arange(0, len(inputs), every)[:, np.newaxis] * lengths.size + inside).reshape(-1)[:samples]
     reference, velocity = inputs[:, REFERENCE], inputs[:, REFERENCE_VELOCITY]
     slope = (reference[1] - reference[0]) / law.period if reference.size > 1 else 0.0
     state = law.memory(REFERENCE, reference[0], slope) + law.memory(REFERENCE_VELOCITY, velocity[0], 0.0)
@@ -240,7 +262,7 @@ def _experiment(
     far = _far(law, feedforward, after_limit)
     return Experiment(
         law, inputs, before_limit, after_limit, logged, feedforward, sample_time, every, repeat, lengths, lags,
-        far, tap, timing, samples,
+        looked, far, tap, timing, looked.size,
     )  # fmt: skip
 
 
@@ -278,6 +300,9 @@ def _run(
     law = experiment.law
     position = float(experiment.inputs[0, REFERENCE]) if initial.position is None else initial.position
     velocity = initial.velocity or 0.0
+    missing = [p.name for p in loop.joint.parameters if p.name not in values]
+    if missing:
+        raise MethodError(f"A simulation needs a value for every parameter; {', '.join(missing)} has none: give one.")
     drive = loop.joint.coefficients(values)
     periods, parts = experiment.feedforward.size, experiment.lengths.size
     command = np.empty(periods)
@@ -298,6 +323,9 @@ def _run(
     done = int(counts[2])
     command[done:] = command[done - 1] if done else 0.0
     states[done * parts :] = states[done * parts - 1] if done and keep else 0.0
+    if outcome is Outcome.DIVERGED:  # what diverges may do so beyond the largest number
+        np.nan_to_num(command, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+        np.nan_to_num(states, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     return _Run(drive, command, states, outcome, counts)
 
 
@@ -323,19 +351,19 @@ def simulate(
     Exact to rounding for held torques and friction that is piecewise linear in velocity.
     """
     out = _run(loop, experiment, values, initial, keep=True)
-    states = out.states.reshape(out.command.size, experiment.lengths.size, 4)
-    instants = np.cumsum(experiment.lengths) - experiment.lengths
-    looked = [int(np.argmin(np.abs(instants - j * experiment.sample_time))) for j in range(experiment.repeat)]
-    seen = states[:: experiment.every, looked].reshape(-1, 4)[: experiment.samples]
+    parts, periods = experiment.lengths.size, out.command.size
+    seen = out.states[experiment.looked]
     # The part whose torque is the newest begins where a torque begins to act.
     newest = int(np.argmin(experiment.lags))
-    rows = np.minimum(np.arange(out.command.size) + experiment.lags[newest], out.command.size - 1)
-    begin = states[rows, newest]
+    rows = np.minimum(np.arange(periods) + experiment.lags[newest], periods - 1) * parts + newest
+    begin = out.states[rows]
     push = out.command + experiment.after_limit
+    which = experiment.looked // parts
 
     def motion(side: int) -> Motion:
-        acceleration = _acceleration(out.drive, begin, push, side)
-        return Motion(*(_at_log(experiment, v) for v in (begin[:, 2 * side], begin[:, 2 * side + 1], acceleration)))
+        possible = out.outcome is not Outcome.INVALID
+        acceleration = _acceleration(out.drive, begin, push, side) if possible else np.zeros(periods)
+        return Motion(*(v[which] for v in (begin[:, 2 * side], begin[:, 2 * side + 1], acceleration)))
 
     flexible = loop.joint.model == "flexible"
     return Simulation(
@@ -372,29 +400,25 @@ def _far(law: SampledLaw, feedforward: FloatArray, after_limit: FloatArray) -> f
     return float(np.max(np.abs(asked))) + _FAR * travel + 1e-9
 
 
-def _at_log(experiment: Experiment, values: FloatArray) -> FloatArray:
-    """Return what a log shows of a value that is held from one period to the next."""
-    if experiment.every > 1 or experiment.repeat > 1:
-        values = np.repeat(values[:: experiment.every], experiment.repeat)
-    return values[: experiment.samples]
-
-
 def _as_logged(experiment: Experiment, command: FloatArray) -> FloatArray:
-    """Return the controller's output as the log's torque channel shows it."""
+    """Return the controller's output, or the torque that acts, as the log's torque channel shows it.
+
+    Both are piecewise constant: the one over periods, the other over the parts of periods.
+    """
+    parts, lags = experiment.lengths.size, experiment.lags
     if experiment.tap is Tap.MEASURED:
-        shown = _delayed(command + experiment.after_limit, int(experiment.lags[0]))
+        acting = command + experiment.after_limit
+        sources = np.arange(acting.size)[:, np.newaxis] - lags
+        shown = acting[np.maximum(sources, 0)].reshape(-1)
     else:
         shown = command + experiment.logged
-    if experiment.timing is Timing.AVERAGED and experiment.every > 1:
-        sums = np.concatenate([np.zeros(1), np.cumsum(shown)])
-        ends = np.arange(1, shown.size)
-        starts = np.maximum(ends - experiment.every, 0)
-        shown = np.append(shown[0], (sums[ends] - sums[starts]) / (ends - starts))
-    return _at_log(experiment, shown)
-
-
-def _delayed(values: FloatArray, lag: int) -> FloatArray:
-    return np.concatenate([np.full(lag, values[0]), values])[: values.size]
+        if parts > 1:
+            shown = np.repeat(shown, parts)
+    if experiment.timing is not Timing.AVERAGED:
+        return np.asarray(shown[experiment.looked])
+    steps = np.tile(experiment.lengths, command.size) * shown
+    integral = np.concatenate([np.zeros(1), np.cumsum(steps)])[experiment.looked]
+    return np.append(shown[0], np.diff(integral) / experiment.sample_time)
 
 
 def _acceleration(drive: FloatArray, states: FloatArray, torque: FloatArray, side: int) -> FloatArray:
@@ -440,3 +464,10 @@ def require_finished(simulation: Simulation) -> Simulation:
             f"{simulation.outcome.value}; check the controller's gains and the parameters' values."
         )
     return simulation
+
+
+def warm_up() -> None:
+    """Compile the simulation, or load it from the cache: what the first simulation would otherwise wait for."""
+    loop = ClosedLoop(RigidJoint(), Cascade(kp=1.0, kv=1.0))
+    still = Record(reference=Channel(np.zeros(_FEWEST), "m", 1.0))
+    simulate_torque(loop, prepare(loop, still), dict.fromkeys(("inertia", "viscous", "coulomb", "offset"), 1.0))

@@ -36,7 +36,7 @@ FINISHED, DIVERGED, TOO_STIFF, CHATTERING = 0, 1, 2, 3
 
 _MAP = 24  # one mode's map: five columns of four, then what its proofs need
 _MAP_ORDER = 14  # of its Taylor series
-_ORDER = 10  # of the event solver's; with the step below, its remainder is under the rounding error
+_ORDER = 10  # of the event solver's; with the step below, its remainder is at most 30 times the rounding error
 _STEP = 0.25  # longest Taylor step, as a fraction of 1/(fastest rate of the drive)
 _DEPTH = 40  # of the halvings that isolate a root
 _EVENTS = 200  # per period; a physical drive has a handful

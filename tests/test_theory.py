@@ -1,0 +1,309 @@
+"""The formulas and numbers of docs/theory.md hold for the code; (T..) are the equations of that page."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.stats import norm
+
+from jointid.data.excitation import trapezoids
+from jointid.data.record import Channel, FloatArray, Timing
+from jointid.data.signals import Filtering, decimate, differences, windowed, windowed_torque
+from jointid.estimation.didim import DIDIM
+from jointid.estimation.flexible import pseudo_regular
+from jointid.estimation.identify import identify
+from jointid.estimation.idim import IDIM
+from jointid.estimation.problem import INITIAL_STATE, Problem, torque_problem
+from jointid.estimation.regression import least_squares
+from jointid.estimation.uncertainty import bandwidth, sandwich
+from jointid.model.controllers import POSITION, SampledLaw
+from jointid.model.joints import FlexibleJoint, Joint, RigidJoint, frequencies
+from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
+from jointid.simulation.closed_loop import ClosedLoop, Initial
+from jointid.simulation.synthesis import simulated_record
+
+T = 1e-3
+RIGID = {"inertia": 105.0, "viscous": 202.0, "coulomb": 20.4, "offset": -3.16}
+P = TABLE_2
+RHO_PER_W2 = P["load_inertia"] / P["stiffness"]
+
+
+def feedback(law: SampledLaw, w: float) -> complex:
+    """C of (T23) without the delay."""
+    z = np.exp(1j * w * T)
+    back = law.C @ np.linalg.solve(z * np.eye(law.C.size) - law.A, law.B[:, POSITION])
+    return complex(-(back + law.D[POSITION]))
+
+
+def held(w: float) -> complex:
+    return complex((1 - np.exp(-1j * w * T)) / (1j * w * T))
+
+
+class Sinusoid:
+    """A joint that always moves forwards, with one frequency on top: amplitudes of everything, in steady state."""
+
+    def __init__(self, joint: Joint, truth: dict[str, float], hertz: float, loop_name: str) -> None:
+        self.w = 2 * math.pi * hertz
+        time = np.arange(4000) * T
+        loop = ClosedLoop(joint, CONTROLLERS[loop_name])
+        reference = 0.05 * time + 0.02 / self.w * np.sin(self.w * time)
+        made = simulated_record(loop, reference, truth, sample_time=T, initial=Initial(0.0, 0.07))
+        initial = (INITIAL_STATE[0].fixed(0.0), INITIAL_STATE[1].fixed(0.07))
+        problem = torque_problem(made, loop, Filtering(), joint.parameters, initial)
+        x = problem.vector(truth)
+        jacobian, _ = problem.jacobian(x, np.maximum(np.abs(x), 1.0))
+        run = problem.simulate(x)
+        late = time >= 2.0
+        assert np.min(run.motor_velocity[late]) > 0.0
+
+        def amplitude(values: FloatArray) -> complex:
+            at = time[late]
+            basis = np.column_stack([np.cos(self.w * at), -np.sin(self.w * at), np.ones_like(at), at])
+            found = np.linalg.lstsq(basis, values[late])[0]
+            return complex(found[0], found[1])
+
+        law = loop.controller.law(T)
+        self.s = 1j * self.w
+        self.late = np.exp(-self.s * law.delay)
+        self.feedback = feedback(law, self.w)
+        self.J = np.array([amplitude(column) for column in jacobian.T])
+        self.torque = amplitude(run.torque) * held(self.w) * self.late
+        self.velocity = self.s * amplitude(run.motor_position)
+        self.load_velocity = 0j if run.load_position is None else self.s * amplitude(run.load_position)
+
+    def sensitivity(self, plant: complex) -> complex:
+        """S of (T22)."""
+        return complex(1 / (1 + self.feedback * plant * held(self.w) * self.late))
+
+    def predicted(self, plant: complex, W: list[complex]) -> FloatArray:
+        """(T23): the logged torque's part of T W."""
+        return np.asarray(self.feedback * plant * self.sensitivity(plant) * np.array(W))
+
+
+@pytest.mark.parametrize(("hertz", "away"), [(5.0, 0.080), (20.0, 1.66)])
+def test_the_jacobian_of_a_rigid_joint_is_t_w(hertz: float, away: float) -> None:
+    motion = Sinusoid(RigidJoint(), RIGID, hertz, "L19")
+    plant = 1 / (RIGID["inertia"] * motion.s**2 + RIGID["viscous"] * motion.s)
+    expected = motion.predicted(plant, [motion.s * motion.velocity, motion.velocity])
+    assert np.allclose(motion.J[:2], expected, rtol=1e-5, atol=0.0)
+    assert abs(motion.sensitivity(plant)) == pytest.approx(away, rel=0.01)
+
+
+@pytest.mark.parametrize(("hertz", "loop"), [(5.0, "L19"), (10.0, "L19"), (20.0, "L19"), (28.0, "L19"), (10.0, "L30")])
+def test_the_jacobian_of_a_flexible_joint_is_t_of_both_rows(hertz: float, loop: str) -> None:
+    motion = Sinusoid(FlexibleJoint(), dict(P), hertz, loop)
+    s, v1, v12 = motion.s, motion.velocity, motion.load_velocity
+    q2 = (v12 - v1) / s
+    z12 = P["damping"] * s + P["stiffness"]
+    z11 = P["motor_inertia"] * s**2 + (P["motor_viscous"] + P["damping"]) * s + P["stiffness"]
+    z22 = P["load_inertia"] * s**2 + (P["load_viscous"] + P["damping"]) * s + P["stiffness"]
+    H = z12 / z22
+    assert v12 / v1 == pytest.approx(H, rel=1e-5)
+    both = [s * v1, v1, 0j, (H - 1) * q2, (H - 1) * s * q2, H * s * v12, H * v12]
+    expected = motion.predicted(1 / (z11 - z12**2 / z22), both)
+    moving = [0, 1, 3, 5, 6]
+    assert np.allclose(motion.J[moving], expected[moving], rtol=1e-4, atol=0.0)
+    assert motion.J[4] == pytest.approx(expected[4], rel=1e-3)
+
+
+def test_the_apparent_mass_and_drag_below_resonance() -> None:
+    motion = Sinusoid(FlexibleJoint(), dict(P), 5.0, "L19")
+    impedance = motion.torque / motion.velocity
+    rho = motion.w**2 * RHO_PER_W2
+    mass = P["motor_inertia"] + P["load_inertia"] / (1 - rho)
+    drag = P["motor_viscous"] + P["load_viscous"] / (1 - rho) ** 2 + P["damping"] * (rho / (1 - rho)) ** 2
+    assert impedance.imag / motion.w == pytest.approx(mass, rel=3e-4)
+    assert impedance.real == pytest.approx(drag, rel=1e-4)
+    correction = P["load_inertia"] ** 2 / P["stiffness"] * motion.w**2
+    assert correction == pytest.approx(1.49, abs=0.005)
+    assert 4 * correction == pytest.approx(5.98, abs=0.005)
+    assert mass - 105.0 - correction == pytest.approx(P["load_inertia"] * rho**2, rel=0.05)  # the next order
+    assert 2 * rho == pytest.approx(0.086, abs=5e-4)
+    first = P["motor_viscous"] + P["load_viscous"] * (1 + 2 * rho)
+    assert drag - first == pytest.approx((3 * P["load_viscous"] + P["damping"]) * rho**2, rel=0.08)
+    assert P["load_viscous"] ** 2 / P["stiffness"] == pytest.approx(0.015, abs=5e-4)
+
+
+def test_the_frequencies_are_the_pole_and_the_zero_of_the_apparent_mass() -> None:
+    hertz = frequencies(P)
+    shown = {"free_free": 29.51, "motor_locked": 24.13, "load_locked": 16.99}
+    assert all(hertz[name] == pytest.approx(value, abs=0.005) for name, value in shown.items())
+    assert (2 * math.pi * hertz["motor_locked"]) ** 2 * RHO_PER_W2 == pytest.approx(1.0)
+    rho = (2 * math.pi * hertz["free_free"]) ** 2 * RHO_PER_W2
+    assert P["motor_inertia"] + P["load_inertia"] / (1 - rho) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_noise_of_an_inverted_law() -> None:
+    law = CONTROLLERS["L19"].law(T)
+    inverse = law.A - np.outer(law.B[:, POSITION], law.C) / law.D[POSITION]
+    assert np.max(np.abs(np.linalg.eigvals(inverse))) == pytest.approx(0.870, abs=5e-4)
+    assert -1 / law.D[POSITION] == pytest.approx(1.77e-7, rel=1e-3)
+    assert 1 / feedback(law, 0.0).real == pytest.approx(7.30e-7, rel=1e-3)
+
+
+@pytest.mark.parametrize("hertz", [10.0, 60.0])
+def test_the_chord_bound(hertz: float) -> None:
+    """(T12) to (T14) on the motion itself, both masses sliding under a held torque."""
+    M1, M2, K = P["motor_inertia"], P["load_inertia"], 10 * P["stiffness"]
+    f1, f2, F = P["motor_viscous"], P["load_viscous"], 10 * P["damping"]
+    A = np.zeros((4, 4))  # motor velocity, stretch, load velocity, 1
+    A[0] = [-(f1 + F) / M1, K / M1, F / M1, 100.0 / M1]
+    A[1] = [-1.0, 0.0, 1.0, 0.0]
+    A[2] = [F / M2, -K / M2, -(f2 + F) / M2, -P["load_coulomb"] / M2]
+    h, t = 1 / hertz / 20, np.linspace(0.0, 1.0, 51)
+    for state in np.random.default_rng(0).normal(size=(20, 3)):
+        x = np.array([expm(A * h * at) @ [state[0], 1e-4 * state[1], state[2], 1.0] for at in t])
+        rates = x @ A.T
+        energy = M1 * rates[:, 0] ** 2 + M2 * rates[:, 2] ** 2 + K * rates[:, 1] ** 2
+        assert np.all(np.diff(energy) <= 0.0)
+        shared = math.sqrt(K) + F * (M1**-0.5 + M2**-0.5)
+        for v, b in ((x[:, 0], (f1 / M1**0.5 + shared) / M1), (x[:, 2], (f2 / M2**0.5 + shared) / M2)):
+            bend = np.max(np.abs(v - (v[0] * (1 - t) + v[-1] * t)))
+            assert bend <= h**2 / 8 * b * math.sqrt(energy[0])
+
+
+def test_the_gain_of_the_decimation_and_the_weights_of_the_window() -> None:
+    constant = decimate(np.ones(3000), Filtering(cutoff=60.0).resolved(T), T)
+    assert constant[100] == pytest.approx(10 ** (-0.05 / 10), rel=1e-9)
+    assert 1 / constant[100] - 1 == pytest.approx(0.0116, abs=5e-5)
+    pulse = np.zeros(20)
+    pulse[10] = 1.0
+
+    def weights(timing: Timing) -> FloatArray:
+        return windowed_torque(Channel(pulse, "N", T, timing))[7:14]
+
+    assert np.allclose(8 * weights(Timing.HELD), [0, 0, 1, 3, 3, 1, 0])
+    assert np.allclose(8 * weights(Timing.AVERAGED), [0, 1, 3, 3, 1, 0, 0])
+    assert np.allclose(32 * weights(Timing.SAMPLED), [0, 1, 8, 14, 8, 1, 0])
+
+
+def test_simpson_s_rule_and_the_differences_are_of_fourth_order() -> None:
+    def errors(hertz: float) -> FloatArray:
+        w = 2 * math.pi * hertz
+        q = np.exp(1j * w * np.arange(400) * T)
+        parts = [differences(part, T) for part in (q.real, q.imag)]
+        velocity, acceleration = (parts[0][i] + 1j * parts[1][i] for i in (0, 1))
+        window = windowed(q) / q / np.sinc(w * T / math.pi) ** 2
+        columns = (window, velocity / (1j * w * q) * window, acceleration / (-(w**2) * q) * window)
+        return np.array([column[200].real - 1 for column in columns])
+
+    x = 2 * math.pi * 20.0 * T
+    assert np.allclose(errors(20.0)[:2], [x**4 / 90, -(x**4) / 45], rtol=0.01)
+    assert errors(40.0)[2] / errors(20.0)[2] == pytest.approx(64.0, rel=0.05)  # sixth order
+    assert np.allclose(errors(60.0), [2.3e-4, -4.3e-4, 6.6e-6], rtol=0.02)
+
+
+def test_convergence_of_the_residual_form() -> None:
+    loop = ClosedLoop(RigidJoint(), CONTROLLERS["L19"])
+    motion = trapezoids((0.042, 0.083, 0.125), 0.83, 0.1, T, duration=8.0)
+    made = simulated_record(loop, motion, RIGID, sample_time=T)
+    joint = RigidJoint()
+    off = {p.name: replace(p, start=1.2 * RIGID[p.name]) for p in joint.parameters}
+    settings = DIDIM(start="given", scaled_iterations=0, initial_state="reference")
+    law = loop.controller.law(T)
+
+    def left(edge: float) -> tuple[list[float], float]:
+        trace = identify(made, loop, settings, parameters=off, filtering=Filtering(cutoff=edge)).trace
+        errors = [max(abs(line.values[name] / value - 1) for name, value in RIGID.items()) for line in trace]
+        w = 2 * math.pi * np.linspace(0.1, edge, 100)
+        plant = 1 / (RIGID["inertia"] * (1j * w) ** 2 + RIGID["viscous"] * 1j * w)
+        loops = np.array([feedback(law, each) * held(each) for each in w]) * plant
+        ratios = [after / before for before, after in pairwise(errors) if before > 1e-7]
+        return ratios, float(np.max(np.abs(1 / (1 + loops))))
+
+    ratios, bound = left(5.0)
+    assert bound == pytest.approx(0.080, abs=5e-4)
+    assert all(0.0135 <= ratio <= 0.0165 for ratio in ratios)
+    ratios, bound = left(40.0)
+    assert bound == pytest.approx(1.7, abs=0.05)
+    assert max(ratios) <= 0.13
+
+
+def test_the_pseudo_regular_start_has_the_frequency_it_was_made_for() -> None:
+    made = simulated_record(
+        ClosedLoop(RigidJoint(), CONTROLLERS["L19"]), trapezoids((0.1,), 0.8, 0.1, T), RIGID, sample_time=T
+    )
+    rigid = identify(made, ClosedLoop(RigidJoint(), CONTROLLERS["L19"]))
+    start = pseudo_regular(rigid, 30.0)
+    assert frequencies(start)["free_free"] == pytest.approx(30.0)
+    assert start["motor_inertia"] == start["load_inertia"] == pytest.approx(0.5 * rigid.values["inertia"])
+    assert start["damping"] == pytest.approx(0.04 * start["stiffness"] / (2 * math.pi * 30.0))
+
+
+def test_the_sandwich_is_the_inverse_model_s_where_all_three_are_one() -> None:
+    rng = np.random.default_rng(1)
+    W = rng.normal(size=(20000, 3)) @ np.array([[1.0, 0.5, 0.0], [0.0, 1.0, 0.5], [0.0, 0.0, 2.0]])
+    fit = least_squares(W, W @ [1.0, 2.0, 3.0] + rng.normal(size=len(W)), ("a", "b", "c"))
+    assert np.allclose(sandwich(W, W, fit.residual).std, fit.std, rtol=0.05)
+    assert bandwidth(4000) == 10
+
+
+def _twin_problem(loop: str) -> tuple[Problem, dict[str, float]]:
+    axis = twin(loop, noise="none")  # type: ignore[arg-type]
+    fixed = tuple(p.fixed(0.0) for p in INITIAL_STATE)
+    joint = axis.loop.joint.parameters
+    return torque_problem(axis.record, axis.loop, Filtering(cutoff=60.0), joint, fixed), axis.truth
+
+
+@pytest.mark.parametrize(
+    ("loop", "correlations", "ratio", "others", "coverage", "two_sigma"),
+    [
+        ("L19", (-0.972, -0.03, -0.96), 4.1, (1.0, 1.0), 0.37, (17, 16, 4.1)),
+        ("L30", (-0.991, -0.08, -0.91), 7.0, (1.1, 0.7), 0.22, (26, 26, 3.5)),
+    ],
+)
+def test_the_inverse_model_s_deviations_are_not_those_of_the_torque(
+    loop: str,
+    correlations: tuple[float, float, float],
+    ratio: float,
+    others: tuple[float, float],
+    coverage: float,
+    two_sigma: tuple[float, float, float],
+) -> None:
+    problem, truth = _twin_problem(loop)
+    x = problem.vector(truth)
+    raw, _ = problem.jacobian(x, np.abs(x))
+    run = problem.simulate(x)
+    columns = problem.loop.joint.regressor(run.motor, run.load)
+    J, W = problem.filtered(raw), np.concatenate([problem.filtered(row) for row in columns])
+    size = 0.08 * np.linalg.norm(problem.filtered(problem.measured)) / math.sqrt(len(J))
+
+    def covariance(M: FloatArray) -> FloatArray:
+        norms = np.linalg.norm(M, axis=0)
+        return np.asarray(size**2 * np.linalg.inv((M / norms).T @ (M / norms)) / np.outer(norms, norms))
+
+    by_j, by_w = covariance(J), covariance(W)
+    std_j, std_w = np.sqrt(np.diag(by_j)), np.sqrt(np.diag(by_w))
+    fv1, fc1, k12, fv2, fc2 = 1, 2, 3, 6, 7
+    assert len(J) == 4000
+    assert by_j[fv1, fv2] / (std_j[fv1] * std_j[fv2]) == pytest.approx(correlations[0], abs=6e-4)
+    assert by_w[fv1, fv2] / (std_w[fv1] * std_w[fv2]) == pytest.approx(correlations[1], abs=6e-3)
+    assert by_j[fc1, fc2] / (std_j[fc1] * std_j[fc2]) == pytest.approx(correlations[2], abs=6e-3)
+    assert std_j[fv1] / std_w[fv1] == pytest.approx(ratio, abs=0.06)
+    assert std_j[[k12, 0]] / std_w[[k12, 0]] == pytest.approx(others, abs=0.06)
+    assert 2 * norm.cdf(2 * std_w[fv1] / std_j[fv1]) - 1 == pytest.approx(coverage, abs=0.01)
+    total = math.sqrt(by_j[fv1, fv1] + by_j[fv2, fv2] + 2 * by_j[fv1, fv2])
+    assert 2 * np.array([std_j[fv1], std_j[fv2], total]) == pytest.approx(two_sigma, rel=0.03)
+
+
+@pytest.mark.parametrize(("loop", "masses"), [("L19", (105.40, 105.85)), ("L30", (104.86, 105.05))])
+def test_what_a_rigid_identification_of_the_twin_sees(loop: str, masses: tuple[float, float]) -> None:
+    axis = twin(loop, noise="none")  # type: ignore[arg-type]
+    rigid = ClosedLoop(RigidJoint(), axis.loop.controller)
+    for edge, mass in zip((5.0, 10.0), masses, strict=True):
+        found = identify(axis.record, rigid, DIDIM(), filtering=Filtering(cutoff=edge))
+        assert found.values["inertia"] == pytest.approx(mass, abs=0.006)
+
+
+def test_the_condition_numbers_of_idim() -> None:
+    axis = twin("L19", noise="none")
+    conditioning = identify(axis.record, axis.loop, IDIM()).conditioning
+    assert conditioning is not None
+    assert conditioning.raw == pytest.approx(4.5e4, rel=0.02)
+    assert conditioning.normalised == pytest.approx(5.0, abs=0.05)
+    assert conditioning.scaled == pytest.approx(65.0, abs=0.5)
