@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from jointid.assessment.validation import validate
 from jointid.common.errors import MethodError, RecordError
-from jointid.data.excitation import trapezoids
-from jointid.data.record import Channel, Record, Timing
+from jointid.data.excitation import pulses, trapezoids
+from jointid.data.record import Channel, Record, Tap, Timing
 from jointid.data.signals import Filtering
 from jointid.estimation.didim import DIDIM
 from jointid.estimation.identify import identify
@@ -16,7 +19,7 @@ from jointid.model.controllers import PD, Cascade
 from jointid.model.friction import AsymmetricFriction
 from jointid.model.joints import FlexibleJoint, RigidJoint
 from jointid.model.parameters import Parameter, Quantity
-from jointid.simulation.closed_loop import ClosedLoop, Initial
+from jointid.simulation.closed_loop import ClosedLoop, Initial, prepare, simulate
 from jointid.simulation.synthesis import simulated_record
 from tests.estimation.conftest import CONTROLLER
 
@@ -150,6 +153,136 @@ def test_the_intervals_cover_the_truth_for_white_noise_on_the_log() -> None:
             assert std is not None
             inside[name] += abs(estimate.values[name] - value) <= 2 * std
     assert all(count >= 0.85 * runs for count in inside.values())
+
+
+@pytest.mark.parametrize("delay", [0.5e-3, 1e-3, 1.3e-3])
+@pytest.mark.parametrize("timing", [Timing.HELD, Timing.AVERAGED])
+def test_a_measured_torque_is_read_when_it_acts(delay: float, timing: Timing) -> None:
+    """Held or averaged, behind a delay of whole or broken periods, by both methods."""
+    late = Cascade(kp=100.0, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, delay=delay)
+    loop = ClosedLoop(RigidJoint(), late)
+    made = simulated_record(loop, MOVING, TRUTH, sample_time=T)
+    driven = Record(torque=Channel(np.zeros(MOVING.size), "N", T, timing), tap=Tap.MEASURED, reference=made.reference)
+    run = simulate(loop, prepare(loop, driven), TRUTH)
+    record = Record(
+        torque=Channel(run.torque, "N", T, timing),
+        tap=Tap.MEASURED,
+        reference=made.reference,
+        motor_position=Channel(run.motor_position, "m", T),
+    )
+    assert errors(identify(record, loop, IDIM()).values, TRUTH) < 2e-3
+    assert errors(identify(record.without("motor_position"), loop).values, TRUTH) <= 1e-5
+
+
+def test_an_averaged_command_is_not_a_held_one() -> None:
+    loop = ClosedLoop(RigidJoint(), CONTROLLER)
+    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
+    assert made.torque is not None
+    before = np.concatenate([made.torque.values[:1], made.torque.values[:-1]])
+    averaged = Record(torque=Channel(before, "N", T, Timing.AVERAGED), reference=made.reference)
+    held = Record(torque=Channel(before, "N", T, Timing.HELD), reference=made.reference)
+    assert errors(identify(averaged, loop).values, TRUTH) <= 1e-5
+    assert errors(identify(held, loop).values, TRUTH) > 0.01
+
+
+def test_an_injected_signal_that_the_log_lacks_is_added() -> None:
+    known = pulses(MOVING.size, T, 60.0, 0.02, 0.3, seed=2)
+    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T, injected=known, in_torque=False)
+    assert errors(identify(made, LOOP, IDIM()).values, TRUTH) < 2e-3
+    assert errors(identify(made, LOOP).values, TRUTH) <= 1e-6
+    assert errors(identify(replace(made, injected=None), LOOP, IDIM()).values, TRUTH) > 0.01
+
+
+def test_an_axis_at_rest_is_not_taken_to_move_for_the_sake_of_noise() -> None:
+    clean = simulated_record(LOOP, RESTING, TRUTH, sample_time=T)
+    assert clean.torque is not None
+    for seed in range(5):
+        noise = 4.0 * np.random.default_rng(seed).standard_normal(RESTING.size)
+        torque = Channel(clean.torque.values + noise, "N", T, Timing.HELD)
+        estimate = identify(Record(torque=torque, reference=clean.reference), LOOP)
+        assert not estimate["initial_velocity"].free
+        assert estimate["initial_velocity"].value == 0.0
+
+
+def test_the_gains_are_the_true_ones_after_the_first_iterations() -> None:
+    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
+    estimate = identify(made, LOOP, DIDIM(start="regular", scaled_iterations=2))
+    scales = [line.gain_scale for line in estimate.trace]
+    assert scales[1] != 1.0
+    assert set(scales[2:]) == {1.0}
+
+
+def test_a_parameter_beyond_its_bound_is_kept_there_with_a_warning() -> None:
+    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
+    inertia, viscous, *_ = LOOP.joint.parameters
+    for method in (DIDIM(), IDIM()):
+        high = identify(made, LOOP, method, parameters={"inertia": replace(inertia, lower=100.0)})
+        assert high.values["inertia"] == 100.0
+        assert not high["inertia"].free
+        assert "inertia is at its bound: without it, it would be 95" in high.warnings[0]
+        low = identify(made, LOOP, method, parameters={"viscous": replace(viscous, upper=150.0)})
+        assert low.values["viscous"] == 150.0
+        assert low.values["coulomb"] > TRUTH["coulomb"] + 1.0  # it takes what the other may not
+
+
+def test_a_torque_of_the_wrong_sign_is_refused_with_the_remedy() -> None:
+    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
+    assert made.torque is not None
+    turned = replace(made, torque=replace(made.torque, values=-made.torque.values))
+    with pytest.raises(MethodError, match=r"inertia = -9.*wrong sign \(set sign = -1\)"):
+        identify(turned, LOOP, IDIM())
+    with pytest.raises(MethodError, match="sign"):
+        identify(turned, LOOP)
+
+
+def test_a_wrong_loop_is_not_called_a_good_fit() -> None:
+    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T).without("motor_position")
+    wrong = ClosedLoop(RigidJoint(), Cascade(kp=16.0, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15))
+    estimate = identify(made, wrong)
+    assert any("of the filtered torque unexplained" in warning for warning in estimate.warnings)
+    assert not any("unexplained" in warning for warning in identify(made, LOOP).warnings)
+
+
+def test_an_inertia_that_is_known_may_be_fixed_under_every_start() -> None:
+    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
+    known = {"inertia": LOOP.joint.parameters[0].fixed(TRUTH["inertia"])}
+    for start in ("inversion", "regular", "given"):
+        estimate = identify(made, LOOP, DIDIM(start=start), parameters=known)  # type: ignore[arg-type]
+        assert errors(estimate.values, TRUTH) <= 1e-6
+
+
+def test_borders_that_leave_nothing_are_refused() -> None:
+    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
+    with pytest.raises(RecordError, match="leave nothing of a record of 8000"):
+        identify(made, LOOP, filtering=Filtering(borders=(5000, 5000)))
+
+
+def test_a_change_that_is_no_parameter_is_refused() -> None:
+    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
+    with pytest.raises(MethodError, match=r"A change of inertia is a Parameter; received 30\.0"):
+        identify(made, LOOP, parameters={"inertia": 30.0})  # type: ignore[dict-item]
+
+
+def test_the_tracking_error_is_relative_to_the_measured_one() -> None:
+    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
+    assert made.motor_position is not None
+    assert made.reference is not None
+    estimate = identify(made, LOOP)
+    wrong = 2.0 * made.motor_position.values - made.reference.values  # twice the tracking error
+    record = replace(made, motor_position=Channel(wrong, "m", T))
+    assert validate(estimate, record).tracking_error == pytest.approx(0.5, rel=1e-3)
+    assert validate(estimate, made).tracking_error == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_validation_under_another_controller_says_so() -> None:
+    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
+    identified = identify(made, LOOP).identified
+    other = ClosedLoop(RigidJoint(), Cascade(kp=120.0, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15))
+    assert validate(identified, made).warnings == ()
+    again = simulated_record(other, MOVING, TRUTH, sample_time=T)
+    found = validate(replace(identified, loop=other), again)
+    assert "controller is not the one" in found.warnings[0]
+    assert found.relative_error < 1e-5
 
 
 def test_torque_alone_in_ampere() -> None:

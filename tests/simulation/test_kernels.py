@@ -107,6 +107,29 @@ def test_a_fractional_delay_is_neither_rounded_nor_interpolated() -> None:
     assert np.max(np.abs(rounded - exact)) >= 1e-4 * peak
 
 
+@pytest.mark.parametrize("masses", [1, 2])
+def test_anti_windup_acts_while_sliding_and_at_rest(masses: int) -> None:
+    """A PI law with back-calculation, saturated both while the joint moves and while friction holds it."""
+    plant = FLEXIBLE if masses == 2 else Plant(inertia1=100.0, fv1=(200.0, 150.0), fc1=(20.0, 25.0))
+    law = Law(
+        A=np.array([[1.0]]), Bq=np.array([-0.2]), Be=np.array([1e-5]), C=np.array([3000.0]), D=-4e4, limit=60.0,
+        z0=np.zeros(1),
+    )  # fmt: skip
+    time = np.arange(900) * T
+    w = 4e4 * 0.02 * ((time > 0.05) * 1.0 - (time > 0.45) * 1.0)
+    w[:50] = 500.0  # at the limit, and pushed back by what follows
+    post = np.zeros(900)
+    post[:50] = -55.0  # nothing moves while the law winds up
+    case = (plant, law, w, post, T, 0.0, 0.0, np.zeros(2 * masses))
+    expected = simulate(*case)
+    _, u, _, counts = run(*case)
+    assert np.max(np.abs(u - expected.u)) <= 1e-9 * np.max(np.abs(expected.u))
+    assert counts[3] > 100
+    without = Law(**{**vars(law), "Be": np.zeros(1)})
+    _, wound, _, _ = run(plant, without, *case[2:])
+    assert np.max(np.abs(wound - u)) > 1.0
+
+
 def test_an_unstable_loop_returns_a_status_and_finite_numbers() -> None:
     wild = Law(**{**vars(NO_LAW), "D": 1e9})  # positive feedback
     w = np.full(2000, 100.0)

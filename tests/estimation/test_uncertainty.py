@@ -1,0 +1,64 @@
+"""Covariances: the textbook's for white errors, honest for correlated ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from jointid.estimation.uncertainty import bandwidth, sandwich
+
+
+def low_passed(random: np.random.Generator, size: int) -> np.ndarray:
+    return np.convolve(random.standard_normal(size + 4), np.ones(5) / np.sqrt(5.0), "valid")
+
+
+def test_white_errors_give_the_textbook_s_deviations() -> None:
+    random = np.random.default_rng(0)
+    W = random.normal(size=(20_000, 3)) * [1.0, 1e4, 1e-3]
+    error = 0.3 * random.standard_normal(20_000)
+    found = sandwich(W, W, error)
+    expected = 0.3 * np.sqrt(np.diag(np.linalg.inv(W.T @ W)))
+    assert found.std == pytest.approx(expected, rel=0.05)
+
+
+def test_correlated_errors_give_wider_ones_that_cover() -> None:
+    random = np.random.default_rng(1)
+    slow = np.sin(np.arange(2000) / 40.0)
+    W = np.column_stack([np.ones(2000), slow])
+    inside = naive = 0
+    for _ in range(300):
+        error = low_passed(random, 2000)
+        x, *_ = np.linalg.lstsq(W, error, rcond=None)
+        residual = error - W @ x
+        robust = sandwich(W, W, residual).std
+        white = np.sqrt(np.diag(np.linalg.inv(W.T @ W)) * residual.var())
+        inside += int(np.sum(np.abs(x) <= 2 * robust))
+        naive += int(np.sum(np.abs(x) <= 2 * white))
+    assert 0.92 <= inside / 600 <= 0.98
+    assert naive / 600 <= 0.75
+
+
+def test_instruments_are_not_the_sensitivities() -> None:
+    """With Z = c J the estimate is that of least squares, and so is its covariance."""
+    random = np.random.default_rng(2)
+    J = random.normal(size=(5000, 2))
+    error = random.standard_normal(5000)
+    same, scaled = sandwich(J, J, error), sandwich(3.0 * J, J, error)
+    assert scaled.std == pytest.approx(same.std)
+    weak = sandwich(J + 3.0 * random.normal(size=J.shape), J, error)
+    assert np.all(weak.std > 2.0 * same.std)
+
+
+def test_rows_of_two_equations_share_their_instants() -> None:
+    """One exact equation beside a noisy one: the noise must not be averaged over both."""
+    random = np.random.default_rng(3)
+    W1, W2 = random.normal(size=(2, 4000, 1))
+    error = np.concatenate([random.standard_normal(4000), np.zeros(4000)])
+    W = np.concatenate([W1, W2])
+    found = sandwich(W, W, error, equations=2).std
+    expected = np.sqrt(np.sum(W1**2)) / np.sum(W**2)
+    assert found == pytest.approx([expected], rel=0.06)
+
+
+def test_the_bandwidth_is_the_stated_rule() -> None:
+    assert [bandwidth(rows) for rows in (50, 100, 4000)] == [4, 4, 10]
