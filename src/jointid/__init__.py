@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         MethodError,
         RecordError,
     )
+    from jointid.data.checks import check_record
     from jointid.data.columns import Column
     from jointid.data.excitation import pulses, trapezoids
     from jointid.data.reading import read, write
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from jointid.data.signals import Filtering
     from jointid.estimation.didim import DIDIM
     from jointid.estimation.estimate import Estimate, EstimatedParameter, IdentifiedJoint
+    from jointid.estimation.flexible import FlexibleDIDIM
     from jointid.estimation.identify import identify
     from jointid.estimation.idim import IDIM
     from jointid.jointfile import JointFile, load
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
     from jointid.model.joints import FlexibleJoint, RigidJoint, frequencies, rigid_sums
     from jointid.model.parameters import Parameter
     from jointid.paper.twin import Twin, twin
-    from jointid.report.figures import save, torque_figure
+    from jointid.report.figures import residual_figure, save, torque_figure
     from jointid.simulation.closed_loop import (
         ClosedLoop,
         Initial,
@@ -49,6 +51,7 @@ _HOMES = {
     "answers": ("estimate_answer", "simulation_answer", "validation_answer"),
     "assessment.validation": ("Validation", "validate"),
     "common.errors": ("ExtraError", "JointFileError", "JointidError", "MethodError", "RecordError"),
+    "data.checks": ("check_record",),
     "data.columns": ("Column",),
     "data.excitation": ("pulses", "trapezoids"),
     "data.reading": ("read", "write"),
@@ -56,6 +59,7 @@ _HOMES = {
     "data.signals": ("Filtering",),
     "estimation.didim": ("DIDIM",),
     "estimation.estimate": ("Estimate", "EstimatedParameter", "IdentifiedJoint"),
+    "estimation.flexible": ("FlexibleDIDIM",),
     "estimation.idim": ("IDIM",),
     "estimation.identify": ("identify",),
     "jointfile": ("JointFile", "load"),
@@ -64,7 +68,7 @@ _HOMES = {
     "model.joints": ("FlexibleJoint", "RigidJoint", "frequencies", "rigid_sums"),
     "model.parameters": ("Parameter",),
     "paper.twin": ("Twin", "twin"),
-    "report.figures": ("save", "torque_figure"),
+    "report.figures": ("residual_figure", "save", "torque_figure"),
     "simulation.closed_loop": (
         "ClosedLoop",
         "Initial",
@@ -93,6 +97,7 @@ __all__ = [
     "EstimatedParameter",
     "ExtraError",
     "Filtering",
+    "FlexibleDIDIM",
     "FlexibleJoint",
     "IdentifiedJoint",
     "Initial",
@@ -114,6 +119,7 @@ __all__ = [
     "Timing",
     "Twin",
     "Validation",
+    "check_record",
     "estimate_answer",
     "frequencies",
     "identify",
@@ -122,6 +128,7 @@ __all__ = [
     "pulses",
     "read",
     "record_of",
+    "residual_figure",
     "rigid_sums",
     "save",
     "simulate",

@@ -11,7 +11,7 @@ import pytest
 
 from jointid.cli.app import app, main
 from jointid.data.reading import read
-from jointid.paper.twin import JOINT_FILE, TABLE_2
+from jointid.paper.twin import JOINT_FILE, TABLE_2, twin
 
 ROOT = Path(__file__).resolve().parents[2]
 EMPS = ROOT / "examples" / "emps" / "joint.toml"
@@ -93,6 +93,24 @@ def test_identify_validate_simulate_on_the_real_axis(
     assert again.torque.values.size == answer["record"]["samples"]
     assert run("identify", EMPS, "--record", made) == 2  # its columns have other names
     assert 'has no column "vir"' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".mat", ".tsv"])
+def test_the_twin_is_written_in_every_format_that_is_read(suffix: str, tmp_path: Path) -> None:
+    out = tmp_path / f"twin{suffix}"
+    assert run("simulate", "--twin", "L30", "--added-mass", "--noise", "white", "--seed", 5, "--out", out, "-q") == 0
+    names = ("torque", "reference", "motor_position", "load_position", "injected")
+    record = read(out, {name: name for name in names})
+    made = twin("L30", added_mass=True, noise="white", seed=5).record
+    for name in names[:4]:
+        assert np.array_equal(getattr(record, name).values, getattr(made, name).values)
+
+
+def test_simulate_needs_something_to_simulate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert run("simulate") == 2
+    assert "needs a joint file; name one, or give --twin" in capsys.readouterr().err
+    assert run("simulate", "--twin", "L19") == 2
+    assert "--twin needs --out" in capsys.readouterr().err
 
 
 def test_pulses_may_be_declared_after_the_limit_as_the_report_says(emps_path: Path, tmp_path: Path) -> None:
@@ -239,7 +257,7 @@ def test_every_command_and_option_is_documented() -> None:
     documented = {}
     for section in page.split("\n## `jointid ")[1:]:
         name = section.split()[0].rstrip("`")
-        documented[name] = set(re.findall(r"`(--?[a-z]+)`", section))
+        documented[name] = set(re.findall(r"`(--?[a-z-]+)`", section))
     commands = {name for name in app if not name.startswith("-")}
     assert set(documented) == commands
     for name in commands:

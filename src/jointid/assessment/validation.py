@@ -26,8 +26,11 @@ from jointid.estimation.idim import idim_channels, motion_of
 from jointid.estimation.problem import INITIAL_STATE, Problem, initial_of
 from jointid.estimation.regression import least_squares
 from jointid.estimation.starts import initial_state, reconstructed_position
+from jointid.model.joints import Motion
+from jointid.model.parameters import POSITION_UNIT
 from jointid.simulation.closed_loop import ClosedLoop, Initial, Simulation, prepare, require_finished
 
+_LAGS = 40  # of the residual's autocorrelation
 _STEPS = 6  # for two numbers that act almost linearly on the torque
 
 
@@ -41,7 +44,7 @@ class Validation:
         record, identified_from: names of the records.
         channels: of the record, that were read.
         sample_time: of the torque, seconds.
-        torque_unit: of the torque: N, N m, A or V.
+        torque_unit: of the torque: N, N m, A or V; position_unit: of the motion: m or rad.
         measured, predicted: (samples,) raw torque.
         borders: samples left out at each end of the relative error.
         relative_error: of the raw torque; a ratio.
@@ -50,6 +53,9 @@ class Validation:
             motor position to compare with; a ratio.
         initial: motor state that was found, for a simulation.
         simulations: that were run.
+        autocorrelation: (lags + 1,) of the filtered torque error, 1 at lag 0; a white one stays within `white_band`.
+        rows: of the filtered torque error.
+        motor: motion the error is plotted against: simulated for DIDIM, measured for IDIM.
         warnings: what the reader must know, one sentence each.
     """
 
@@ -60,6 +66,7 @@ class Validation:
     channels: tuple[str, ...]
     sample_time: float
     torque_unit: str
+    position_unit: str
     measured: FloatArray
     predicted: FloatArray
     borders: tuple[int, int]
@@ -68,7 +75,20 @@ class Validation:
     tracking_error: float | None
     initial: Initial | None
     simulations: int
+    autocorrelation: FloatArray
+    rows: int
+    motor: Motion
     warnings: tuple[str, ...] = ()
+
+    @property
+    def white_band(self) -> float:
+        """Twice the standard deviation of an autocorrelation of white noise, ``2 / sqrt(rows)``."""
+        return float(2 / np.sqrt(self.rows))
+
+    @property
+    def outside_band(self) -> float:
+        """Share of the lags beyond 0 whose autocorrelation is outside the band; about 0.05 for a white residual."""
+        return float(np.mean(np.abs(self.autocorrelation[1:]) > self.white_band))
 
     def __str__(self) -> str:
         """Return the result in sentences."""
@@ -82,6 +102,10 @@ class Validation:
         ]
         if self.tracking_error is not None:
             lines.append(f"tracking error  {100 * self.tracking_error:.4f} % away from the measured tracking error")
+        lines.append(
+            f"whiteness       {100 * self.outside_band:.0f} % of {self.autocorrelation.size - 1} autocorrelations of "
+            f"the filtered error beyond +-{self.white_band:.3f} (5 % if it were white)"
+        )
         lines += [f"warning         {warning}" for warning in self.warnings]
         return "\n".join(lines)
 
@@ -124,6 +148,7 @@ def _inverse(identified: IdentifiedJoint, record: Record) -> Validation:
         channels=(*idim_channels(joint.model), *(("injected",) if record.injected is not None else ())),
         sample_time=sample_time,
         torque_unit=record.torque.unit,
+        position_unit=POSITION_UNIT[identified.joint.kind],
         measured=measured,
         predicted=predicted,
         borders=filtering.borders,
@@ -132,6 +157,9 @@ def _inverse(identified: IdentifiedJoint, record: Record) -> Validation:
         tracking_error=None,
         initial=None,
         simulations=0,
+        autocorrelation=autocorrelation(error[: error.size // len(model.torque)]),
+        rows=error.size // len(model.torque),
+        motor=model.motor,
     )
 
 
@@ -155,6 +183,7 @@ def _simulated(identified: IdentifiedJoint, record: Record) -> Validation:
         channels=(*loop.channels, *(("injected",) if record.injected is not None else ())),
         sample_time=experiment.sample_time,
         torque_unit=record.torque.unit,
+        position_unit=POSITION_UNIT[identified.joint.kind],
         measured=measured,
         predicted=run.torque,
         borders=filtering.borders,
@@ -163,8 +192,19 @@ def _simulated(identified: IdentifiedJoint, record: Record) -> Validation:
         tracking_error=_tracking(record, run, filtering.borders),
         initial=initial_of(problem.values(x)),
         simulations=runs + 1,
+        autocorrelation=autocorrelation(error[:, 0]),
+        rows=len(error),
+        motor=Motion(run.motor_position, run.motor_velocity, run.motor.acceleration),
         warnings=_warnings(identified, loop),
     )
+
+
+def autocorrelation(error: FloatArray) -> FloatArray:
+    """Return the autocorrelation of a residual at lags 0 to `_LAGS`, (lags + 1,)."""
+    centred = error - error.mean()
+    power = float(centred @ centred) or 1.0
+    lags = min(_LAGS, error.size - 1)
+    return np.array([float(centred[lag:] @ centred[: centred.size - lag]) / power for lag in range(lags + 1)])
 
 
 def _warnings(identified: IdentifiedJoint, loop: ClosedLoop) -> tuple[str, ...]:

@@ -1,26 +1,31 @@
-"""`jointid simulate`: the loop of a joint file, driven by a record's reference."""
+"""`jointid simulate`: the loop of a joint file, driven by a record's reference; or the paper's digital twin."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
 
 def simulate(
-    joint: Path,
+    joint: Path | None = None,
     /,
     *,
     record: Path | None = None,
     estimate: Path | None = None,
     out: Path | None = None,
     json: Path | None = None,
+    twin: Literal["L19", "L30"] | None = None,
+    added_mass: Annotated[bool, Parameter(negative=())] = False,
+    noise: Literal["disturbance", "white", "none"] = "disturbance",
+    seed: int = 1,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
 ) -> None:
     """Simulate a joint under its controller and write what its drive would log.
 
-    The parameters are those of an estimate, or the fixed values and starts of the joint file.
+    The parameters are those of an estimate, or the fixed values and starts of the joint file. With --twin no joint file
+    is needed: the paper's flexible axis is simulated, under one of its two loops.
 
     Args:
         joint: the joint file (TOML).
@@ -28,16 +33,35 @@ def simulate(
         estimate: what identify --json wrote; its parameters are used.
         out: write torque, reference and positions to this file, CSV or MAT.
         json: also write a summary as JSON to this file.
+        twin: the paper's digital twin instead, under this loop.
+        added_mass: of the twin: with 10 kg on the load.
+        noise: of the twin: a force inside the loop, white noise on the log, or none.
+        seed: of the twin's noise.
         quiet: say nothing of the progress.
     """
-    from jointid import answers
-    from jointid.cli.console import check_outputs, progress, ready, show
+    from jointid.cli.console import check_outputs
     from jointid.common.errors import MethodError
-    from jointid.jointfile import load
-    from jointid.simulation.closed_loop import prepare, require_finished
-    from jointid.simulation.closed_loop import simulate as run
 
     check_outputs(None, json, out)
+    if twin is not None:
+        if joint is not None or out is None or json is not None:
+            raise MethodError("--twin needs --out, and takes no joint file and no --json; give only where to write.")
+        _twin(twin, added_mass, noise, seed, out, quiet)
+        return
+    if joint is None:
+        raise MethodError("A simulation needs a joint file; name one, or give --twin L19 for the paper's axis.")
+    _joint(joint, record, estimate, out, json, quiet)
+
+
+def _joint(
+    joint: Path, record: Path | None, estimate: Path | None, out: Path | None, json: Path | None, quiet: bool
+) -> None:
+    from jointid import answers
+    from jointid.cli.console import progress, ready, show
+    from jointid.common.errors import MethodError
+    from jointid.jointfile import load
+    from jointid.simulation.closed_loop import prepare, require_finished, simulate
+
     file = load(joint)
     if estimate is not None:
         file = file.overridden(friction=answers.read_friction(estimate))
@@ -46,7 +70,7 @@ def simulate(
     logged = file.record(record)
     values = file.values() if estimate is None else answers.read_identified(estimate, file.joint, file.loop).values
     ready(progress(quiet))
-    simulation = require_finished(run(file.loop, prepare(file.loop, logged), values))
+    simulation = require_finished(simulate(file.loop, prepare(file.loop, logged), values))
     peak = float(abs(simulation.torque).max())
     show(
         f"{simulation.torque.size} samples of {simulation.sample_time:g} s: peak torque {peak:.5g}, "
@@ -59,3 +83,24 @@ def simulate(
         write(as_record(logged, simulation), out)
     if json is not None:
         answers.write(answers.simulation_answer(simulation, file.joint, values, logged.name), json)
+
+
+def _twin(
+    loop: Literal["L19", "L30"],
+    added_mass: bool,
+    noise: Literal["disturbance", "white", "none"],
+    seed: int,
+    out: Path,
+    quiet: bool,
+) -> None:
+    from jointid.cli.console import progress, ready, show
+    from jointid.data.reading import write
+    from jointid.paper.twin import twin
+
+    ready(progress(quiet))
+    axis = twin(loop, added_mass=added_mass, noise=noise, seed=seed)
+    write(axis.record, out)
+    symbols = {p.name: p.symbol for p in axis.loop.joint.parameters}
+    truth = ", ".join(f"{symbols[name]} {value:g}" for name, value in axis.truth.items())
+    show(f"{axis.record.name}, {noise} noise of {axis.noise:.3g} N at 1 kHz: {truth}")
+    show(f"Written: {out}")

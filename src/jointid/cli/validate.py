@@ -16,6 +16,7 @@ def validate(
     record: Path | None = None,
     json: Path | None = None,
     figure: Path | None = None,
+    residuals: Path | None = None,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
 ) -> None:
     """Compare an estimate with a record: the direct test on its own, the cross test on another.
@@ -26,6 +27,7 @@ def validate(
         record: the record, instead of the one the joint file names.
         json: also write the answer as JSON to this file.
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
+        residuals: also save the error against velocity and position, and its autocorrelation, likewise.
         quiet: say nothing of the progress.
     """
     from jointid import answers
@@ -34,6 +36,7 @@ def validate(
     from jointid.jointfile import load
 
     check_outputs(figure, json)
+    check_outputs(residuals)
     file = load(joint).overridden(friction=answers.read_friction(estimate))
     identified = answers.read_identified(estimate, file.joint, file.loop)
     file = file.overridden(method=identified.method)
@@ -47,3 +50,7 @@ def validate(
         from jointid.report.figures import save, torque_figure
 
         save(torque_figure(validation), figure)
+    if residuals is not None:
+        from jointid.report.figures import residual_figure, save
+
+        save(residual_figure(validation), residuals)

@@ -320,13 +320,24 @@ def _by_simplex(descent: _Descent, x: FloatArray, settings: FlexibleDIDIM) -> tu
 
 
 def _covariance(descent: _Descent, x: FloatArray, error: FloatArray, settings: FlexibleDIDIM) -> tuple[Covariance, str]:
-    problem = descent.problem
     if settings.statistics == "sensitivities":
         J = -descent.jacobian(x)
         covariance = sandwich(J, J, error)
         return covariance, f"from the output sensitivities, {words(covariance)}"
-    run = problem.simulate(x)
     descent.simulations += 1
+    return (
+        inverse_model_covariance(descent.problem, x, error),
+        "the paper's: of the inverse model on the simulated motion, which is not what was solved; far too small",
+    )
+
+
+def inverse_model_covariance(problem: Problem, x: FloatArray, error: FloatArray) -> Covariance:
+    """Return the paper's covariance of the joint's free parameters, ``s^2 (W' W)^-1`` with W on the simulated motion.
+
+    It is that of a regression on W, which is not what torque-only identification solves: for a flexible joint the
+    output sensitivities are not W, and Fv1, Fv2 come out many times surer than they are.
+    """
+    run = problem.simulate(x)
     columns = problem.loop.joint.regressor(run.motor, run.load)
     names = [p.name for p in problem.loop.joint.parameters]
     free = [names.index(p.name) for p in problem.free_joint]
@@ -334,9 +345,13 @@ def _covariance(descent: _Descent, x: FloatArray, error: FloatArray, settings: F
     variance = float(error @ error) / (len(W) - W.shape[1])  # the paper's r counts the rows of both equations
     norms = np.linalg.norm(W, axis=0)
     inverse = np.linalg.inv((W / norms).T @ (W / norms))
-    std = np.sqrt(variance * np.diag(inverse)) / norms
     roots = np.sqrt(np.diag(inverse))
-    return (
-        Covariance(std, inverse / np.outer(roots, roots), 0),
-        "the paper's: of the inverse model on the simulated motion, which is not what was solved; far too small",
-    )
+    return Covariance(np.sqrt(variance) * roots / norms, inverse / np.outer(roots, roots), 0)
+
+
+def refined_least_squares(problem: Problem, start: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
+    """Return the least-squares parameters near a start, and the sensitivities there, filtered (rows, parameters)."""
+    descent = _Descent(problem, silent)
+    descent.scales = np.where(start != 0.0, np.abs(start), 1.0)
+    found = _refined(descent, start, FlexibleDIDIM(tolerance=tolerance))
+    return np.asarray(found.x), -np.asarray(found.jac)

@@ -50,11 +50,13 @@ class InverseModel:
         torque: (equations, samples): of the motor, and for a flexible joint 0 for the load.
         columns: (equations, samples, parameters) all of the joint's.
         inside: the samples that the position filter's ends do not reach.
+        motor: the motor's motion, filtered.
     """
 
     torque: FloatArray
     columns: FloatArray
     inside: slice
+    motor: Motion
 
     def decimated(self, filtering: Filtering, sample_time: float, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return torque less that of `values` (rows,), and columns (rows, parameters), filtered; equations stacked."""
@@ -99,7 +101,7 @@ def inverse_model(
         acting = windowed_torque(torque, delay)
     rows = np.zeros((len(columns), size))
     rows[0] = acting
-    return InverseModel(rows, columns, slice(filtering.borders[0], size - filtering.borders[1]))
+    return InverseModel(rows, columns, slice(filtering.borders[0], size - filtering.borders[1]), motions[0])
 
 
 def regress(

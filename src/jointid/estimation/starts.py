@@ -141,7 +141,7 @@ def _regressed(
     held = Channel(torque, joint.torque_unit or "N", sample_time, Timing.HELD)
     bridged = np.interp(instants, instants[known], position[known])
     model = inverse_model(joint, held, (bridged,), filtering, delay)
-    masked = InverseModel(model.torque * known, model.columns * known[:, np.newaxis], model.inside)
+    masked = InverseModel(model.torque * known, model.columns * known[:, np.newaxis], model.inside, model.motor)
     parameters = problem.parameters[: len(joint.parameters)]
     fit, _ = regress(parameters, masked, filtering, sample_time)
     return dict(zip((p.name for p in parameters if p.free), map(float, fit.values), strict=True))

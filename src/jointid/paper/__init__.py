@@ -1,1 +1,1 @@
-"""The paper: its digital twin."""
+"""The paper: its tables, what follows from them, its digital twin, and its reproduction."""

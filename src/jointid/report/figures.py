@@ -53,6 +53,32 @@ def torque_figure(answer: Estimate | Validation) -> Figure:
     return figure
 
 
+def residual_figure(validation: Validation) -> Figure:
+    """Return the torque error against velocity and position, and its autocorrelation: a white one shows nothing."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    inside = slice(validation.borders[0], validation.measured.size - validation.borders[1])
+    error = (validation.measured - validation.predicted)[inside]
+    length = validation.position_unit
+    figure = Figure(figsize=(9.0, 3.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    by_velocity, by_position, lags = figure.subplots(1, 3)
+    for axes, values, text in (
+        (by_velocity, validation.motor.velocity[inside], f"velocity [{length}/s]"),
+        (by_position, validation.motor.position[inside], f"position [{length}]"),
+    ):
+        axes.plot(values, error, ".", color=ERROR, markersize=1, alpha=0.3, rasterized=True)
+        axes.set_xlabel(text)
+        axes.set_ylabel(f"error [{validation.torque_unit}]")
+        axes.grid(color="0.9")
+    lags.axhspan(-validation.white_band, validation.white_band, color="0.85")
+    lags.plot(validation.autocorrelation, ".-", color=ERROR, markersize=4, linewidth=0.8)
+    lags.set_xlabel("lag [filtered samples]")
+    lags.set_ylabel("autocorrelation of the error")
+    return figure
+
+
 def save(figure: Figure, path: str | Path) -> Path:
     """Write a figure; the suffix chooses PNG, SVG or PDF. The same answer gives the same bytes.
 
