@@ -477,7 +477,7 @@ FAULTS = [
     (
         SMALLEST + "velocity_filter = { numerator = [1], denominator = [0.0] }",
         "controller.velocity_filter.denominator: A digital filter needs a numerator, and a denominator that does "
-        "not start with 0; received (1.0,) / (0.0,).",
+        "not start with 0, of finite numbers; received (1.0,) / (0.0,).",
     ),
     (
         SMALLEST.replace('"i"', '"i", gain = -3.0'),
