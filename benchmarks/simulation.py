@@ -25,7 +25,8 @@ from jointid.data.record import Channel, Injection, InjectionPoint, Record
 from jointid.model.controllers import PD, DigitalFilter
 from jointid.model.joints import FlexibleJoint
 from jointid.simulation import kernels
-from jointid.simulation.closed_loop import ClosedLoop, Experiment, prepare, simulate_many, simulate_torque
+from jointid.simulation.closed_loop import simulate_many, simulate_torque
+from jointid.simulation.experiment import ClosedLoop, Experiment, prepare
 
 HERE = Path(__file__).resolve().parent
 BATCH = 64  # candidates

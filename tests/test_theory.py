@@ -24,7 +24,8 @@ from jointid.estimation.uncertainty import bandwidth, sandwich
 from jointid.model.controllers import POSITION, SampledLaw
 from jointid.model.joints import FlexibleJoint, Joint, RigidJoint, frequencies
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
-from jointid.simulation.closed_loop import ClosedLoop, Initial
+from jointid.simulation.closed_loop import Initial
+from jointid.simulation.experiment import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 
 T = 1e-3

@@ -36,15 +36,8 @@ if TYPE_CHECKING:
     from jointid.model.parameters import Parameter
     from jointid.paper.twin import Twin, twin
     from jointid.report.figures import residual_figure, save, torque_figure
-    from jointid.simulation.closed_loop import (
-        ClosedLoop,
-        Initial,
-        Outcome,
-        Simulation,
-        prepare,
-        simulate,
-        simulate_many,
-    )
+    from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_many
+    from jointid.simulation.experiment import ClosedLoop, prepare
     from jointid.simulation.synthesis import simulated_record
 
 _HOMES = {
@@ -69,15 +62,8 @@ _HOMES = {
     "model.parameters": ("Parameter",),
     "paper.twin": ("Twin", "twin"),
     "report.figures": ("residual_figure", "save", "torque_figure"),
-    "simulation.closed_loop": (
-        "ClosedLoop",
-        "Initial",
-        "Outcome",
-        "Simulation",
-        "prepare",
-        "simulate",
-        "simulate_many",
-    ),
+    "simulation.closed_loop": ("Initial", "Outcome", "Simulation", "simulate", "simulate_many"),
+    "simulation.experiment": ("ClosedLoop", "prepare"),
     "simulation.synthesis": ("simulated_record",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

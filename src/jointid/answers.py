@@ -15,7 +15,8 @@ from jointid.common.errors import RecordError
 from jointid.data.signals import Filtering
 from jointid.estimation.estimate import Estimate, EstimatedParameter, IdentifiedJoint, Iteration, MethodName
 from jointid.model.joints import Joint
-from jointid.simulation.closed_loop import ClosedLoop, Initial, Simulation
+from jointid.simulation.closed_loop import Initial, Simulation
+from jointid.simulation.experiment import ClosedLoop
 
 ESTIMATE_SCHEMA = "jointid.estimate/1"
 VALIDATION_SCHEMA = "jointid.validation/1"

@@ -16,7 +16,7 @@ from jointid.estimation.identify import identify
 from jointid.estimation.idim import IDIM
 from jointid.model.friction import AsymmetricFriction
 from jointid.model.joints import RigidJoint
-from jointid.simulation.closed_loop import ClosedLoop
+from jointid.simulation.experiment import ClosedLoop
 from tests.estimation.conftest import CONTROLLER
 
 LOOP = ClosedLoop(RigidJoint(), CONTROLLER)

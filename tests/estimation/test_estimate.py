@@ -17,7 +17,7 @@ from jointid.estimation.estimate import Estimate, EstimatedParameter, Iteration,
 from jointid.estimation.regression import Conditioning, least_squares
 from jointid.model.joints import RigidJoint
 from jointid.report.figures import save, torque_figure
-from jointid.simulation.closed_loop import ClosedLoop
+from jointid.simulation.experiment import ClosedLoop
 from tests.estimation.conftest import CONTROLLER
 
 LOOP = ClosedLoop(RigidJoint(), CONTROLLER)

@@ -17,7 +17,7 @@ from jointid.estimation.idim import IDIM
 from jointid.estimation.problem import INITIAL_STATE
 from jointid.model.joints import RigidJoint
 from jointid.paper.twin import Twin, twin
-from jointid.simulation.closed_loop import ClosedLoop
+from jointid.simulation.experiment import ClosedLoop
 
 
 def deviations(estimate: Estimate, truth: dict[str, float]) -> dict[str, float]:

@@ -19,7 +19,8 @@ from jointid.model.controllers import PD, Cascade
 from jointid.model.friction import AsymmetricFriction
 from jointid.model.joints import FlexibleJoint, RigidJoint
 from jointid.model.parameters import Parameter, Quantity
-from jointid.simulation.closed_loop import ClosedLoop, Initial, prepare, simulate
+from jointid.simulation.closed_loop import Initial, simulate
+from jointid.simulation.experiment import ClosedLoop, prepare
 from jointid.simulation.synthesis import simulated_record
 from tests.estimation.conftest import CONTROLLER
 

@@ -12,7 +12,7 @@ from jointid.model.friction import AsymmetricFriction, SymmetricFriction
 from jointid.model.joints import FlexibleJoint, Motion, RigidJoint, frequencies, friction_named, rigid_sums
 from jointid.model.parameters import Parameter, Quantity, adjusted
 from jointid.paper.twin import TABLE_2, TABLE_4
-from jointid.simulation.closed_loop import ClosedLoop
+from jointid.simulation.experiment import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 
 

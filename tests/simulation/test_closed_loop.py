@@ -16,16 +16,8 @@ from jointid.data.record import Channel, Injection, Record, Tap, Timing
 from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
 from jointid.model.friction import AsymmetricFriction
 from jointid.model.joints import FlexibleJoint, RigidJoint
-from jointid.simulation.closed_loop import (
-    ClosedLoop,
-    Initial,
-    Outcome,
-    prepare,
-    require_finished,
-    simulate,
-    simulate_many,
-    simulate_torque,
-)
+from jointid.simulation.closed_loop import Initial, Outcome, require_finished, simulate, simulate_many, simulate_torque
+from jointid.simulation.experiment import ClosedLoop, prepare
 from jointid.simulation.synthesis import simulated_record
 
 T = 1e-3

@@ -28,7 +28,8 @@ from jointid.estimation.regression import least_squares
 from jointid.estimation.starts import initial_state, reconstructed_position
 from jointid.model.joints import Motion
 from jointid.model.parameters import POSITION_UNIT
-from jointid.simulation.closed_loop import ClosedLoop, Initial, Simulation, prepare, require_finished
+from jointid.simulation.closed_loop import Initial, Simulation, require_finished
+from jointid.simulation.experiment import ClosedLoop, prepare
 
 _LAGS = 40  # of the residual's autocorrelation
 _STEPS = 6  # for two numbers that act almost linearly on the torque

@@ -60,7 +60,8 @@ def _joint(
     from jointid.cli.console import progress, ready, show
     from jointid.common.errors import MethodError
     from jointid.jointfile import load
-    from jointid.simulation.closed_loop import prepare, require_finished, simulate
+    from jointid.simulation.closed_loop import require_finished, simulate
+    from jointid.simulation.experiment import prepare
 
     file = load(joint)
     if estimate is not None:

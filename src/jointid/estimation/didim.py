@@ -29,7 +29,8 @@ from jointid.estimation.starts import Start, given_start, inversion_start, regul
 from jointid.estimation.uncertainty import Covariance, sandwich, words
 from jointid.model.controllers import REFERENCE
 from jointid.model.parameters import Parameter
-from jointid.simulation.closed_loop import ClosedLoop, Simulation
+from jointid.simulation.closed_loop import Simulation
+from jointid.simulation.experiment import ClosedLoop
 
 _MOVING = 9.0  # times the residual's variance: what a velocity at the first sample must explain to be believed
 _AT_LIMIT = 0.01  # of the periods: more is said

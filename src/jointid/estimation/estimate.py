@@ -15,7 +15,8 @@ from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
 from jointid.estimation.regression import Conditioning
 from jointid.model.joints import Joint
-from jointid.simulation.closed_loop import ClosedLoop, Initial
+from jointid.simulation.closed_loop import Initial
+from jointid.simulation.experiment import ClosedLoop
 
 _POOR = 0.15  # of the filtered torque: the EMPS axis leaves 0.045, the paper's 0.08
 

@@ -27,10 +27,12 @@ from jointid.data.signals import Filtering
 from jointid.estimation.didim import DIDIM, answer, identify_didim
 from jointid.estimation.estimate import Estimate, Iteration
 from jointid.estimation.problem import INITIAL_STATE, Problem, initial_of, torque_problem
+from jointid.estimation.starts import pseudo_regular
 from jointid.estimation.uncertainty import Covariance, sandwich, words
 from jointid.model.joints import FlexibleJoint, RigidJoint
 from jointid.model.parameters import Parameter
-from jointid.simulation.closed_loop import ClosedLoop, in_threads, simulate
+from jointid.simulation.closed_loop import in_threads, simulate
+from jointid.simulation.experiment import ClosedLoop
 
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
@@ -39,7 +41,6 @@ _RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
 _GUESSES = (0.2, 0.27, 0.35, 0.45, 0.55, 0.7, 0.9)  # frequencies to try, as shares of the cut-off
 _SHARES = (0.2, 0.33, 0.5, 0.67)  # of the load in the inertia, to try
 _REFINED = 4  # starts of a grid that are refined
-_DAMPING = 0.02  # of the mode, to begin with (ours: the paper gives none)
 _EVALUATIONS = 60  # of one refinement
 _REASONS = {2: "the criterion", 3: "the parameters", 4: "the criterion and the parameters"}
 _IMPROVED = 1e-4  # of the criterion: a restart that gains less was not needed
@@ -207,26 +208,6 @@ def _initial_state(rigid: Estimate, reference: float, settings: FlexibleDIDIM) -
     return tuple(found)
 
 
-def pseudo_regular(rigid: Estimate, frequency: float, share: float = 0.5) -> dict[str, float]:
-    """Return the start (13): the rigid values divided between the sides, the spring from the frequency.
-
-    Args:
-        rigid: a rigid estimate of the joint.
-        frequency: free-free, Hz.
-        share: of the load in the inertia; the frictions are halved.
-    """
-    start = {}
-    for name, value in rigid.values.items():
-        if name == "offset":
-            start[name] = value
-        else:
-            start |= {f"{side}_{name}": 0.5 * value for side in ("motor", "load")}
-    whole = rigid.values["inertia"]
-    start |= {"motor_inertia": (1 - share) * whole, "load_inertia": share * whole}
-    reduced, rate = share * (1 - share) * whole, 2 * math.pi * frequency
-    return start | {"stiffness": reduced * rate**2, "damping": 2 * _DAMPING * reduced * rate}
-
-
 def _starts(descent: _Descent, rigid: Estimate, settings: FlexibleDIDIM) -> list[FloatArray]:
     """Return the starts, best first: the paper's at a known frequency, else the best of a grid."""
     problem = descent.problem
@@ -234,7 +215,7 @@ def _starts(descent: _Descent, rigid: Estimate, settings: FlexibleDIDIM) -> list
     assert cutoff is not None
     grid = [(settings.frequency, 0.5)] if settings.frequency else [(g * cutoff, s) for g in _GUESSES for s in _SHARES]
     given = {p.name: p.start for p in problem.parameters if p.start is not None}
-    made = [{p.name: 0.0 for p in problem.parameters} | pseudo_regular(rigid, *at) | given for at in grid]
+    made = [{p.name: 0.0 for p in problem.parameters} | pseudo_regular(rigid.values, *at) | given for at in grid]
     starts = [problem.vector(values) for values in made]
     # A friction that came out at zero or less still needs a size to be searched on.
     sizes = np.abs(starts[0])

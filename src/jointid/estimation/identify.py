@@ -17,7 +17,7 @@ from jointid.estimation.flexible import FlexibleDIDIM, identify_flexible
 from jointid.estimation.idim import IDIM, identify_idim
 from jointid.model.joints import Joint
 from jointid.model.parameters import Parameter, Quantity, adjusted
-from jointid.simulation.closed_loop import ClosedLoop
+from jointid.simulation.experiment import ClosedLoop
 
 Method: TypeAlias = DIDIM | FlexibleDIDIM | IDIM
 

@@ -17,18 +17,8 @@ from jointid.data.signals import Filtering, decimate
 from jointid.model.controllers import REFERENCE
 from jointid.model.joints import RigidJoint
 from jointid.model.parameters import Parameter, Quantity
-from jointid.simulation.closed_loop import (
-    ClosedLoop,
-    Experiment,
-    Initial,
-    Outcome,
-    Response,
-    Simulation,
-    in_threads,
-    prepare,
-    simulate,
-    simulate_torque,
-)
+from jointid.simulation.closed_loop import Initial, Outcome, Response, Simulation, in_threads, simulate, simulate_torque
+from jointid.simulation.experiment import ClosedLoop, Experiment, prepare
 
 INITIAL_STATE = (
     Parameter("initial_position", "q(0)", Quantity.POSITION),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +16,7 @@ from jointid.estimation.problem import Problem
 from jointid.model.controllers import POSITION, REFERENCE, REFERENCE_VELOCITY, invert
 from jointid.model.joints import RigidJoint
 
+_DAMPING = 0.02  # of a flexible mode, to begin with (ours: the paper gives none)
 _SETTLED = 5.0  # periods of the position filter's cut-off after which a fault is forgotten
 _SLOPE = 20  # samples the initial velocity is first read from: the search corrects it
 
@@ -110,6 +113,26 @@ def given_start(problem: Problem) -> Start:
     if given.get("inertia", 1.0) <= 0:
         raise MethodError(f"A start for the inertia must be positive; received {given['inertia']}.")
     return regular_start(problem, given)
+
+
+def pseudo_regular(rigid: Mapping[str, float], frequency: float, share: float = 0.5) -> dict[str, float]:
+    """Return the start (13): the rigid values divided between the sides, the spring from the frequency.
+
+    Args:
+        rigid: values of a rigid estimate of the joint.
+        frequency: free-free, Hz.
+        share: of the load in the inertia; the frictions are halved.
+    """
+    start = {}
+    for name, value in rigid.items():
+        if name == "offset":
+            start[name] = value
+        else:
+            start |= {f"{side}_{name}": 0.5 * value for side in ("motor", "load")}
+    whole = rigid["inertia"]
+    start |= {"motor_inertia": (1 - share) * whole, "load_inertia": share * whole}
+    reduced, rate = share * (1 - share) * whole, 2 * math.pi * frequency
+    return start | {"stiffness": reduced * rate**2, "damping": 2 * _DAMPING * reduced * rate}
 
 
 def _unlimited(problem: Problem) -> NDArray[np.bool_]:

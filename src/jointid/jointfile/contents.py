@@ -23,7 +23,7 @@ from jointid.jointfile.schema import RecordTable
 from jointid.model.controllers import Controller
 from jointid.model.joints import Joint
 from jointid.model.parameters import Parameter
-from jointid.simulation.closed_loop import ClosedLoop
+from jointid.simulation.experiment import ClosedLoop
 
 
 @dataclass(frozen=True, slots=True)

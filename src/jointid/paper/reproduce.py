@@ -25,7 +25,7 @@ from jointid.estimation.idim import IDIM
 from jointid.model.joints import RigidJoint
 from jointid.paper.recomputed import DENOMINATORS, Denominator
 from jointid.paper.twin import Twin, twin
-from jointid.simulation.closed_loop import ClosedLoop
+from jointid.simulation.experiment import ClosedLoop
 
 
 @dataclass(frozen=True, slots=True, eq=False)

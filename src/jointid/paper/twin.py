@@ -25,7 +25,7 @@ from jointid.data.signals import Filtering, decimate
 from jointid.model.controllers import Cascade
 from jointid.model.joints import FlexibleJoint
 from jointid.paper.published import TABLES
-from jointid.simulation.closed_loop import ClosedLoop
+from jointid.simulation.experiment import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 
 SAMPLE_TIME = 1e-3

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 
 from jointid.data.record import Channel, FloatArray, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.model.parameters import POSITION_UNIT, TORQUE_UNIT
-from jointid.simulation.closed_loop import ClosedLoop, Initial, Simulation, prepare, require_finished, simulate
+from jointid.simulation.closed_loop import Initial, Simulation, require_finished, simulate
+from jointid.simulation.experiment import ClosedLoop, prepare
 
 
 def simulated_record(
