@@ -15,11 +15,11 @@ from jointid.data.excitation import trapezoids
 from jointid.data.record import Channel, FloatArray, Timing
 from jointid.data.signals import Filtering, decimate, differences, windowed, windowed_torque
 from jointid.estimation.didim import DIDIM
-from jointid.estimation.flexible import pseudo_regular
 from jointid.estimation.identify import identify
 from jointid.estimation.idim import IDIM
 from jointid.estimation.problem import INITIAL_STATE, Problem, torque_problem
 from jointid.estimation.regression import least_squares
+from jointid.estimation.starts import pseudo_regular
 from jointid.estimation.uncertainty import bandwidth, sandwich
 from jointid.model.controllers import POSITION, SampledLaw
 from jointid.model.joints import FlexibleJoint, Joint, RigidJoint, frequencies
@@ -230,7 +230,7 @@ def test_the_pseudo_regular_start_has_the_frequency_it_was_made_for() -> None:
         ClosedLoop(RigidJoint(), CONTROLLERS["L19"]), trapezoids((0.1,), 0.8, 0.1, T), RIGID, sample_time=T
     )
     rigid = identify(made, ClosedLoop(RigidJoint(), CONTROLLERS["L19"]))
-    start = pseudo_regular(rigid, 30.0)
+    start = pseudo_regular(rigid.values, 30.0)
     assert frequencies(start)["free_free"] == pytest.approx(30.0)
     assert start["motor_inertia"] == start["load_inertia"] == pytest.approx(0.5 * rigid.values["inertia"])
     assert start["damping"] == pytest.approx(0.04 * start["stiffness"] / (2 * math.pi * 30.0))
