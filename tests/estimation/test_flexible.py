@@ -15,9 +15,10 @@ from jointid.estimation.flexible import FlexibleDIDIM
 from jointid.estimation.identify import identify
 from jointid.estimation.idim import IDIM
 from jointid.estimation.problem import INITIAL_STATE
-from jointid.model.joints import RigidJoint
+from jointid.model.joints import FlexibleJoint, RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.simulation.experiment import ClosedLoop
+from tests.estimation.conftest import CONTROLLER
 
 
 def deviations(estimate: Estimate, truth: dict[str, float]) -> dict[str, float]:
@@ -158,3 +159,13 @@ def test_settings_that_make_no_sense_are_refused() -> None:
     axis = twin(noise="none")
     with pytest.raises(MethodError, match="FlexibleDIDIM is not for a rigid joint; use DIDIM"):
         identify(axis.record, ClosedLoop(RigidJoint(), axis.loop.controller), FlexibleDIDIM())
+
+
+def test_a_stiffness_the_record_does_not_show_is_not_called_identifiable(emps: Record) -> None:
+    """The public EMPS record has no flexible mode: the interval of its stiffness holds 0, and the answer says so."""
+    loop = ClosedLoop(FlexibleJoint(), CONTROLLER)
+    estimate = identify(emps.without("motor_position"), loop)
+    assert not estimate["stiffness"].identifiable
+    assert any("stiffness is not identifiable from this record" in warning for warning in estimate.warnings)
+    axis = twin(noise="white")
+    assert identify(torque_only(axis), axis.loop, FlexibleDIDIM(frequency=30.0))["stiffness"].identifiable

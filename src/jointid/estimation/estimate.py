@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
@@ -18,6 +19,7 @@ from jointid.model.joints import Joint
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.experiment import ClosedLoop
 
+_LOST = 1000.0  # %: a deviation so much larger than its value says nothing in percent
 _POOR = 0.15  # of the filtered torque: the EMPS axis leaves 0.045, the paper's 0.08
 
 MethodName: TypeAlias = Literal["didim", "idim"]
@@ -227,8 +229,15 @@ def _row(p: EstimatedParameter) -> tuple[str, ...]:
         return p.symbol, _words(p), number(p.value), "fixed", "-", p.unit
     if p.std is None:
         return p.symbol, _words(p), number(p.value), "-", "-", p.unit
-    percent = f"{100 * p.std / abs(p.value):.2f}" if p.value else "-"
-    return p.symbol, _words(p), number(p.value), number(2 * p.std, 2), percent, p.unit
+    percent = 100 * p.std / abs(p.value) if p.value else math.inf
+    return (
+        p.symbol,
+        _words(p),
+        number(p.value),
+        number(2 * p.std, 2),
+        f"{percent:.2f}" if percent < _LOST else "-",
+        p.unit,
+    )
 
 
 def _words(p: EstimatedParameter) -> str:

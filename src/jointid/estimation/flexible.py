@@ -169,13 +169,35 @@ def identify_flexible(
     descent.simulations += 1
     estimate = answer(record, problem, x, run, error, covariance, stop, converged)
     how = "Nelder-Mead" if settings.minimiser == "nelder-mead" else "least squares"
+    unsure = _unsure(estimate)
+    found = tuple(replace(p, identifiable=p.identifiable and p.name not in unsure) for p in estimate.parameters)
+    lost = tuple(f"{name} is not identifiable from this record: its interval holds 0" for name in unsure)
     return replace(
         estimate,
+        parameters=found,
+        warnings=(*lost, *_touched(problem, x, descent.scales), *estimate.warnings),
         variant=f"DIDIM by {how} from the pseudo-regular start",
         intervals=intervals,
         trace=tuple(descent.trace),
         simulations=descent.simulations + rigid.simulations,
     )
+
+
+def _unsure(estimate: Estimate) -> tuple[str, ...]:
+    """Return the names of the inertias and the stiffness that the record does not tell from 0."""
+    physical = ("motor_inertia", "load_inertia", "stiffness")
+    return tuple(n for n in physical if estimate[n].free and estimate.values[n] <= 2 * (estimate[n].std or 0.0))
+
+
+def _touched(problem: Problem, x: FloatArray, scales: FloatArray) -> tuple[str, ...]:
+    """Return a warning for each parameter that a bound holds."""
+    near = 1e-6 * scales
+    at = [
+        p
+        for p, value, gap in zip(problem.free, x, near, strict=True)
+        if value <= p.lower + gap or value >= p.upper - gap
+    ]
+    return tuple(f"{p.name} is at its bound, where it does not follow the record" for p in at)
 
 
 def _rigid(record: Record, loop: ClosedLoop, settings: FlexibleDIDIM, progress: Progress) -> Estimate:
