@@ -23,7 +23,7 @@ from jointid.data.columns import Column, known_units
 from jointid.data.record import InjectionPoint, Tap, Timing
 from jointid.data.signals import Filtering
 from jointid.estimation.didim import DIDIM
-from jointid.estimation.flexible import FlexibleDIDIM
+from jointid.estimation.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.estimation.identify import identify
 from jointid.estimation.idim import IDIM
 from jointid.jointfile import JointFile, Source, dumps, json_schema, load, loads, save
@@ -115,7 +115,7 @@ def test_every_key_that_is_written_at_its_default_changes_nothing() -> None:
     assert file == loads(SMALLEST)
     flexible = """[method]
         name = "didim"
-        tolerance = 1e-8
+
         minimiser = "least-squares"
         simulations = 6000
         restarts = 3
@@ -1281,9 +1281,9 @@ def test_the_page_has_every_unit_and_parameter() -> None:
 
 def test_the_page_has_the_defaults_that_depend_on_the_model() -> None:
     rows = {line.split("`")[1]: line for line in PAGE.read_text(encoding="utf-8").splitlines() if line[:3] == "| `"}
-    assert {float(word) for word in re.findall(r"else (1e-\d+)", rows["method.tolerance"])} == {
-        DIDIM().tolerance, FlexibleDIDIM().tolerance,
-    }  # fmt: skip
+    least, simplex = (stopping_tolerance(FlexibleDIDIM(minimiser=m)) for m in ("least-squares", "nelder-mead"))  # type: ignore[arg-type]
+    said = [float(word) for word in re.findall(r"else (1e-\d+)", rows["method.tolerance"])]
+    assert said == [DIDIM().tolerance, least, simplex]
     for key in ("position_cutoff", "cutoff"):
         rigid, flexible = (getattr(Filtering().resolved(1e-3, model), key) for model in ("rigid", "flexible"))
         said = f"else {rigid / 10:g} % of the sampling frequency, for a flexible joint {flexible / 10:g} %"

@@ -56,3 +56,18 @@ def check_outputs(figure: Path | None = None, *files: Path | None) -> None:
         from jointid.report.figures import require_format
 
         require_format(figure)
+
+
+def make_folder(folder: Path) -> Path:
+    """Make a folder, unless it is there.
+
+    Raises:
+        RecordError: it cannot be made.
+    """
+    from jointid.common.errors import RecordError
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordError(f"{folder} cannot be made a folder ({error.strerror}); name another one.") from None
+    return folder

@@ -30,7 +30,7 @@ def demo(
         quiet: say nothing of the progress.
     """
     from jointid import answers
-    from jointid.cli.console import progress, ready, show
+    from jointid.cli.console import make_folder, progress, ready, show
     from jointid.common.errors import RecordError
     from jointid.common.text import aligned, number
     from jointid.data.reading import write
@@ -40,7 +40,7 @@ def demo(
     from jointid.report.figures import save, torque_figure
 
     listener = progress(quiet)
-    made = _folder(folder)
+    made = make_folder(folder)
     listener("simulating 24 s of the paper's flexible axis, with an 8 % disturbance")
     ready(listener)
     axis = twin(seed=seed)
@@ -82,13 +82,3 @@ def _found(estimate: Estimate, name: str) -> tuple[float, float, str, str]:
     motor, load = estimate[f"motor_{name}"], estimate[f"load_{name}"]
     value, std = estimate.total((motor.name, load.name))
     return value, std, f"{motor.symbol}+{load.symbol}", motor.unit
-
-
-def _folder(folder: Path) -> Path:
-    from jointid.common.errors import RecordError
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecordError(f"{folder} cannot be made a folder ({error.strerror}); name another one.") from None
-    return folder

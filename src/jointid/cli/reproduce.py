@@ -21,10 +21,11 @@ def reproduce(
         seed: of the noise; the same seed gives the same bytes.
         quiet: say nothing of the progress.
     """
-    from jointid.cli.console import progress, ready, show
+    from jointid.cli.console import make_folder, progress, ready, show
     from jointid.paper.reproduce import reproduce as run
     from jointid.report.reproduction import reproduction_document
 
+    make_folder(out)
     listener = progress(quiet)
     ready(listener)
     found = run(seed, listener)

@@ -44,8 +44,10 @@ def simulate(
 
     check_outputs(None, json, out)
     if twin is not None:
-        if joint is not None or out is None or json is not None:
-            raise MethodError("--twin needs --out, and takes no joint file and no --json; give only where to write.")
+        if out is None or any(given is not None for given in (joint, record, estimate, json)):
+            raise MethodError(
+                "--twin needs --out, and takes no joint file, --record, --estimate or --json; give only where to write."
+            )
         _twin(twin, added_mass, noise, seed, out, quiet)
         return
     if joint is None:

@@ -127,7 +127,8 @@ class Estimate:
         warnings: what the reader must know, one sentence each.
         fingerprint: of the record's torque, so that it is known again.
         delay: seconds from the logged torque to the torque that acts, as declared.
-        correlation: (free, free) of the free parameters' errors, in their order; empty where it is not known.
+        correlation: of the errors of the free parameters, in their order: all of them, or the joint's, which come
+            first; empty where it is not known.
     """
 
     method: MethodName
@@ -159,13 +160,16 @@ class Estimate:
     correlation: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def total(self, names: Sequence[str]) -> tuple[float, float]:
-        """Return a sum of parameters and its standard deviation, with their correlation."""
+        """Return a sum of parameters, by name or symbol, and its standard deviation, with their correlation."""
         free = [p.name for p in self.parameters if p.free]
-        std = np.array([self[name].std or 0.0 for name in names])
-        chosen = [free.index(name) for name in names if name in free and self.correlation.size]
-        known = len(chosen) == len(names) and max(chosen, default=0) < len(self.correlation)
-        together = self.correlation[np.ix_(chosen, chosen)] if known else np.eye(len(names))
-        return sum(self.values[name] for name in names), float(np.sqrt(max(std @ together @ std, 0.0)))
+        found = [self[name] for name in names]
+        uncertain = [p for p in found if p.std is not None]
+        std = np.array([p.std for p in uncertain], dtype=np.float64)
+        chosen = [free.index(p.name) for p in uncertain]
+        known = max(chosen, default=0) < len(self.correlation)
+        together = self.correlation[np.ix_(chosen, chosen)] if known else np.eye(len(chosen))
+        total = sum(self.values[p.name] for p in found)
+        return total, float(np.sqrt(max(float(std @ together @ std), 0.0)))
 
     @property
     def identified(self) -> IdentifiedJoint:

@@ -41,6 +41,9 @@ _RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
 _GUESSES = (0.2, 0.27, 0.35, 0.45, 0.55, 0.7, 0.9)  # frequencies to try, as shares of the cut-off
 _SHARES = (0.2, 0.33, 0.5, 0.67)  # of the load in the inertia, to try
 _REFINED = 4  # starts of a grid that are refined
+_TOLERANCE, _SIMPLEX_TOLERANCE = 1e-8, 1e-4  # the latter is that of fminsearch
+_NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
+_MOVING = 9.0  # times the residual's variance: what a velocity at the first sample must explain to be believed
 _EVALUATIONS = 60  # of one refinement
 _REASONS = {2: "the criterion", 3: "the parameters", 4: "the criterion and the parameters"}
 _IMPROVED = 1e-4  # of the criterion: a restart that gains less was not needed
@@ -52,10 +55,11 @@ class FlexibleDIDIM:
 
     Attributes:
         minimiser: "least-squares", or the paper's "nelder-mead".
-        frequency: free-free frequency in Hz the stiffness starts from, with the inertia halved (13); None tries a
-            grid, a simulation each.
+        frequency: free-free frequency in Hz the stiffness starts from; several load shares are tried with it, and
+            for Nelder-Mead the inertia is halved as in (13) unless that loop is unstable. None tries a grid of both,
+            a simulation each.
         rigid_cutoff: Hz, of the rigid identification that gives the start; 0.5 % of the sampling frequency when None.
-        tolerance: relative, on the parameters and the criterion.
+        tolerance: relative, on the parameters and the criterion; when None 1e-8, and 1e-4 for Nelder-Mead.
         simulations: at most, of one descent.
         restarts: of Nelder-Mead, each from where the last one stopped; it ends when one gains nothing.
         statistics: "sensitivities" for the deviations of the output sensitivities, or the paper's "inverse-model".
@@ -64,7 +68,7 @@ class FlexibleDIDIM:
     minimiser: Literal["least-squares", "nelder-mead"] = "least-squares"
     frequency: float | None = None
     rigid_cutoff: float | None = None
-    tolerance: float = 1e-8
+    tolerance: float | None = None
     simulations: int = 6000
     restarts: int = 3
     statistics: Literal["sensitivities", "inverse-model"] = "sensitivities"
@@ -77,8 +81,8 @@ class FlexibleDIDIM:
         for name, (value, allowed) in choices.items():
             if value not in allowed:
                 raise MethodError(f'The {name} is one of {", ".join(allowed)}; received "{value}".')
-        positive = (self.frequency or 1.0, self.rigid_cutoff or 1.0, self.tolerance, float(self.simulations))
-        if min(positive) <= 0 or self.restarts < 0:
+        positive = (self.frequency or 1.0, self.rigid_cutoff or 1.0, self.tolerance or 1.0, float(self.simulations))
+        if min(positive) <= 0 or self.tolerance == 0 or self.restarts < 0:
             raise MethodError(
                 "Frequencies, tolerance and simulations are positive, restarts 0 or more; received "
                 f"{self.frequency}, {self.rigid_cutoff}, {self.tolerance}, {self.simulations} and {self.restarts}."
@@ -91,6 +95,11 @@ class FlexibleDIDIM:
         The frequency is the 30 Hz the paper measured with its output blocked.
         """
         return cls("nelder-mead", frequency, None, 1e-4, 6000, 1, "inverse-model")
+
+
+def stopping_tolerance(settings: FlexibleDIDIM) -> float:
+    """Return the tolerance that settings stop at: their own, or their minimiser's."""
+    return settings.tolerance or (_TOLERANCE if settings.minimiser == "least-squares" else _SIMPLEX_TOLERANCE)
 
 
 class _Descent:
@@ -153,20 +162,20 @@ def identify_flexible(
     """
     settings = settings or FlexibleDIDIM()
     rigid = _rigid(record, loop, settings, progress)
-    assert record.reference is not None
-    initial = _initial_state(rigid, float(record.reference.values[0]), settings)
-    problem = torque_problem(record, loop, filtering, parameters, initial)
+    problem = torque_problem(record, loop, filtering, parameters, _at_rest(record, settings))
     descent = _Descent(problem, progress)
-    starts = _starts(descent, rigid, settings)
-    if settings.minimiser == "nelder-mead":
-        x, stop, converged = _by_simplex(descent, starts[0], settings)
-    else:
-        x, stop, converged = _by_least_squares(descent, starts, settings)
+    descend = _by_simplex if settings.minimiser == "nelder-mead" else _by_least_squares
+    x, stop, converged = descend(descent, _starts(descent, rigid, settings), settings)
+    if rigid["initial_velocity"].free:  # below its resonance the axis seemed to move at the first sample
+        x, stop, converged = _or_moving(descent, x, rigid, settings, (stop, converged))
+    problem = descent.problem
     error = descent.residual(x)
     covariance, intervals = _covariance(descent, x, error, settings)
     values = problem.values(x)
     run = simulate(loop, problem.experiment, values, initial_of(values))
     descent.simulations += 1
+    if np.linalg.norm(error) > _NOTHING * descent.size:
+        stop, converged = f"no answer: the search ended where the model explains little of the torque ({stop})", False
     estimate = answer(record, problem, x, run, error, covariance, stop, converged)
     how = "Nelder-Mead" if settings.minimiser == "nelder-mead" else "least squares"
     unsure = _unsure(estimate)
@@ -212,22 +221,43 @@ def _rigid(record: Record, loop: ClosedLoop, settings: FlexibleDIDIM, progress: 
     return identify_didim(record, rigid, joint.parameters, Filtering(cutoff=cutoff), DIDIM(), progress)
 
 
-def _initial_state(rigid: Estimate, reference: float, settings: FlexibleDIDIM) -> tuple[Parameter, ...]:
-    """Return the initial state as parameters: as the rigid identification found it, and free where it was.
+def _at_rest(record: Record, settings: FlexibleDIDIM) -> tuple[Parameter, ...]:
+    """Return the initial state at rest: on the reference for Nelder-Mead, which should search no more than it must.
 
-    Nelder-Mead keeps it: the paper's eight parameters are all a simplex should have to search. It then stands on the
-    reference, at rest, unless the rigid identification found it moving. (The position it finds at rest is no guide: a
-    rigid model of a flexible joint is off by more than its deviations say.)
+    Where a rigid model of a flexible joint puts the motor is no guide: it is off by more than its deviations say.
     """
-    moving = rigid["initial_velocity"].free
-    found = []
-    for p in INITIAL_STATE:
-        value = rigid[p.name].value or 0.0
-        if settings.minimiser == "least-squares":
-            found.append(replace(p, start=value, free=rigid[p.name].free))
-        else:
-            found.append(p.fixed(value if moving else reference if p.name == "initial_position" else 0.0))
-    return tuple(found)
+    assert record.reference is not None
+    position, velocity = INITIAL_STATE
+    home = float(record.reference.values[0])
+    known = position.fixed(home) if settings.minimiser == "nelder-mead" else replace(position, start=home)
+    return known, velocity.fixed(0.0)
+
+
+def _or_moving(
+    descent: _Descent, x: FloatArray, rigid: Estimate, settings: FlexibleDIDIM, end: tuple[str, bool]
+) -> tuple[FloatArray, str, bool]:
+    """Return the better of two answers, the motor at rest at the first sample or moving: see `didim`."""
+    resting, scales = descent.problem, descent.scales
+    error = descent.residual(x)
+    free = settings.minimiser == "least-squares"
+    values = resting.values(x) | {p.name: rigid[p.name].value or 0.0 for p in INITIAL_STATE}
+    state = tuple(replace(p, start=values[p.name], free=free) for p in INITIAL_STATE)
+    descent.problem = replace(resting, parameters=(*resting.parameters[: -len(INITIAL_STATE)], *state))
+    if free:  # two more to search, each on its own size
+        descent.scales = np.append(scales[: len(resting.free_joint)], _scales(descent.problem.vector(values)[-2:]))
+    descend = _by_simplex if settings.minimiser == "nelder-mead" else _by_least_squares
+    moving, stop, converged = descend(descent, [descent.problem.vector(values)], settings)
+    gained = float(error @ error) - float(np.sum(descent.residual(moving) ** 2))
+    if gained > _MOVING * float(error @ error) / error.size:
+        return moving, stop, converged
+    descent.problem, descent.scales = resting, scales
+    return x, *end
+
+
+def _scales(x: FloatArray) -> FloatArray:
+    """Return the size each parameter is searched on; a friction that came out at zero still needs one."""
+    sizes = np.abs(x)
+    return np.asarray(np.where(sizes > 0, sizes, np.max(sizes) * 1e-6))
 
 
 def _starts(descent: _Descent, rigid: Estimate, settings: FlexibleDIDIM) -> list[FloatArray]:
@@ -235,21 +265,25 @@ def _starts(descent: _Descent, rigid: Estimate, settings: FlexibleDIDIM) -> list
     problem = descent.problem
     cutoff = problem.filtering.cutoff
     assert cutoff is not None
-    grid = [(settings.frequency, 0.5)] if settings.frequency else [(g * cutoff, s) for g in _GUESSES for s in _SHARES]
+    paper = settings.frequency is not None and settings.minimiser == "nelder-mead"
+    frequencies = [settings.frequency] if settings.frequency else [guess * cutoff for guess in _GUESSES]
+    grid = [(f, share) for f in frequencies for share in ((0.5, *_SHARES) if settings.frequency else _SHARES)]
     given = {p.name: p.start for p in problem.parameters if p.start is not None}
     made = [{p.name: 0.0 for p in problem.parameters} | pseudo_regular(rigid.values, *at) | given for at in grid]
     starts = [problem.vector(values) for values in made]
-    # A friction that came out at zero or less still needs a size to be searched on.
-    sizes = np.abs(starts[0])
-    descent.scales = np.where(sizes > 0, sizes, np.max(sizes) * 1e-6)
-    lower = np.array([p.lower for p in problem.free])
+    descent.scales = _scales(starts[0])
+    lower, upper = (np.array([getattr(p, side) for p in problem.free]) for side in ("lower", "upper"))
     floor = np.where(np.isfinite(lower), lower + 1e-3 * descent.scales, lower)
-    starts = [np.maximum(x, floor) for x in starts]
+    starts = [np.minimum(np.maximum(x, floor), np.maximum(upper - 1e-3 * descent.scales, lower)) for x in starts]
     costs = [float(np.linalg.norm(error)) for error in in_threads(problem.residual, starts)]
     descent.simulations += len(starts)
     order = np.argsort(costs)
+    if paper and costs[0] <= descent.size:  # (13) as printed, where its loop can be simulated
+        order = np.array([0])
+    elif paper:
+        descent.progress("the halved inertia (13) makes an unstable loop here; starting from another load share")
     descent.note(starts[order[0]], costs[order[0]])
-    return [starts[i] for i in order[: _REFINED if len(starts) > 1 else 1]]
+    return [starts[i] for i in order[: 2 if settings.frequency else _REFINED]]
 
 
 def _by_least_squares(
@@ -262,7 +296,7 @@ def _by_least_squares(
     agreed = f" ({same} of {len(ends)} starts end there)" if len(ends) > 1 else ""
     if best.status not in _REASONS:
         return best.x, f"not converged after {best.nfev} evaluations{agreed}", False
-    limit = f"{100 * settings.tolerance:g} %"
+    limit = f"{100 * stopping_tolerance(settings):g} %"
     return best.x, f"converged: {_REASONS[best.status]} changed by less than {limit}{agreed}", True
 
 
@@ -276,8 +310,8 @@ def _refined(descent: _Descent, x: FloatArray, settings: FlexibleDIDIM) -> Optim
         descent.jacobian,
         (np.array([p.lower for p in free]), np.array([p.upper for p in free])),
         x_scale="jac",
-        xtol=settings.tolerance,
-        ftol=settings.tolerance,
+        xtol=stopping_tolerance(settings),
+        ftol=stopping_tolerance(settings),
         gtol=None,
         max_nfev=_EVALUATIONS,
         callback=lambda intermediate_result: descent.note(
@@ -286,7 +320,7 @@ def _refined(descent: _Descent, x: FloatArray, settings: FlexibleDIDIM) -> Optim
     )
 
 
-def _by_simplex(descent: _Descent, x: FloatArray, settings: FlexibleDIDIM) -> tuple[FloatArray, str, bool]:
+def _by_simplex(descent: _Descent, starts: list[FloatArray], settings: FlexibleDIDIM) -> tuple[FloatArray, str, bool]:
     """Nelder-Mead by the rules of ``fminsearch``: its simplex, coefficients and stopping rule, scaled parameters."""
     from scipy.optimize import minimize
 
@@ -294,6 +328,7 @@ def _by_simplex(descent: _Descent, x: FloatArray, settings: FlexibleDIDIM) -> tu
         norm = float(np.linalg.norm(descent.residual(scaled * descent.scales))) / descent.size
         return norm * norm
 
+    x, tolerance = starts[0], stopping_tolerance(settings)
     best, runs = math.inf, []
     for restart in range(settings.restarts + 1):
         before = descent.simulations
@@ -302,8 +337,8 @@ def _by_simplex(descent: _Descent, x: FloatArray, settings: FlexibleDIDIM) -> tu
             x / descent.scales,
             method="Nelder-Mead",
             options={
-                "xatol": settings.tolerance,
-                "fatol": settings.tolerance**2,  # of the torque's: what a simplex of that size spans near a minimum
+                "xatol": tolerance,
+                "fatol": tolerance**2,  # of the torque's: what a simplex of that size spans near a minimum
                 "maxfev": settings.simulations,
                 "maxiter": settings.simulations,
             },
@@ -318,8 +353,8 @@ def _by_simplex(descent: _Descent, x: FloatArray, settings: FlexibleDIDIM) -> tu
         if restart and gained < _IMPROVED:
             break
         descent.progress(f"Nelder-Mead stopped after {runs[-1]}")
-    stop = f"Nelder-Mead stopped by its tolerance of {settings.tolerance:g} after {', then '.join(runs)}"
-    return x, stop, bool(found.success)
+    why = f"its tolerance of {tolerance:g}" if found.success else f"its limit of {settings.simulations} simulations"
+    return x, f"Nelder-Mead stopped by {why} after {', then '.join(runs)}", bool(found.success)
 
 
 def _covariance(descent: _Descent, x: FloatArray, error: FloatArray, settings: FlexibleDIDIM) -> tuple[Covariance, str]:

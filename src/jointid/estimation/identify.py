@@ -69,13 +69,15 @@ def identify(
     check_record(record)
     estimate = _identified(record, joint, loop, chosen, filtering or Filtering(), wanted, progress)
     bounds: list[str] = []
+    simulations = estimate.simulations
     while (beyond := _beyond(estimate, wanted)) is not None:
         value, p = beyond
         bounds.append(f"{p.name} is at its bound: without it, it would be {value:.4g} {joint.unit(p)}")
         progress(bounds[-1])
         wanted = tuple(_at_bound(q, value) if q.name == p.name else q for q in wanted)
         estimate = _identified(record, joint, loop, chosen, filtering or Filtering(), wanted, progress)
-    return replace(estimate, warnings=(*bounds, *estimate.warnings))
+        simulations += estimate.simulations
+    return replace(estimate, simulations=simulations, warnings=(*bounds, *estimate.warnings))
 
 
 def _beyond(estimate: Estimate, wanted: tuple[Parameter, ...]) -> tuple[float, Parameter] | None:

@@ -125,11 +125,13 @@ class Problem:
     def jacobian(self, x: FloatArray, scales: FloatArray, only: slice = slice(None)) -> tuple[FloatArray, int]:
         """Return the raw torque's derivatives by the free parameters (or a slice of them), and the simulations run.
 
-        Central differences, shape (samples, parameters); `scales` as from `scales`, for the joint's parameters.
+        Central differences, shape (samples, parameters); `scales` as from `scales`, for the joint's parameters. At a
+        lower bound, below which there may be nothing to simulate, they are taken a step inside it.
         """
         steps = _STEP * np.concatenate([scales, self._initial_scales()])[: x.size]
         chosen = range(x.size)[only]
-        shifts = [sign * steps[i] * np.eye(x.size)[i] for i in chosen for sign in (1.0, -1.0)]
+        inside = [max(p.lower + 2 * step - value, 0.0) for p, value, step in zip(self.free, x, steps, strict=True)]
+        shifts = [(inside[i] + sign * steps[i]) * np.eye(x.size)[i] for i in chosen for sign in (1.0, -1.0)]
         runs = in_threads(lambda shift: self.torque(x + shift), shifts)
         pairs = zip(chosen, runs[::2], runs[1::2], strict=True)
         columns = [(above - below) / (2 * steps[i]) for i, above, below in pairs]

@@ -37,7 +37,7 @@ class Experiment:
         idim: from torque and both positions.
         didim: from torque alone, by Nelder-Mead, with the paper's statistics.
         best: from torque alone, by least squares, with the deviations of the output sensitivities.
-        idim_simulated: the loop simulated with IDIM's values, against another run (Figure 4).
+        idim_simulated: the loop simulated with IDIM's values, against a run with other pulses (Figure 4).
         didim_direct: the loop simulated with DIDIM's values, against its own record (Figure 5).
     """
 
@@ -107,7 +107,7 @@ def reproduce(seed: int = 1, progress: Progress = silent) -> Reproduction:
         progress: is told each step.
     """
     axis, heavy = twin(seed=seed), twin(seed=seed + 1, added_mass=True)
-    others = twin(seed=seed + 2), twin(seed=seed + 3, added_mass=True)
+    others = twin(seed=seed + 2, pulses_seed=1), twin(seed=seed + 3, added_mass=True, pulses_seed=1)
     progress("Table 1: the rigid joint, below 5 Hz")
     rigid_loop = ClosedLoop(RigidJoint(), axis.loop.controller)
     rigid = identify(torque_only(axis), rigid_loop, DIDIM(), filtering=Filtering(cutoff=5.0))

@@ -19,6 +19,7 @@ from typing import Literal
 
 import numpy as np
 
+from jointid.common.errors import MethodError
 from jointid.data.excitation import pulses, trapezoids
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering, decimate
@@ -112,6 +113,7 @@ def twin(
     noise: Literal["disturbance", "white", "none"] = "disturbance",
     residual: float = RESIDUAL,
     seed: int = 1,
+    pulses_seed: int = 0,
 ) -> Twin:
     """Return one seeded run of the digital twin.
 
@@ -120,12 +122,18 @@ def twin(
         added_mass: Table 4 (10 kg on the load) instead of Table 2.
         noise: a white force inside the loop, white noise on the logged torque, or none.
         residual: the noise's share of the torque, both filtered at 60 Hz and decimated: the paper's 8 %.
-        seed: of the noise; the motion and the pulses are always the same.
+        seed: of the noise, 0 or more.
+        pulses_seed: of the pulses' times, likewise; another one makes another experiment on the same axis.
+
+    Raises:
+        MethodError: a seed is negative.
     """
+    if min(seed, pulses_seed) < 0:
+        raise MethodError(f"A seed is a whole number, 0 or more; received {min(seed, pulses_seed)}.")
     truth = dict(TABLE_4 if added_mass else TABLE_2)
     closed = ClosedLoop(FlexibleJoint(), CONTROLLERS[loop])
     reference = trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, SAMPLE_TIME, duration=DURATION)
-    known = pulses(reference.size, SAMPLE_TIME, height=150.0, width=0.02, every=0.4, seed=0)
+    known = pulses(reference.size, SAMPLE_TIME, height=150.0, width=0.02, every=0.4, seed=pulses_seed)
     white = np.random.default_rng(seed).standard_normal(reference.size)
 
     def run(disturbance: FloatArray | None = None, torque_noise: FloatArray | None = None) -> Record:
