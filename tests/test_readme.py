@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from jointid.cli.app import main
+
 README = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
 
 
@@ -30,3 +32,15 @@ def test_the_links_of_the_documents_lead_somewhere() -> None:
     for page in [root / "README.md", *root.glob("*.md"), *(root / "docs").glob("*.md"), *root.glob("examples/*/*.md")]:
         for link in re.findall(r"\]\((?!https?:|#)([^)#]+)", page.read_text(encoding="utf-8")):
             assert (page.parent / link).exists(), f"{page.name}: {link}"
+
+
+def test_the_table_of_the_readme_is_what_the_demo_prints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["demo", str(tmp_path / "out"), "-q"])
+    rows = re.compile(r"^(\S+) +(-?[\d.]+) +([\d.]+) +(-?[\d.]+)  \S", re.MULTILINE)
+    printed = {row[0]: row[1:] for row in rows.findall(capsys.readouterr().out)}
+    shown = {row[0]: row[1:] for row in rows.findall(README)}
+    assert set(shown) == {"ZZ1", "Fv1", "Fc1", "K12", "F12", "ZZ2", "Fv2", "Fc2", "offset", "Fv1+Fv2", "Fc1+Fc2"}
+    for symbol, texts in shown.items():
+        for text, expected in zip(texts, printed[symbol], strict=True):
+            assert float(text) == pytest.approx(float(expected), rel=0.02)  # another machine rounds elsewhere
