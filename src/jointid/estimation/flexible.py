@@ -14,9 +14,8 @@ and the best few are refined: half of such a grid is unstable for a fast loop, a
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -24,8 +23,9 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering
+from jointid.estimation.descent import Descent, by_least_squares, by_simplex, refined
 from jointid.estimation.didim import DIDIM, answer, identify_didim
-from jointid.estimation.estimate import Estimate, Iteration
+from jointid.estimation.estimate import Estimate
 from jointid.estimation.problem import INITIAL_STATE, Problem, initial_of, torque_problem
 from jointid.estimation.starts import pseudo_regular
 from jointid.estimation.uncertainty import Covariance, sandwich, words
@@ -34,9 +34,6 @@ from jointid.model.parameters import Parameter
 from jointid.simulation.closed_loop import in_threads, simulate
 from jointid.simulation.experiment import ClosedLoop
 
-if TYPE_CHECKING:
-    from scipy.optimize import OptimizeResult
-
 _RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
 _GUESSES = (0.2, 0.27, 0.35, 0.45, 0.55, 0.7, 0.9)  # frequencies to try, as shares of the cut-off
 _SHARES = (0.2, 0.33, 0.5, 0.67)  # of the load in the inertia, to try
@@ -44,9 +41,6 @@ _REFINED = 4  # starts of a grid that are refined
 _TOLERANCE, _SIMPLEX_TOLERANCE = 1e-8, 1e-4  # the latter is that of fminsearch
 _NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
 _MOVING = 9.0  # times the residual's variance: what a velocity at the first sample must explain to be believed
-_EVALUATIONS = 60  # of one refinement
-_REASONS = {2: "the criterion", 3: "the parameters", 4: "the criterion and the parameters"}
-_IMPROVED = 1e-4  # of the criterion: a restart that gains less was not needed
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,42 +96,6 @@ def stopping_tolerance(settings: FlexibleDIDIM) -> float:
     return settings.tolerance or (_TOLERANCE if settings.minimiser == "least-squares" else _SIMPLEX_TOLERANCE)
 
 
-class _Descent:
-    """A criterion on its way down: what it is evaluated on, what it cost, and the trace."""
-
-    def __init__(self, problem: Problem, progress: Progress) -> None:
-        self.problem, self.progress = problem, progress
-        self.trace: list[Iteration] = []
-        self.simulations = 0
-        self.scales = np.ones(len(problem.free))
-        self.size = float(np.linalg.norm(problem.filtered(problem.measured)))
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        """Return the filtered torque error; large and finite where the loop cannot be simulated."""
-        self.simulations += 1
-        return self.problem.residual(x)
-
-    def jacobian(self, x: FloatArray) -> FloatArray:
-        """Return the derivatives of the residual, by central differences."""
-        joint = len(self.problem.free_joint)
-        J, runs = self.problem.jacobian(x, np.maximum(np.abs(x[:joint]), 1e-3 * self.scales[:joint]))
-        self.simulations += runs
-        return -self.problem.filtered(J)
-
-    def note(self, x: FloatArray, norm: float) -> None:
-        """Add a line to the trace, and tell every tenth."""
-        before = self.trace[-1] if self.trace else None
-        change = step = None
-        if before is not None:
-            change = abs(norm - before.residual_norm) / before.residual_norm if before.residual_norm else 0.0
-            last = self.problem.vector(before.values)
-            step = float(np.max(np.abs(x - last) / np.maximum(np.abs(x), 1e-3 * self.scales)))
-        values, number = self.problem.values(x), len(self.trace)
-        self.trace.append(Iteration(number, values, norm, change, step, self.simulations))
-        if number % 100 == 0 or number < 10:  # a simplex takes more than a thousand steps
-            self.progress(f"iteration {number}: torque error {100 * norm / self.size:.4f} %")
-
-
 def identify_flexible(
     record: Record,
     loop: ClosedLoop,
@@ -163,9 +121,8 @@ def identify_flexible(
     settings = settings or FlexibleDIDIM()
     rigid = _rigid(record, loop, settings, progress)
     problem = torque_problem(record, loop, filtering, parameters, _at_rest(record, settings))
-    descent = _Descent(problem, progress)
-    descend = _by_simplex if settings.minimiser == "nelder-mead" else _by_least_squares
-    x, stop, converged = descend(descent, _starts(descent, rigid, settings), settings)
+    descent = Descent(problem, progress)
+    x, stop, converged = _descended(descent, _starts(descent, rigid, settings), settings)
     if rigid["initial_velocity"].free:  # below its resonance the axis seemed to move at the first sample
         x, stop, converged = _or_moving(descent, x, rigid, settings, (stop, converged))
     problem = descent.problem
@@ -209,6 +166,14 @@ def _touched(problem: Problem, x: FloatArray, scales: FloatArray) -> tuple[str, 
     return tuple(f"{p.name} is at its bound, where it does not follow the record" for p in at)
 
 
+def _descended(descent: Descent, starts: list[FloatArray], settings: FlexibleDIDIM) -> tuple[FloatArray, str, bool]:
+    """Go down from the starts, best first; return where that ends, why, and whether it is a good end."""
+    tolerance = stopping_tolerance(settings)
+    if settings.minimiser == "nelder-mead":
+        return by_simplex(descent, starts[0], tolerance, settings.simulations, settings.restarts)
+    return by_least_squares(descent, starts, tolerance)
+
+
 def _rigid(record: Record, loop: ClosedLoop, settings: FlexibleDIDIM, progress: Progress) -> Estimate:
     """Identify the joint as rigid, below its resonance."""
     assert isinstance(loop.joint, FlexibleJoint)
@@ -234,7 +199,7 @@ def _at_rest(record: Record, settings: FlexibleDIDIM) -> tuple[Parameter, ...]:
 
 
 def _or_moving(
-    descent: _Descent, x: FloatArray, rigid: Estimate, settings: FlexibleDIDIM, end: tuple[str, bool]
+    descent: Descent, x: FloatArray, rigid: Estimate, settings: FlexibleDIDIM, end: tuple[str, bool]
 ) -> tuple[FloatArray, str, bool]:
     """Return the better of two answers, the motor at rest at the first sample or moving: see `didim`."""
     resting, scales = descent.problem, descent.scales
@@ -245,8 +210,7 @@ def _or_moving(
     descent.problem = replace(resting, parameters=(*resting.parameters[: -len(INITIAL_STATE)], *state))
     if free:  # two more to search, each on its own size
         descent.scales = np.append(scales[: len(resting.free_joint)], _scales(descent.problem.vector(values)[-2:]))
-    descend = _by_simplex if settings.minimiser == "nelder-mead" else _by_least_squares
-    moving, stop, converged = descend(descent, [descent.problem.vector(values)], settings)
+    moving, stop, converged = _descended(descent, [descent.problem.vector(values)], settings)
     gained = float(error @ error) - float(np.sum(descent.residual(moving) ** 2))
     if gained > _MOVING * float(error @ error) / error.size:
         return moving, stop, converged
@@ -260,7 +224,7 @@ def _scales(x: FloatArray) -> FloatArray:
     return np.asarray(np.where(sizes > 0, sizes, np.max(sizes) * 1e-6))
 
 
-def _starts(descent: _Descent, rigid: Estimate, settings: FlexibleDIDIM) -> list[FloatArray]:
+def _starts(descent: Descent, rigid: Estimate, settings: FlexibleDIDIM) -> list[FloatArray]:
     """Return the starts, best first: the paper's at a known frequency, else the best of a grid."""
     problem = descent.problem
     cutoff = problem.filtering.cutoff
@@ -286,78 +250,7 @@ def _starts(descent: _Descent, rigid: Estimate, settings: FlexibleDIDIM) -> list
     return [starts[i] for i in order[: 2 if settings.frequency else _REFINED]]
 
 
-def _by_least_squares(
-    descent: _Descent, starts: list[FloatArray], settings: FlexibleDIDIM
-) -> tuple[FloatArray, str, bool]:
-    """Refine the starts by least squares; return the best end, and say how many of them came to it."""
-    ends = [_refined(descent, x, settings) for x in starts]
-    best = min(ends, key=lambda end: float(end.cost))
-    same = sum(float(end.cost) <= (1 + _IMPROVED) * float(best.cost) for end in ends)
-    agreed = f" ({same} of {len(ends)} starts end there)" if len(ends) > 1 else ""
-    if best.status not in _REASONS:
-        return best.x, f"not converged after {best.nfev} evaluations{agreed}", False
-    limit = f"{100 * stopping_tolerance(settings):g} %"
-    return best.x, f"converged: {_REASONS[best.status]} changed by less than {limit}{agreed}", True
-
-
-def _refined(descent: _Descent, x: FloatArray, settings: FlexibleDIDIM) -> OptimizeResult:
-    from scipy.optimize import least_squares
-
-    free = descent.problem.free
-    return least_squares(
-        descent.residual,
-        x,
-        descent.jacobian,
-        (np.array([p.lower for p in free]), np.array([p.upper for p in free])),
-        x_scale="jac",
-        xtol=stopping_tolerance(settings),
-        ftol=stopping_tolerance(settings),
-        gtol=None,
-        max_nfev=_EVALUATIONS,
-        callback=lambda intermediate_result: descent.note(
-            intermediate_result.x, math.sqrt(2 * float(intermediate_result.cost))
-        ),
-    )
-
-
-def _by_simplex(descent: _Descent, starts: list[FloatArray], settings: FlexibleDIDIM) -> tuple[FloatArray, str, bool]:
-    """Nelder-Mead by the rules of ``fminsearch``: its simplex, coefficients and stopping rule, scaled parameters."""
-    from scipy.optimize import minimize
-
-    def criterion(scaled: FloatArray) -> float:
-        norm = float(np.linalg.norm(descent.residual(scaled * descent.scales))) / descent.size
-        return norm * norm
-
-    x, tolerance = starts[0], stopping_tolerance(settings)
-    best, runs = math.inf, []
-    for restart in range(settings.restarts + 1):
-        before = descent.simulations
-        found = minimize(
-            criterion,
-            x / descent.scales,
-            method="Nelder-Mead",
-            options={
-                "xatol": tolerance,
-                "fatol": tolerance**2,  # of the torque's: what a simplex of that size spans near a minimum
-                "maxfev": settings.simulations,
-                "maxiter": settings.simulations,
-            },
-            callback=lambda intermediate_result: descent.note(
-                intermediate_result.x * descent.scales, descent.size * math.sqrt(float(intermediate_result.fun))
-            ),
-        )
-        x = np.asarray(found.x * descent.scales)
-        gained = (best - float(found.fun)) / float(found.fun) if math.isfinite(best) else math.inf
-        best = min(best, float(found.fun))
-        runs.append(f"{found.nit} iterations and {descent.simulations - before} simulations")
-        if restart and gained < _IMPROVED:
-            break
-        descent.progress(f"Nelder-Mead stopped after {runs[-1]}")
-    why = f"its tolerance of {tolerance:g}" if found.success else f"its limit of {settings.simulations} simulations"
-    return x, f"Nelder-Mead stopped by {why} after {', then '.join(runs)}", bool(found.success)
-
-
-def _covariance(descent: _Descent, x: FloatArray, error: FloatArray, settings: FlexibleDIDIM) -> tuple[Covariance, str]:
+def _covariance(descent: Descent, x: FloatArray, error: FloatArray, settings: FlexibleDIDIM) -> tuple[Covariance, str]:
     if settings.statistics == "sensitivities":
         J = -descent.jacobian(x)
         covariance = sandwich(J, J, error)
@@ -389,7 +282,7 @@ def inverse_model_covariance(problem: Problem, x: FloatArray, error: FloatArray)
 
 def refined_least_squares(problem: Problem, start: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
     """Return the least-squares parameters near a start, and the sensitivities there, filtered (rows, parameters)."""
-    descent = _Descent(problem, silent)
+    descent = Descent(problem, silent)
     descent.scales = np.where(start != 0.0, np.abs(start), 1.0)
-    found = _refined(descent, start, FlexibleDIDIM(tolerance=tolerance))
+    found = refined(descent, start, tolerance)
     return np.asarray(found.x), -np.asarray(found.jac)

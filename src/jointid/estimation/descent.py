@@ -1,0 +1,131 @@
+"""A criterion on its way down: the filtered torque error of a problem, its descents, and what they cost.
+
+Two ways down: least squares with the output sensitivities, by SciPy's bounded trust region; and Nelder-Mead by the
+rules of MATLAB's ``fminsearch``, restarted because it stops early.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jointid.common.progress import Progress
+from jointid.data.record import FloatArray
+from jointid.estimation.estimate import Iteration
+from jointid.estimation.problem import Problem
+
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
+
+_EVALUATIONS = 60  # of one refinement
+_REASONS = {2: "the criterion", 3: "the parameters", 4: "the criterion and the parameters"}
+_IMPROVED = 1e-4  # of the criterion: a restart that gains less was not needed
+
+
+class Descent:
+    """A criterion on its way down: what it is evaluated on, what it cost, and the trace."""
+
+    def __init__(self, problem: Problem, progress: Progress) -> None:
+        self.problem, self.progress = problem, progress
+        self.trace: list[Iteration] = []
+        self.simulations = 0
+        self.scales = np.ones(len(problem.free))
+        self.size = float(np.linalg.norm(problem.filtered(problem.measured)))
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the filtered torque error; large and finite where the loop cannot be simulated."""
+        self.simulations += 1
+        return self.problem.residual(x)
+
+    def jacobian(self, x: FloatArray) -> FloatArray:
+        """Return the derivatives of the residual, by central differences."""
+        joint = len(self.problem.free_joint)
+        J, runs = self.problem.jacobian(x, np.maximum(np.abs(x[:joint]), 1e-3 * self.scales[:joint]))
+        self.simulations += runs
+        return -self.problem.filtered(J)
+
+    def note(self, x: FloatArray, norm: float) -> None:
+        """Add a line to the trace, and tell every tenth."""
+        before = self.trace[-1] if self.trace else None
+        change = step = None
+        if before is not None:
+            change = abs(norm - before.residual_norm) / before.residual_norm if before.residual_norm else 0.0
+            last = self.problem.vector(before.values)
+            step = float(np.max(np.abs(x - last) / np.maximum(np.abs(x), 1e-3 * self.scales)))
+        values, number = self.problem.values(x), len(self.trace)
+        self.trace.append(Iteration(number, values, norm, change, step, self.simulations))
+        if number % 100 == 0 or number < 10:  # a simplex takes more than a thousand steps
+            self.progress(f"iteration {number}: torque error {100 * norm / self.size:.4f} %")
+
+
+def by_least_squares(descent: Descent, starts: list[FloatArray], tolerance: float) -> tuple[FloatArray, str, bool]:
+    """Refine the starts by least squares; return the best end, and say how many of them came to it."""
+    ends = [refined(descent, x, tolerance) for x in starts]
+    best = min(ends, key=lambda end: float(end.cost))
+    same = sum(float(end.cost) <= (1 + _IMPROVED) * float(best.cost) for end in ends)
+    agreed = f" ({same} of {len(ends)} starts end there)" if len(ends) > 1 else ""
+    if best.status not in _REASONS:
+        return best.x, f"not converged after {best.nfev} evaluations{agreed}", False
+    limit = f"{100 * tolerance:g} %"
+    return best.x, f"converged: {_REASONS[best.status]} changed by less than {limit}{agreed}", True
+
+
+def refined(descent: Descent, x: FloatArray, tolerance: float) -> OptimizeResult:
+    """Return SciPy's result of one least-squares descent within the bounds."""
+    from scipy.optimize import least_squares
+
+    free = descent.problem.free
+    return least_squares(
+        descent.residual,
+        x,
+        descent.jacobian,
+        (np.array([p.lower for p in free]), np.array([p.upper for p in free])),
+        x_scale="jac",
+        xtol=tolerance,
+        ftol=tolerance,
+        gtol=None,
+        max_nfev=_EVALUATIONS,
+        callback=lambda intermediate_result: descent.note(
+            intermediate_result.x, math.sqrt(2 * float(intermediate_result.cost))
+        ),
+    )
+
+
+def by_simplex(
+    descent: Descent, x: FloatArray, tolerance: float, simulations: int, restarts: int
+) -> tuple[FloatArray, str, bool]:
+    """Nelder-Mead by the rules of ``fminsearch``: its simplex, coefficients and stopping rule, scaled parameters."""
+    from scipy.optimize import minimize
+
+    def criterion(scaled: FloatArray) -> float:
+        norm = float(np.linalg.norm(descent.residual(scaled * descent.scales))) / descent.size
+        return norm * norm
+
+    best, runs = math.inf, []
+    for restart in range(restarts + 1):
+        before = descent.simulations
+        found = minimize(
+            criterion,
+            x / descent.scales,
+            method="Nelder-Mead",
+            options={
+                "xatol": tolerance,
+                "fatol": tolerance**2,  # of the torque's: what a simplex of that size spans near a minimum
+                "maxfev": simulations,
+                "maxiter": simulations,
+            },
+            callback=lambda intermediate_result: descent.note(
+                intermediate_result.x * descent.scales, descent.size * math.sqrt(float(intermediate_result.fun))
+            ),
+        )
+        x = np.asarray(found.x * descent.scales)
+        gained = (best - float(found.fun)) / max(float(found.fun), 1e-300) if math.isfinite(best) else math.inf
+        best = min(best, float(found.fun))
+        runs.append(f"{found.nit} iterations and {descent.simulations - before} simulations")
+        if restart and gained < _IMPROVED:
+            break
+        descent.progress(f"Nelder-Mead stopped after {runs[-1]}")
+    why = f"its tolerance of {tolerance:g}" if found.success else f"its limit of {simulations} simulations"
+    return x, f"Nelder-Mead stopped by {why} after {', then '.join(runs)}", bool(found.success)
