@@ -174,6 +174,19 @@ def test_a_sum_has_the_deviation_of_a_sum() -> None:
     assert held.total(("Fv1", "Fv2", "offset"))[1] == held.total(("Fv1", "Fv2"))[1]
 
 
+@pytest.mark.parametrize("frequency", [30.0, 38.0])
+def test_the_starts_said_to_end_together_are_different_ones(frequency: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 38 Hz the halves of (13) are the best start: they must not be refined twice."""
+    axis = twin(noise="white")
+    seen = []
+    original = flexible._starts
+    monkeypatch.setattr(flexible, "_starts", lambda *arguments: (seen.append(original(*arguments)), seen[-1])[1])
+    estimate = identify(torque_only(axis), axis.loop, FlexibleDIDIM(frequency=frequency))
+    first, second = seen[0]
+    assert np.any(np.abs(first - second) > 0.1 * np.abs(first))
+    assert "2 of 2 starts end there" in estimate.stop
+
+
 @pytest.mark.parametrize("noise", ["disturbance", "white"])
 def test_nelder_mead_reaches_the_minimum_after_one_restart(noise: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """By ``fminsearch`` rules, from (13) at 30 Hz; the best known is least squares from four starts."""

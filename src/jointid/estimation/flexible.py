@@ -36,7 +36,7 @@ from jointid.simulation.experiment import ClosedLoop
 
 _RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
 _GUESSES = (0.2, 0.27, 0.35, 0.45, 0.55, 0.7, 0.9)  # frequencies to try, as shares of the cut-off
-_SHARES = (0.2, 0.33, 0.5, 0.67)  # of the load in the inertia, to try
+_SHARES = (0.5, 0.2, 0.33, 0.67)  # of the load in the inertia, to try: first the halves of (13)
 _REFINED = 4  # starts of a grid that are refined
 _TOLERANCE, _SIMPLEX_TOLERANCE = 1e-8, 1e-4  # the latter is that of fminsearch
 _NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
@@ -231,7 +231,7 @@ def _starts(descent: Descent, rigid: Estimate, settings: FlexibleDIDIM) -> list[
     assert cutoff is not None
     paper = settings.frequency is not None and settings.minimiser == "nelder-mead"
     frequencies = [settings.frequency] if settings.frequency else [guess * cutoff for guess in _GUESSES]
-    grid = [(f, share) for f in frequencies for share in ((0.5, *_SHARES) if settings.frequency else _SHARES)]
+    grid = [(f, share) for f in frequencies for share in _SHARES]
     given = {p.name: p.start for p in problem.parameters if p.start is not None}
     made = [{p.name: 0.0 for p in problem.parameters} | pseudo_regular(rigid.values, *at) | given for at in grid]
     starts = [problem.vector(values) for values in made]
