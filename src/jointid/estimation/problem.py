@@ -98,6 +98,11 @@ class Problem:
         values = self.values(x)
         return self.error(simulate_torque(self.loop, self.experiment, values, initial_of(values)))
 
+    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
+        J, _ = self.jacobian(x, np.maximum(np.abs(x[: len(self.free_joint)]), 1e-6))
+        return self.residual(x), -self.filtered(J)
+
     def regressor(self, simulation: Simulation) -> FloatArray:
         """Return the inverse-dynamic columns of the free joint parameters on a run, raw, (samples, parameters)."""
         if not isinstance(self.loop.joint, RigidJoint):
