@@ -59,6 +59,8 @@ def run(
         far,
         u,
         states,
+        np.empty(len(states), dtype=np.int8),
+        np.empty((0, kernels.TAPE)),
         counts,
     )
     return status, u, states[:: len(lengths)], counts

@@ -101,19 +101,41 @@ class Simulation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Run:
-    """What came out of the kernel, period by period."""
+class Run:
+    """What came out of the kernel, period by period.
+
+    Attributes:
+        drive: (14,) the joint's coefficients.
+        position, velocity: of the motor at the first sample.
+        before: torque that acted before it.
+        command: (periods,) output of the controller after its limit.
+        states, modes, tape: see `kernels.run`; empty when they were not kept.
+        outcome: how it ended.
+        counts: events, Taylor steps (rows of the tape), periods simulated, periods at the limit.
+    """
 
     drive: FloatArray
+    position: float
+    velocity: float
+    before: float
     command: FloatArray
     states: FloatArray
+    modes: NDArray[np.int8]
+    tape: FloatArray
     outcome: Outcome
     counts: NDArray[np.int64]
 
 
-def _run(
-    loop: ClosedLoop, experiment: Experiment, values: Mapping[str, float], initial: Initial | None, keep: bool
-) -> _Run:
+def run(
+    loop: ClosedLoop,
+    experiment: Experiment,
+    values: Mapping[str, float],
+    initial: Initial | None,
+    *,
+    keep: bool,
+    taped: int = 0,
+) -> Run:
+    """Run one candidate; `keep` its states and modes, and so many rows of its tape."""
     from jointid.simulation import kernels
 
     initial = initial or Initial()
@@ -127,8 +149,9 @@ def _run(
     periods, parts = experiment.feedforward.size, experiment.lengths.size
     command = np.empty(periods)
     states = np.empty((periods * parts if keep else 0, 4))
+    modes, tape = np.empty(len(states), dtype=np.int8), np.empty((taped, kernels.TAPE))
     counts = np.zeros(4, dtype=np.int64)
-    outcome = Outcome.INVALID
+    outcome, before = Outcome.INVALID, 0.0
     if _possible(drive) and math.isfinite(position) and math.isfinite(velocity):
         state = law.memory(POSITION, position, velocity)
         first = experiment.feedforward[0] + law.C @ state + law.D[POSITION] * position
@@ -137,7 +160,8 @@ def _run(
             drive, experiment.lengths, experiment.lags, state, law.A,
             np.ascontiguousarray(law.B[:, POSITION]), np.ascontiguousarray(law.B[:, EXCESS]), law.C,
             law.D[POSITION], law.limit, experiment.feedforward, experiment.after_limit, before,
-            loop.joint.start(values, position, velocity), experiment.far + abs(position), command, states, counts,
+            loop.joint.start(values, position, velocity), experiment.far + abs(position), command, states, modes, tape,
+            counts,
         )  # fmt: skip
         outcome = _OUTCOMES[status]
     done = int(counts[2])
@@ -146,15 +170,19 @@ def _run(
     if outcome is Outcome.DIVERGED:  # what diverges may do so beyond the largest number
         np.nan_to_num(command, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
         np.nan_to_num(states, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-    return _Run(drive, command, states, outcome, counts)
+    return Run(drive, position, velocity, before, command, states, modes, tape, outcome, counts)
 
 
 def simulate_torque(
     loop: ClosedLoop, experiment: Experiment, values: Mapping[str, float], initial: Initial | None = None
 ) -> Response:
     """Run one candidate for its torque alone: as `simulate`, several times faster."""
-    out = _run(loop, experiment, values, initial, keep=False)
-    return Response(_as_logged(experiment, out.command), out.outcome, *_tally(out))
+    return response_of(experiment, run(loop, experiment, values, initial, keep=False))
+
+
+def response_of(experiment: Experiment, out: Run) -> Response:
+    """Return what an estimator sees of a run."""
+    return Response(as_logged(experiment, out.command + experiment.shown), out.outcome, *_tally(out))
 
 
 def simulate(
@@ -170,7 +198,11 @@ def simulate(
 
     Exact to rounding for held torques and friction that is piecewise linear in velocity.
     """
-    out = _run(loop, experiment, values, initial, keep=True)
+    return simulation_of(loop, experiment, run(loop, experiment, values, initial, keep=True))
+
+
+def simulation_of(loop: ClosedLoop, experiment: Experiment, out: Run) -> Simulation:
+    """Return a run whose states were kept at the log's instants."""
     parts, periods = experiment.lengths.size, out.command.size
     seen = out.states[experiment.looked]
     # The part whose torque is the newest begins where a torque begins to act.
@@ -188,7 +220,7 @@ def simulate(
     flexible = loop.joint.model == "flexible"
     return Simulation(
         experiment.sample_time,
-        _as_logged(experiment, out.command),
+        as_logged(experiment, out.command + experiment.shown),
         seen[:, 0],
         seen[:, 1],
         seen[:, 2] if flexible else None,
@@ -200,7 +232,7 @@ def simulate(
     )
 
 
-def _tally(out: _Run) -> tuple[float, int, float]:
+def _tally(out: Run) -> tuple[float, int, float]:
     events, _, done, clipped = (int(count) for count in out.counts)
     return done / out.command.size, events, clipped / max(done, 1)
 
@@ -211,25 +243,37 @@ def _possible(drive: FloatArray) -> bool:
     return bool(np.all(np.isfinite(drive)) and drive[0] > 0 and drive[1] > 0 and min(drive[2:4]) >= 0 and cones)
 
 
-def _as_logged(experiment: Experiment, command: FloatArray) -> FloatArray:
-    """Return the controller's output, or the torque that acts, as the log's torque channel shows it.
+def as_logged(experiment: Experiment, signal: FloatArray) -> FloatArray:
+    """Return a signal of the controller's instants as the log's torque channel shows it; linear in it.
 
-    Both are piecewise constant: the one over periods, the other over the parts of periods.
+    The signal, (periods,) or (periods, columns), is the controller's output, or at a tap that measures what acts the
+    torque before the delay: piecewise constant over periods, or over the parts of periods.
     """
-    parts, lags = experiment.lengths.size, experiment.lags
-    if experiment.tap is Tap.MEASURED:
-        acting = command + experiment.after_limit
-        sources = np.arange(acting.size)[:, np.newaxis] - lags
-        shown = acting[np.maximum(sources, 0)].reshape(-1)
-    else:
-        shown = command + experiment.logged
-        if parts > 1:
-            shown = np.repeat(shown, parts)
+    shown = acting(experiment, signal)
     if experiment.timing is not Timing.AVERAGED:
-        return np.asarray(shown[experiment.looked])
-    steps = np.tile(experiment.lengths, command.size) * shown
-    integral = np.concatenate([np.zeros(1), np.cumsum(steps)])[experiment.looked]
-    return np.append(shown[0], np.diff(integral) / experiment.sample_time)
+        return shown if experiment.looked.size == len(shown) else np.asarray(shown[experiment.looked])
+    lengths = np.tile(experiment.lengths, len(signal)).reshape(-1, *(1,) * (signal.ndim - 1))
+    means = averages(experiment, lengths * shown)
+    means[0] = shown[0]
+    return means
+
+
+def acting(experiment: Experiment, signal: FloatArray) -> FloatArray:
+    """Return a signal of the controller's instants in each part of each period as the tap sees it, parts in a row."""
+    parts = experiment.lengths.size
+    if experiment.tap is Tap.MEASURED:
+        sources = (np.arange(len(signal))[:, np.newaxis] - experiment.lags).reshape(-1)
+        return np.asarray(signal[np.maximum(sources, 0)])
+    return signal if parts == 1 else np.repeat(signal, parts, axis=0)
+
+
+def averages(experiment: Experiment, integrals: FloatArray) -> FloatArray:
+    """Return the mean over each sample time that ends at an instant of the log, from the integrals over the parts."""
+    integral = np.zeros((len(integrals) + 1, *integrals.shape[1:]))
+    np.cumsum(integrals, axis=0, out=integral[1:])
+    means = np.zeros((experiment.looked.size, *integrals.shape[1:]))
+    means[1:] = np.diff(integral[experiment.looked], axis=0) / experiment.sample_time
+    return means
 
 
 def _acceleration(drive: FloatArray, states: FloatArray, torque: FloatArray, side: int) -> FloatArray:

@@ -80,6 +80,11 @@ class Experiment:
     timing: Timing
     samples: int
 
+    @property
+    def shown(self) -> FloatArray:
+        """What the logged torque contains beside the controller's output, (periods,)."""
+        return self.after_limit if self.tap is Tap.MEASURED else self.logged
+
     def with_law(self, law: SampledLaw) -> Experiment:
         """Return the same experiment under another law of the same period and delay."""
         return _experiment(

@@ -43,6 +43,10 @@ _EVENTS = 200  # per period; a physical drive has a handful
 _PIECES = 4096  # Taylor steps per period at most: a drive faster than that is no drive under this controller
 _WORK = 20  # Taylor steps a simulation may take, per period: bounds the time an absurd candidate can cost
 
+# One row of the tape for each piece of a part that had an event: which part, how long, the modes in it, the state it
+# began with, then the mass whose velocity the event took to zero (or -1) and the mode it went on in.
+TAPE = 10
+
 # Rows of the event solver's scratch: the series of the states and the spring's force, the function whose root is
 # sought and its slope, then the stack of halved intervals, each with its ends in two more columns.
 _SPRING, _SOUGHT, _SLOPE, _STACK = 4, 5, 6, 7
@@ -448,11 +452,13 @@ def _first_event(
 
 @inlined
 def _travel(
-    c: FloatArray, p: _Drive, x: State, m1: int, m2: int, s: float, h: float, longest: float
-) -> tuple[State, int, int, int, int]:
+    c: FloatArray, p: _Drive, x: State, m1: int, m2: int, s: float, h: float, longest: float,
+    tape: FloatArray, row: int, part: int,
+) -> tuple[State, int, int, int, int]:  # fmt: skip
     """Move `x` over `h` seconds under a held torque `s` with every event located; return modes, events, Taylor steps.
 
-    The number of events is negative when there are more than a physical drive can have.
+    The number of events is negative when there are more than a physical drive can have. Each step is a row of the
+    tape, from `row` on, as far as it goes.
     """
     x0, x1, x2, x3 = x
     known1 = 1 if m1 != 0 and x1 == 0.0 else 0
@@ -468,6 +474,11 @@ def _travel(
         _series(c, p, _motion(p, m1, m2), (x0, x1, x2, x3), s, step, loose1, loose2)
         first, mass, loose = _first_event(c, p, s, m1, m2, known1, known2)
         t = min(first, 1.0)
+        taped = row + steps - 1
+        if taped < tape.shape[0]:
+            tape[taped, 0], tape[taped, 1], tape[taped, 2], tape[taped, 3] = part, t * step, m1, m2
+            tape[taped, 4], tape[taped, 5], tape[taped, 6], tape[taped, 7] = x0, x1, x2, x3
+            tape[taped, 8], tape[taped, 9] = -1.0, 0.0
         back1, back2 = loose1, loose2  # came loose, and is pushed back at once
         if t > 0.0:
             x0, x1, x2, x3 = _value(c, 0, t), _value(c, 1, t), _value(c, 2, t), _value(c, 3, t)
@@ -475,14 +486,17 @@ def _travel(
             known1, known2 = 0, 0
             back1, back2 = False, False
         if first <= 1.0:
+            stopped = (m1 != 0 and not back1) if mass == 0 else (m2 != 0 and not back2)
             if mass == 0:
-                if m1 != 0 and not back1:
+                if stopped:
                     x1 = 0.0
                 m1, known1 = _after(m1, loose, back1, _settled(p, (x0, x1, x2, x3), s, 0))
             else:
-                if m2 != 0 and not back2:
+                if stopped:
                     x3 = 0.0
                 m2, known2 = _after(m2, loose, back2, _settled(p, (x0, x1, x2, x3), s, 1))
+            if stopped and taped < tape.shape[0]:
+                tape[taped, 8], tape[taped, 9] = mass, m1 if mass == 0 else m2
             events = events + 1 if events < _EVENTS else -1
     return (x0, x1, x2, x3), m1, m2, events, steps
 
@@ -634,9 +648,11 @@ def run(
     far: float,
     u: FloatArray,
     states: FloatArray,
+    modes: NDArray[np.int8],
+    tape: FloatArray,
     counts: IntArray,
 ) -> int:
-    """Simulate one loop; fill `u` and `states` and return how it ended.
+    """Simulate one loop; fill `u`, `states`, `modes` and `tape` and return how it ended.
 
     Args:
         drive: (14,) coefficients: inertias, stiffness, damping; viscous forwards, backwards, Coulomb forwards,
@@ -657,6 +673,8 @@ def run(
         far: a motor position beyond which the loop counts as diverged.
         u: (periods,) out, controller output after its limit.
         states: (periods * parts, 4) out, states at the start of every part; or (0, 4).
+        modes: (periods * parts,) out, ``3 m1 + m2 + 4`` of the modes every part began in; empty when `states` is.
+        tape: (rows, TAPE) out, the Taylor steps of the parts with events; their number is counted beyond the rows, too.
         counts: (4,) out: events, Taylor steps, periods simulated, periods at the limit.
     """
     n, parts, nz = w.size, lengths.size, z.size
@@ -685,7 +703,7 @@ def run(
     k = 0
     while k < n and status == FINISHED:
         if simple:
-            start = x0, x1, x2, x3
+            start, begun = (x0, x1, x2, x3), k
             mode = 3 * m1 + m2 + 4
             b = mode * _MAP
             if not filled[mode]:
@@ -703,6 +721,8 @@ def run(
                 k, limited, start, memory = _rest(p, law, w, post, u, states, memory, start, k)
             x0, x1, x2, x3 = start
             clipped += limited
+            if keep:
+                modes[begun:k] = mode
             if k == n:
                 break
         else:
@@ -733,6 +753,8 @@ def run(
             if x3 == 0.0:
                 m2 = _settled(p, (x0, x1, x2, x3), s, 1)
             mode = 3 * m1 + m2 + 4
+            if keep:
+                modes[k * parts + part] = mode
             if not filled[mode]:
                 filled[mode] = True
                 for other in range(parts):
@@ -753,7 +775,7 @@ def run(
             else:
                 bound = np.inf
                 (x0, x1, x2, x3), m1, m2, found, used = _travel(
-                    c, p, (x0, x1, x2, x3), m1, m2, s, lengths[part], longest
+                    c, p, (x0, x1, x2, x3), m1, m2, s, lengths[part], longest, tape, steps, k * parts + part
                 )
                 events += max(found, 0)
                 steps += used

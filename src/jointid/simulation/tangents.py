@@ -1,0 +1,337 @@
+"""The derivatives of a simulation by its parameters, exact, compiled: the tangent of the maps of `kernels`.
+
+A run has left its states, its modes and a tape of the pieces of the periods in which something happened. This follows
+it once more with a column of derivatives per parameter. Within a piece the drive is linear, so a column moves by the
+map of its mode, and is pushed by what its parameter changes in that map (the Fréchet derivative of the exponential,
+by Taylor series). At an event:
+
+- where a velocity falls to zero its derivative is scaled by the acceleration after over that before: less than 1
+  where the mass turns round, 0 where it sticks (the time of the event moves, and the slopes differ on its two sides);
+- where a mass comes loose nothing changes, since its acceleration begins at zero; where a step of the torque tears it
+  loose, the time is the controller's and does not move;
+- a delay moves the edges of the torque, so each edge kicks the velocity by the difference of the accelerations.
+
+Everything called from `follow` lives in this file, because the compiler's cache on disk does not notice edits in
+another one. All that is written in the loop over the periods is one array, with rows of a constant length: only then
+the compiler knows that nothing overlaps, and keeps to vector instructions.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.compiled import compiled, inlined
+from jointid.data.record import FloatArray
+
+Motion: TypeAlias = tuple[float, float, float, float, float]
+
+LANES = 16  # columns that are followed at a time
+
+_ORDER = 14  # of the Taylor series
+_STEP = 0.25  # longest Taylor step, as a fraction of 1/(fastest rate of the drive)
+_INPUTS = 5  # of a map: motor velocity, stretch, load velocity, torque, constant forces
+_FACTOR = np.array([1.0 / math.factorial(i) for i in range(_ORDER + 1)])
+
+# Rows of the scratch, LANES long: derivatives of the state, what parameters change in the map, the derivatives of the
+# torque that acts, of a Taylor series, of two states of the law, of its output and its limit; then what parameters
+# change in the output.
+_S, _T, _DS, _W, _Z, _OUT, _LIMIT, _EXPLICIT, _ROWS = (LANES * row for row in (0, 4, 8, 9, 12, 14, 15, 16, 17))
+
+
+class _Law(NamedTuple):
+    """A feedback of two states at most: numbers, which stay in registers."""
+
+    c0: float
+    c1: float
+    a00: float
+    a01: float
+    a10: float
+    a11: float
+    b0: float
+    b1: float
+    e0: float
+    e1: float
+    d: float
+
+
+@compiled
+def _propagate(
+    q: FloatArray, h: float, mode: int, steady: float, s: float, motion: Motion, spring: FloatArray, side: FloatArray,
+    dspring: FloatArray, dinertia: FloatArray, dside: FloatArray,
+) -> Motion:  # fmt: skip
+    """Move one piece of a motion, and its derivatives in the scratch, over `h` seconds; return the motion.
+
+    A motion is what the motor has travelled, its velocity, the stretch, what the load has travelled, its velocity.
+    `steady` is 1 where the constant forces act and 0 for the response to anything else.
+    """
+    one, two = mode // 3, mode % 3
+    K, F = spring[0], spring[1]
+    h1, h2 = h * side[0, 0, one], h * side[1, 0, two]
+    drag1, drag2 = side[0, 1, one] * h1, side[1, 1, two] * h2
+    d1, v1, stretch, d2, v2 = motion
+    for j in range(LANES):
+        q[_W + j] = q[_S + LANES + j] if h1 > 0.0 else 0.0
+        q[_W + LANES + j] = q[_S + 2 * LANES + j] - q[_S + j]
+        q[_W + 2 * LANES + j] = q[_S + 3 * LANES + j] if h2 > 0.0 else 0.0
+        q[_S + LANES + j], q[_S + 3 * LANES + j] = q[_W + j], q[_W + 2 * LANES + j]
+    end1, end2, end = v1, v2, stretch
+    first = 1.0
+    for k in range(1, _ORDER + 1):
+        apart = v2 - v1
+        new1 = h1 * (first * (s + steady * side[0, 2, one]) + K * stretch + F * apart) - drag1 * v1
+        new2 = h2 * (first * steady * side[1, 2, two] - K * stretch - F * apart) - drag2 * v2
+        moved, rate = h * _FACTOR[k], _FACTOR[k]
+        for j in range(LANES):
+            dv1, dstretch, dv2 = q[_W + j], q[_W + LANES + j], q[_W + 2 * LANES + j]
+            dapart = dv2 - dv1
+            force = (dspring[0, j] * stretch + dspring[1, j] * apart) + (K * dstretch + F * dapart)
+            push1 = force + first * (q[_DS + j] + steady * dside[0, 1, one, j]) - dside[0, 0, one, j] * v1
+            push2 = first * steady * dside[1, 1, two, j] - dside[1, 0, two, j] * v2 - force
+            to1 = h1 * push1 - drag1 * dv1 - dinertia[0, j] * new1
+            to2 = h2 * push2 - drag2 * dv2 - dinertia[1, j] * new2
+            q[_S + j] += moved * dv1
+            q[_S + LANES + j] += rate * to1
+            q[_S + 2 * LANES + j] += moved * dv2
+            q[_S + 3 * LANES + j] += rate * to2
+            q[_W + j], q[_W + LANES + j], q[_W + 2 * LANES + j] = to1, h * dapart, to2
+        d1 += moved * v1
+        d2 += moved * v2
+        end += moved * apart
+        end1 += rate * new1
+        end2 += rate * new2
+        v1, v2, stretch = new1, new2, h * apart
+        first = 0.0
+    return d1, end1, end, d2, end2
+
+
+@compiled
+def _fill(
+    q: FloatArray, h: float, rate: float, mode: int, b: int, phi: FloatArray, M: FloatArray, spring: FloatArray,
+    side: FloatArray, dspring: FloatArray, dinertia: FloatArray, dside: FloatArray,
+) -> None:  # fmt: skip
+    """Write the map of a mode over `h` seconds at phi[b], and its derivatives at M[b], one input after the other."""
+    one, two = mode // 3, mode % 3
+    pieces = max(math.ceil(rate * h / _STEP), 1)
+    for i in range(_INPUTS):
+        q[:] = 0.0
+        v1 = 1.0 if i == 0 and side[0, 0, one] > 0.0 else 0.0
+        v2 = 1.0 if i == 2 and side[1, 0, two] > 0.0 else 0.0
+        motion = 0.0, v1, 1.0 if i == 1 else 0.0, 0.0, v2
+        for _ in range(pieces):
+            motion = _propagate(
+                q, h / pieces, mode, 1.0 if i == 4 else 0.0, 1.0 if i == 3 else 0.0, motion, spring, side,
+                dspring, dinertia, dside,
+            )  # fmt: skip
+        phi[b, 4 * i], phi[b, 4 * i + 1] = motion[0], motion[1]
+        phi[b, 4 * i + 2], phi[b, 4 * i + 3] = motion[3], motion[4]
+        M[b, i] = q[_S : _S + 4 * LANES]
+
+
+@inlined
+def _step(
+    q: FloatArray, phi: FloatArray, M: FloatArray, b: int, v1: float, stretch: float, v2: float, s: float
+) -> None:
+    """Move the derivatives over a part in which nothing happened."""
+    p00, p01, p02, p03 = phi[b, 0], phi[b, 1], phi[b, 2], phi[b, 3]
+    p10, p11, p12, p13 = phi[b, 4], phi[b, 5], phi[b, 6], phi[b, 7]
+    p20, p21, p22, p23 = phi[b, 8], phi[b, 9], phi[b, 10], phi[b, 11]
+    g0, g1, g2, g3 = phi[b, 12], phi[b, 13], phi[b, 14], phi[b, 15]
+    m = np.uint64(b)  # Numba looks for negative indices among the signed
+    for i in range(4 * LANES):
+        q[_T + i] = ((M[m, 0, i] * v1 + M[m, 1, i] * stretch) + (M[m, 2, i] * v2 + M[m, 3, i] * s)) + M[m, 4, i]
+    for j in range(LANES):
+        a0, a1, a2, a3 = q[_S + j], q[_S + LANES + j], q[_S + 2 * LANES + j], q[_S + 3 * LANES + j]
+        a, d = a2 - a0, q[_DS + j]
+        q[_S + j] = ((a0 + (p00 * a1 + p20 * a3)) + (p10 * a + g0 * d)) + q[_T + j]
+        q[_S + LANES + j] = ((p01 * a1 + p21 * a3) + (p11 * a + g1 * d)) + q[_T + LANES + j]
+        q[_S + 2 * LANES + j] = ((a2 + (p02 * a1 + p22 * a3)) + (p12 * a + g2 * d)) + q[_T + 2 * LANES + j]
+        q[_S + 3 * LANES + j] = ((p03 * a1 + p23 * a3) + (p13 * a + g3 * d)) + q[_T + 3 * LANES + j]
+
+
+@inlined
+def _acceleration(side: FloatArray, mass: int, m: int, force: float, v: float) -> float:
+    """Return the acceleration of a mass in a mode under the torque and the spring's force."""
+    return (force + side[mass, 2, m] - side[mass, 1, m] * v) * side[mass, 0, m]
+
+
+@compiled
+def _through_events(
+    q: FloatArray, part: int, row: int, s: float, tape: FloatArray, rows: int, spring: FloatArray, side: FloatArray,
+    dspring: FloatArray, dinertia: FloatArray, dside: FloatArray,
+) -> int:  # fmt: skip
+    """Move the derivatives through the pieces of a part with events, from a row of the tape; return the next row."""
+    while row < rows and tape[row, 0] == part:
+        one, two = int(tape[row, 2]) + 1, int(tape[row, 3]) + 1
+        motion = tape[row, 4], tape[row, 5], tape[row, 6] - tape[row, 4], tape[row, 6], tape[row, 7]
+        if tape[row, 1] > 0.0:
+            motion = _propagate(q, tape[row, 1], 3 * one + two, 1.0, s, motion, spring, side, dspring, dinertia, dside)
+        mass = int(tape[row, 8])
+        if mass >= 0:
+            _, v1, stretch, _, v2 = motion
+            force = spring[0] * stretch + spring[1] * (v2 - v1)
+            push, v, m = (s + force, v1, one) if mass == 0 else (-force, v2, two)
+            before = _acceleration(side, mass, m, push, v)
+            after = _acceleration(side, mass, int(tape[row, 9]) + 1, push, v)
+            # Friction grows where a mass turns round, so the ratio is between 0 and 1; grazing leaves 0/0.
+            ratio = min(max(after / before, 0.0), 1.0) if before != 0.0 else 0.0
+            at = _S + (LANES if mass == 0 else 3 * LANES)
+            for j in range(LANES):
+                q[at + j] *= ratio
+        row += 1
+    return row
+
+
+@inlined
+def _control(q: FloatArray, law: _Law, saturated: float, at: int, du: FloatArray) -> None:
+    """Write the derivatives of the output of a law of two states at most, and move those of its states.
+
+    `saturated` is the sign of an output at its limit, else 0.
+    """
+    free, row = 1.0 - abs(saturated), np.uint64(at)
+    for j in range(LANES):
+        position, z0, z1 = q[_S + j], q[_Z + j], q[_Z + LANES + j]
+        raw = (law.d * position + q[_EXPLICIT + j]) + (law.c0 * z0 + law.c1 * z1)
+        out = free * raw + saturated * q[_LIMIT + j]
+        cut = out - raw
+        q[_Z + j] = (law.b0 * position + law.e0 * cut) + (law.a00 * z0 + law.a01 * z1)
+        q[_Z + LANES + j] = (law.b1 * position + law.e1 * cut) + (law.a10 * z0 + law.a11 * z1)
+        q[_OUT + j] = out
+    for j in range(LANES):
+        du[row, j] = q[_OUT + j]
+
+
+@inlined
+def _control_any(
+    q: FloatArray, z: FloatArray, A: FloatArray, Bq: FloatArray, Be: FloatArray, C: FloatArray, D: float,
+    saturated: float, at: int, du: FloatArray,
+) -> None:  # fmt: skip
+    """Do the same for a law of any number of states, the rows of `z`, which has their next values below them."""
+    free, nz = 1.0 - abs(saturated), C.size
+    for j in range(LANES):
+        raw = D * q[_S + j] + q[_EXPLICIT + j]
+        for i in range(nz):
+            raw += C[i] * z[i, j]
+        out = free * raw + saturated * q[_LIMIT + j]
+        for i in range(nz):
+            z[nz + i, j] = Bq[i] * q[_S + j] + Be[i] * (out - raw)
+            for other in range(nz):
+                z[nz + i, j] += A[i, other] * z[other, j]
+        du[at, j] = out
+    z[:nz] = z[nz:]
+
+
+@inlined
+def _law(A: FloatArray, Bq: FloatArray, Be: FloatArray, C: FloatArray, D: float) -> _Law:
+    """Return a feedback of two states at most as numbers."""
+    law = _Law(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, D)
+    if C.size == 1:
+        law = _Law(C[0], 0.0, A[0, 0], 0.0, 0.0, 0.0, Bq[0], 0.0, Be[0], 0.0, D)
+    if C.size == 2:
+        law = _Law(C[0], C[1], A[0, 0], A[0, 1], A[1, 0], A[1, 1], Bq[0], Bq[1], Be[0], Be[1], D)
+    return law
+
+
+@compiled
+def follow(
+    lengths: FloatArray,
+    lags: NDArray[np.int64],
+    states: FloatArray,
+    modes: NDArray[np.int8],
+    tape: FloatArray,
+    rows: int,
+    u: FloatArray,
+    post: FloatArray,
+    before: float,
+    limit: float,
+    A: FloatArray,
+    Bq: FloatArray,
+    Be: FloatArray,
+    C: FloatArray,
+    D: float,
+    spring: FloatArray,
+    side: FloatArray,
+    dspring: FloatArray,
+    dinertia: FloatArray,
+    dside: FloatArray,
+    explicit: FloatArray,
+    first_explicit: int,
+    ddelay: FloatArray,
+    dlimit: FloatArray,
+    S: FloatArray,
+    Z: FloatArray,
+    du: FloatArray,
+    dstates: FloatArray,
+) -> None:
+    """Fill `du` with LANES columns of derivatives of a finished run's output, and `dstates` with those of its states.
+
+    What drives the run is given as to `kernels.run`, and what it left behind as it left it; `rows` of the tape are
+    filled. The drive comes by the modes of its masses: `spring` (2,) stiffness and damping; `side` (mass 2, what 3,
+    mode 3) mobility, viscous coefficient and constant force going backwards, at rest, forwards.
+
+    The derivatives of all this come by columns: `dspring` (2, columns); `dinertia` (2, columns), relative to the
+    inertia; `dside` (mass 2, what 2, mode 3, columns) of viscous coefficient and constant force; `ddelay` and `dlimit`
+    (columns,) of the controller's delay and limit; `S` (4, columns) and `Z` (nz, columns) of the first state of the
+    drive and of the law. `explicit` (periods, n) is how the output depends on the parameters of columns
+    `first_explicit` and on, with the motor position and what the limit cut off held.
+
+    `du` is (periods, columns), `dstates` (periods * parts, 4, columns), at the start of every part, or (0, 4, columns).
+    """
+    n, parts, nz = u.size, lengths.size, C.size
+    inverse1, inverse2 = side[0, 0, 2], side[1, 0, 2]
+    rate = math.sqrt(spring[0] * (inverse1 + inverse2)) + spring[1] * (inverse1 + inverse2)
+    rate += max(abs(side[0, 1, 0]), abs(side[0, 1, 2])) * inverse1
+    rate += max(abs(side[1, 1, 0]), abs(side[1, 1, 2])) * inverse2
+    phi = np.empty((9 * parts, 4 * _INPUTS))
+    M = np.empty((9 * parts, _INPUTS, 4 * LANES))
+    filled = np.zeros(9 * parts, dtype=np.bool_)
+    q, scratch, z = np.zeros(_ROWS), np.zeros(_ROWS), np.zeros((2 * nz, LANES))
+    q[_S : _S + 4 * LANES] = S.reshape(-1)
+    z[:nz] = Z
+    small, law = nz <= 2, _law(A, Bq, Be, C, D)
+    if small:
+        q[_Z : _Z + nz * LANES] = Z.reshape(-1)
+    q[_LIMIT : _LIMIT + LANES] = dlimit
+    delayed = np.any(ddelay != 0.0)
+    keep = dstates.shape[0] > 0
+    row, last = 0, before
+    for k in range(n):
+        saturated = 0.0 if abs(u[k]) < limit else math.copysign(1.0, u[k])
+        for i in range(explicit.shape[1]):
+            q[_EXPLICIT + first_explicit + i] = explicit[k, i]
+        if small:
+            _control(q, law, saturated, k, du)
+        else:
+            _control_any(q, z, A, Bq, Be, C, D, saturated, k, du)
+        for part in range(parts):
+            at = k * parts + part
+            x0, x1, x2, x3 = states[at, 0], states[at, 1], states[at, 2], states[at, 3]
+            mode = int(modes[at])
+            source = k - lags[part]
+            s = u[source] + post[source] if source >= 0 else before
+            origin = np.uint64(max(source, 0))
+            for j in range(LANES):
+                q[_DS + j] = du[origin, j]
+            if keep:
+                for i in range(4):
+                    for j in range(LANES):
+                        dstates[at, i, j] = q[_S + i * LANES + j]
+            if delayed and s != last:
+                force = spring[0] * (x2 - x0) + spring[1] * (x3 - x1)
+                was = 1 + (1 if x1 > 0.0 else (-1 if x1 < 0.0 else 0))
+                kick = _acceleration(side, 0, was, last + force, x1)
+                kick -= _acceleration(side, 0, mode // 3, s + force, x1)
+                for j in range(LANES):
+                    q[_S + LANES + j] += kick * ddelay[j]
+            last = s
+            if row < rows and tape[row, 0] == at:
+                row = _through_events(q, at, row, s, tape, rows, spring, side, dspring, dinertia, dside)
+            else:
+                b = 9 * part + mode
+                if not filled[b]:
+                    filled[b] = True
+                    _fill(scratch, lengths[part], rate, mode, b, phi, M, spring, side, dspring, dinertia, dside)
+                _step(q, phi, M, b, x1, x2 - x0, x3, s)

@@ -1,0 +1,122 @@
+"""Random flexible drives under random loops: the plants a solver must get through, whatever their size and speed.
+
+Two families. Prismatic: the paper's axis with a free-free mode of 15 to 55 Hz, a load share of 0.2 to 0.85 and 60 to
+150 kg, under the loop of the EMPS benchmark. Rotary: inertias from 1e-5 to 1e3 kg m2, 5 to 400 Hz, 0.3 to 10 % damping,
+sampled at 250 Hz to 16 kHz with the mode below a fifth of it, under a loop that suits the drive.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.data.excitation import pulses, trapezoids
+from jointid.data.record import Record
+from jointid.model.controllers import Cascade
+from jointid.model.joints import FlexibleJoint
+from jointid.simulation.closed_loop import Outcome, simulate_torque
+from jointid.simulation.experiment import ClosedLoop, prepare
+from jointid.simulation.synthesis import simulated_record
+
+_GAIN = 35.15065188
+
+
+@dataclass(frozen=True)
+class Case:
+    """A drive, its loop, what is known of it, and its noise-free record."""
+
+    loop: ClosedLoop
+    truth: dict[str, float]
+    clean: Record
+    mode: float  # free-free, Hz
+
+    def noisy(self, share: float, seed: int) -> Record:
+        """The record with white noise of so large a share of the torque's variation on the log."""
+        torque = self.clean.torque
+        assert torque is not None
+        noise = np.random.default_rng(seed).standard_normal(torque.values.size)
+        return replace(self.clean, torque=replace(torque, values=torque.values + share * np.std(torque.values) * noise))
+
+
+def _values(inertia: float, share: float, mode: float, damping: float, friction: tuple[float, ...]) -> dict[str, float]:
+    motor, load = (1 - share) * inertia, share * inertia
+    reduced = motor * load / inertia
+    return {
+        "motor_inertia": motor,
+        "motor_viscous": friction[0],
+        "motor_coulomb": friction[1],
+        "stiffness": reduced * (2 * math.pi * mode) ** 2,
+        "damping": 2 * damping * reduced * 2 * math.pi * mode,
+        "load_inertia": load,
+        "load_viscous": friction[2],
+        "load_coulomb": friction[3],
+        "offset": friction[4],
+    }
+
+
+def prismatic(seed: int) -> Case:
+    """The paper's axis, otherwise made."""
+    rng = np.random.default_rng([seed, 1])
+    reference = trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, 1e-3, duration=24.0)
+    known = pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=seed)
+    controller = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=_GAIN, limit=1e3)
+    while True:
+        friction = (*rng.uniform(0.5, 1.5, 4) * (92.0, 10.0, 110.0, 10.4), rng.uniform(-5, 5))
+        mode = math.exp(rng.uniform(math.log(15), math.log(55)))
+        truth = _values(rng.uniform(60, 150), rng.uniform(0.2, 0.85), mode, rng.uniform(0.01, 0.05), friction)
+        loop = ClosedLoop(FlexibleJoint(), controller)
+        case = _driven(loop, reference, known, truth, 1e-3, mode)
+        if case is not None:
+            return case
+
+
+def rotary(seed: int) -> Case:
+    """A rotary joint of any size and speed."""
+    rng = np.random.default_rng([seed, 2])
+    while True:
+        inertia = 10 ** rng.uniform(-5, 3)
+        mode = math.exp(rng.uniform(math.log(5), math.log(400)))
+        rate = math.exp(rng.uniform(math.log(max(250.0, 5 * mode)), math.log(min(16e3, 60 * mode))))
+        period, swing = 1 / rate, 10 ** rng.uniform(-1, 1)
+        share, damping = rng.uniform(0.2, 0.85), math.exp(rng.uniform(math.log(0.003), math.log(0.1)))
+        # Everything else is that of the paper's axis, in units of the mode's period and of the swing.
+        pace = 30.0 / mode
+        speeds = tuple(swing / pace * np.array([0.21, 0.415, 0.625]))
+        reference = trapezoids(speeds, 4.15 * swing / pace**2, swing, period, duration=24.0 * pace)
+        torque = inertia * swing / pace**2  # of the accelerations
+        known = pulses(reference.size, period, height=7.0 * torque, width=0.02 * pace, every=0.4 * pace, seed=seed)
+        level = rng.uniform(0.5, 1.5, 4)
+        viscous, coulomb = 0.95 * inertia / pace, torque
+        friction = (*level * (viscous, 0.5 * coulomb, viscous, 0.5 * coulomb), rng.uniform(-0.2, 0.2) * torque)
+        truth = _values(inertia, share, mode, damping, friction)
+        velocity = inertia * 2 * math.pi * mode * rng.uniform(0.25, 0.6)
+        controller = Cascade(kp=2 * math.pi * mode * rng.uniform(0.2, 0.6), kv=velocity)
+        loop = ClosedLoop(FlexibleJoint(kind="revolute"), controller)
+        case = _driven(loop, reference, known, truth, period, mode)
+        if case is not None:
+            return case
+
+
+def _driven(
+    loop: ClosedLoop, reference: np.ndarray, known: np.ndarray, truth: dict[str, float], period: float, mode: float
+) -> Case | None:
+    """The case, unless the loop is unstable or rings for ever."""
+    from jointid.data.record import Channel, Injection, InjectionPoint
+
+    position, force = ("m", "N") if loop.joint.kind == "prismatic" else ("rad", "N m")
+    driven = Record(
+        reference=Channel(reference, position, period),
+        injected=Injection(Channel(known, force, period), InjectionPoint.AFTER_LIMIT, True),
+    )
+    run = simulate_torque(loop, prepare(loop, driven), truth)
+    plain = loop.controller.law(period)
+    size = abs(plain.D[0]) * np.ptp(reference)
+    if run.outcome is not Outcome.FINISHED or np.max(np.abs(run.torque)) > size:
+        return None
+    late = np.std(np.diff(run.torque)[-len(reference) // 8 :])
+    if late > 2 * np.std(np.diff(run.torque)[: len(reference) // 2]):
+        return None
+    clean = simulated_record(loop, reference, truth, sample_time=period, injected=known)
+    return Case(loop, truth, clean.without("motor_position", "load_position"), mode)

@@ -1,0 +1,159 @@
+"""The exact derivatives against central differences, across reversals, sticking, delays and limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError
+from jointid.data.excitation import trapezoids
+from jointid.data.record import Channel, Record, Tap, Timing
+from jointid.model.controllers import Cascade, DigitalFilter, StateSpaceController
+from jointid.model.friction import AsymmetricFriction
+from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.paper.twin import twin
+from jointid.simulation.closed_loop import Initial, Outcome, simulate, simulate_torque
+from jointid.simulation.experiment import ClosedLoop, prepare
+from jointid.simulation.sensitivities import simulate_sensitivities
+from tests.plants import prismatic, rotary
+
+TWIN = twin("L19", noise="none")
+
+
+def difference(
+    loop: ClosedLoop, record: Record, values: dict[str, float], name: str, start: Initial, step: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Torque and motor position by central differences; towards longer delays by one-sided ones."""
+    ends = []
+    for by in (0.0 if name == "delay" else -step, step):
+        moved, begun, driven = dict(values), start, loop
+        if name in values:
+            moved[name] += by
+        elif name == "initial_position":
+            begun = replace(start, position=(start.position or 0.0) + by)
+        elif name == "initial_velocity":
+            begun = replace(start, velocity=(start.velocity or 0.0) + by)
+        else:
+            driven = replace(loop, controller=replace(loop.controller, **{name: getattr(loop.controller, name) + by}))
+        run = simulate(driven, prepare(driven, record), moved, begun)
+        assert run.outcome is Outcome.FINISHED
+        ends.append((run.torque, run.motor_position))
+    width = step if name == "delay" else 2 * step
+    return (ends[1][0] - ends[0][0]) / width, (ends[1][1] - ends[0][1]) / width
+
+
+def worst(found: np.ndarray, expected: np.ndarray) -> float:
+    return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+
+
+@pytest.mark.parametrize("make", [prismatic, rotary])
+@pytest.mark.parametrize("seed", range(50))
+def test_agree_with_central_differences_on_random_plants(make: Callable, seed: int) -> None:
+    case = make(seed)
+    record = case.clean
+    names = [p.name for p in case.loop.joint.parameters]
+    experiment = prepare(case.loop, record)
+    found = simulate_sensitivities(case.loop, experiment, case.truth, names)
+    assert np.array_equal(found.response.torque, simulate_torque(case.loop, experiment, case.truth).torque)
+    for j, name in enumerate(names):
+        size = case.truth["motor_coulomb" if name == "offset" else name]
+        # A difference has an error of its own: rounding where the step is short, curvature where it is long.
+        steps = [share * size for share in (1e-6, 1e-5)]
+        expected = [difference(case.loop, record, case.truth, name, Initial(), step)[0] for step in steps]
+        found_by = [worst(found.torque[:, j], column) for column in expected]
+        assert min(found_by) < (3e-4 if name == "damping" else 1e-4), (name, found_by)
+
+
+REFERENCE = trapezoids((0.05, 0.1), 1.0, 0.1, 1e-3, rest=0.15)
+VALUES = {
+    "motor_inertia": 70.0, "motor_viscous_forwards": 90.0, "motor_coulomb_forwards": 14.0,
+    "motor_viscous_backwards": 60.0, "motor_coulomb_backwards": 9.0, "stiffness": 6e5, "damping": 150.0,
+    "load_inertia": 40.0, "load_viscous_forwards": 100.0, "load_coulomb_forwards": 12.0,
+    "load_viscous_backwards": 120.0, "load_coulomb_backwards": 8.0, "offset": 0.0,
+}  # fmt: skip
+ASYMMETRIC = FlexibleJoint(friction=AsymmetricFriction())
+WINDUP = StateSpaceController(
+    A=[[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+    B={"reference": [0.02, 0.0, 0.0], "position": [-0.02, 1.0, 0.0], "excess": [1e-7, 0.0, 0.0]},
+    C=[2e5, 3e6, 3e6],
+    D={"reference": 8e5, "position": -8e5 - 6e6},
+    limit=60.0,
+)  # an integrator with anti-windup, and a velocity over two samples: three states
+
+
+def driven(timing: Timing = Timing.HELD, tap: Tap = Tap.COMMAND) -> Record:
+    return Record(
+        torque=Channel(np.zeros(REFERENCE.size), "N", 1e-3, timing), tap=tap, reference=Channel(REFERENCE, "m", 1e-3)
+    )
+
+
+@pytest.mark.parametrize(
+    ("controller", "names"),
+    [
+        (Cascade(kp=100.0, kv=7e3, velocity_filter=(0.5, 0.5)), ("kp", "kv", "gain", "delay")),
+        (Cascade(kp=100.0, kv=7e3, limit=60.0), ("kp", "kv", "gain", "limit")),
+        (Cascade(kp=60.0, kv=5e3, delay=1.4e-3), ("kp", "kv", "delay")),
+        (Cascade(kp=80.0, kv=6e3, velocity_filter=DigitalFilter((0.4,), (1.0, -0.6))), ("kp", "kv")),
+        (WINDUP, ("gain", "limit")),
+    ],
+)
+def test_agree_for_the_loop_and_the_start(controller: Cascade, names: tuple[str, ...]) -> None:
+    """Both frictions asymmetric; stuck, sliding, at its limit; from a start in motion."""
+    loop, start = ClosedLoop(ASYMMETRIC, controller), Initial(1e-3, 0.02)
+    record = driven()
+    wanted = (*VALUES, "initial_position", "initial_velocity", *names)[:20]
+    found = simulate_sensitivities(loop, prepare(loop, record), VALUES, wanted, start, positions=True)
+    assert found.response.outcome is Outcome.FINISHED
+    assert found.response.events > 10
+    for j, name in enumerate(wanted):
+        size = (
+            VALUES.get(name)
+            or {"initial_position": 0.1, "initial_velocity": 0.1, "offset": 10.0, "delay": 1e-3}.get(name)
+            or float(getattr(controller, name))
+        )
+        torque, position = difference(loop, record, VALUES, name, start, (1e-5 if name == "delay" else 1e-6) * size)
+        limit = 3e-4 if name == "damping" else 2e-4
+        assert worst(found.torque[:, j], torque) < limit, name
+        assert worst(found.motor_position[:, j], position) < limit, name
+
+
+def test_more_columns_than_the_kernel_follows_at_a_time_keep_their_order() -> None:
+    loop = ClosedLoop(ASYMMETRIC, Cascade(kp=100.0, kv=7e3))
+    experiment = prepare(loop, driven())
+    names = ["kv", *VALUES, "initial_position", "delay", "kp", "initial_velocity", "gain"]
+    together = simulate_sensitivities(loop, experiment, VALUES, names, positions=True)
+    assert len(names) > 16
+    for j, name in enumerate(names):
+        alone = simulate_sensitivities(loop, experiment, VALUES, [name], positions=True)
+        assert np.allclose(together.torque[:, [j]], alone.torque, rtol=1e-12, atol=1e-12 * np.abs(alone.torque).max())
+        assert np.allclose(together.load_position[:, [j]], alone.load_position, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("delay", [0.3e-3, 1.25e-3])
+def test_a_delay_moves_the_edges_in_an_averaged_measured_torque(delay: float) -> None:
+    loop = ClosedLoop(RigidJoint(), Cascade(kp=60.0, kv=5e3, delay=delay))
+    record = driven(Timing.AVERAGED, Tap.MEASURED)
+    values = {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
+    found = simulate_sensitivities(loop, prepare(loop, record), values, ["delay", "inertia"])
+    for j, name in enumerate(("delay", "inertia")):
+        step = 1e-8 if name == "delay" else 1e-4
+        expected, _ = difference(loop, record, values, name, Initial(), step)
+        assert worst(found.torque[:, j], expected) < 2e-4, name
+
+
+def test_a_candidate_that_cannot_be_simulated_has_no_slope() -> None:
+    unstable = ClosedLoop(TWIN.loop.joint, Cascade(kp=2e3, kv=1e6, delay=3e-3))
+    found = simulate_sensitivities(unstable, prepare(unstable, TWIN.record), TWIN.truth, ["stiffness", "kp"])
+    assert found.response.outcome is Outcome.DIVERGED
+    assert not found.torque.any()
+
+
+@pytest.mark.parametrize("joint", [RigidJoint(), FlexibleJoint()])
+def test_what_has_no_derivative_is_named(joint: Joint) -> None:
+    loop = ClosedLoop(joint, Cascade(kp=60.0, kv=5e3))
+    values = dict.fromkeys((p.name for p in joint.parameters), 1.0)
+    with pytest.raises(MethodError, match='"period" is no parameter'):
+        simulate_sensitivities(loop, prepare(loop, driven()), values, ["period"])
