@@ -17,9 +17,10 @@ from jointid.data.signals import Filtering, decimate, differences, windowed, win
 from jointid.estimation.didim import DIDIM
 from jointid.estimation.identify import identify
 from jointid.estimation.idim import IDIM
-from jointid.estimation.problem import INITIAL_STATE, Problem, torque_problem
+from jointid.estimation.problem import Problem, torque_problem
 from jointid.estimation.regression import least_squares
 from jointid.estimation.starts import pseudo_regular
+from jointid.estimation.surroundings import INITIAL_STATE
 from jointid.estimation.uncertainty import bandwidth, sandwich
 from jointid.model.controllers import POSITION, SampledLaw
 from jointid.model.joints import FlexibleJoint, Joint, RigidJoint, frequencies
@@ -57,7 +58,7 @@ class Sinusoid:
         initial = (INITIAL_STATE[0].fixed(0.0), INITIAL_STATE[1].fixed(0.07))
         problem = torque_problem(made, loop, Filtering(), joint.parameters, initial)
         x = problem.vector(truth)
-        jacobian, _ = problem.jacobian(x, np.maximum(np.abs(x), 1.0))
+        _, jacobian = problem.sensitivities(x)
         run = problem.simulate(x)
         late = time >= 2.0
         assert np.min(run.motor_velocity[late]) > 0.0
@@ -268,7 +269,7 @@ def test_the_inverse_model_s_deviations_are_not_those_of_the_torque(
 ) -> None:
     problem, truth = _twin_problem(loop)
     x = problem.vector(truth)
-    raw, _ = problem.jacobian(x, np.abs(x))
+    _, raw = problem.sensitivities(x)
     run = problem.simulate(x)
     columns = problem.loop.joint.regressor(run.motor, run.load)
     J, W = problem.filtered(raw), np.concatenate([problem.filtered(row) for row in columns])

@@ -6,7 +6,7 @@ measured one, ``||Y - Ys|| / ||Y||``. Only the motor's state at the first sample
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -23,9 +23,10 @@ from jointid.estimation.estimate import (
     relative_error,
 )
 from jointid.estimation.idim import idim_channels, motion_of
-from jointid.estimation.problem import INITIAL_STATE, Problem, initial_of
+from jointid.estimation.problem import Problem, initial_of
 from jointid.estimation.regression import least_squares
 from jointid.estimation.starts import initial_state, reconstructed_position
+from jointid.estimation.surroundings import INITIAL_STATE
 from jointid.model.joints import Motion
 from jointid.model.parameters import POSITION_UNIT
 from jointid.simulation.closed_loop import Initial, Simulation, require_finished
@@ -217,27 +218,36 @@ def _warnings(identified: IdentifiedJoint, loop: ClosedLoop) -> tuple[str, ...]:
 
 
 def _initial_fit(problem: Problem) -> tuple[FloatArray, int]:
-    """Return the initial state that fits best, by Gauss-Newton, and the simulations it took."""
-    names = tuple(p.name for p in problem.free)
+    """Return the initial state that fits best, position and velocity, and the simulations it took.
+
+    A motor at rest and one that moves are two problems (see `didim`), so both are solved.
+    """
     try:
         start = initial_state(problem, reconstructed_position(problem))
     except MethodError:  # a law that cannot be inverted: begin on the reference, at rest
         start = {"initial_position": float(problem.experiment.inputs[0, 0]), "initial_velocity": 0.0}
-    x = problem.vector(start)
-    run = problem.simulate(x)
-    best, runs = problem.error(run), 1
+    kept = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
+    ends = [_gauss_newton(which, start) for which in (replace(problem, parameters=kept), problem)]
+    values, _, _ = min(ends, key=lambda end: end[1])
+    return problem.vector(values), sum(runs for _, _, runs in ends)
+
+
+def _gauss_newton(problem: Problem, start: dict[str, float]) -> tuple[dict[str, float], float, int]:
+    """Return the values of a problem that fit best, the norm of the error they leave, and the simulations run."""
+    names = tuple(p.name for p in problem.free)
+    x, runs = problem.vector(start), 0
+    error, J = problem.linearised(x)
     for _ in range(_STEPS):
-        J, used = problem.jacobian(x, np.zeros(0))
-        step = least_squares(problem.filtered(J), best, names).values
-        error = problem.residual(x + step)
-        runs += used + 1
-        gain = np.linalg.norm(best) - np.linalg.norm(error)
+        step = least_squares(-J, error, names).values
+        after, J = problem.linearised(x + step)
+        runs += 1
+        gain = np.linalg.norm(error) - np.linalg.norm(after)
         if not gain > 0:
             break
-        x, best = x + step, error
-        if gain < 1e-9 * np.linalg.norm(best):
+        x, error = x + step, after
+        if gain < 1e-9 * np.linalg.norm(error):
             break
-    return x, runs
+    return problem.values(x), float(np.linalg.norm(error)), runs + 1
 
 
 def _tracking(record: Record, run: Simulation, borders: tuple[int, int]) -> float | None:

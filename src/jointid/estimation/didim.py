@@ -96,7 +96,9 @@ class _Steps:
         """The step of the paper: the regressor stands for the Jacobian, in either form."""
         problem = self.search.problem
         W = problem.regressor(state.simulation)
-        surrounding = self.search.sensitivities(state, W, slice(W.shape[1], None))
+        surrounding = np.zeros((len(W), 0))
+        if W.shape[1] < state.x.size:
+            surrounding = self.search.sensitivities(state)[:, W.shape[1] :]
         if self.form == "residual":
             return self._residual(state, np.hstack([W, surrounding]))
         after = self.inverse_model(state)
@@ -107,7 +109,7 @@ class _Steps:
 
     def exact(self, state: State) -> FloatArray:
         """The Gauss-Newton step with the output sensitivities."""
-        return self._residual(state, self.search.sensitivities(state, self.search.problem.regressor(state.simulation)))
+        return self._residual(state, self.search.sensitivities(state))
 
     def inverse_model(self, state: State) -> FloatArray:
         """Form (11): solve ``tau = W chi`` for the joint; what surrounds it stays."""
@@ -154,7 +156,7 @@ def _covariance(search: Search, state: State) -> Covariance:
     """Return the covariance of the free parameters (see the module)."""
     problem = search.problem
     W = problem.regressor(state.simulation)
-    J = search.sensitivities(state, W)
+    J = search.sensitivities(state)
     Z = np.hstack([W, J[:, W.shape[1] :]])
     return sandwich(problem.filtered(Z), problem.filtered(J), state.error)
 

@@ -26,8 +26,9 @@ from jointid.data.signals import Filtering
 from jointid.estimation.descent import Descent, by_least_squares, by_simplex, refined
 from jointid.estimation.didim import DIDIM, answer, identify_didim
 from jointid.estimation.estimate import Estimate
-from jointid.estimation.problem import INITIAL_STATE, Problem, initial_of, torque_problem
+from jointid.estimation.problem import Problem, initial_of, torque_problem
 from jointid.estimation.starts import pseudo_regular
+from jointid.estimation.surroundings import INITIAL_STATE
 from jointid.estimation.uncertainty import Covariance, sandwich, words
 from jointid.model.joints import FlexibleJoint, RigidJoint
 from jointid.model.parameters import Parameter

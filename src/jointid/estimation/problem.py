@@ -1,44 +1,51 @@
-"""The problem an estimator solves: a vector of free parameters in, the filtered torque error out.
+"""The problem an estimator solves: a vector of free parameters in, the filtered torque error and its slopes out.
 
 It owns the record, what closes the loop around the joint, the filter that torque and Jacobian go through alike, and
-which parameters are free: those of the joint, then the motor's initial position and velocity.
+which parameters are free: those of the joint, then those of what surrounds it (`surroundings`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering, decimate
-from jointid.model.controllers import REFERENCE
+from jointid.estimation.surroundings import INITIAL_STATE, of_law, surrounding, with_numbers
 from jointid.model.joints import RigidJoint
-from jointid.model.parameters import Parameter, Quantity
-from jointid.simulation.closed_loop import Initial, Outcome, Response, Simulation, in_threads, simulate, simulate_torque
+from jointid.model.parameters import Parameter
+from jointid.simulation.closed_loop import Initial, Outcome, Response, Simulation, simulate, simulate_torque
 from jointid.simulation.experiment import ClosedLoop, Experiment, prepare
+from jointid.simulation.sensitivities import Sensitivities, simulate_sensitivities
 
-INITIAL_STATE = (
-    Parameter("initial_position", "q(0)", Quantity.POSITION),
-    Parameter("initial_velocity", "v(0)", Quantity.VELOCITY),
-)
-"""The motor's state at the first sample; an axis may already move when the log begins."""
-
-_INITIAL_NAMES = tuple(p.name for p in INITIAL_STATE)
-_STEP = 1e-6  # of central differences, relative: their error is then about 1e-5 of a column
 _FLOOR = 1e-3  # a parameter smaller than this share of the torque is measured against that share
 _FAILED = 1e3  # times the torque: the error of a candidate that cannot be simulated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Candidate:
+    """What is simulated for one vector of parameters."""
+
+    loop: ClosedLoop
+    experiment: Experiment
+    values: Mapping[str, float]  # of the joint, per torque of the log
+    initial: Initial
+    drive_gain: float
+    log_gain: float
+    log_delay: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """The torque of one record against one loop.
+    """The torque of one record against one loop; a `criterion.Criterion`.
 
     Attributes:
         loop, experiment: what is simulated.
-        parameters: all of the joint, then of the initial state.
+        parameters: all of the joint, then of what surrounds it.
         measured: (samples,) raw torque.
         filtering: resolved; its borders are left out of the reported error, not of the residual, because the
             first samples hold what is known of the initial state and no position is differentiated.
@@ -58,7 +65,18 @@ class Problem:
     @property
     def free_joint(self) -> tuple[Parameter, ...]:
         """Those of them that belong to the joint; they come first."""
-        return tuple(p for p in self.free if p.name not in _INITIAL_NAMES)
+        own = {p.name for p in self.loop.joint.parameters}
+        return tuple(p for p in self.free if p.name in own)
+
+    def freeing(self, *names: str) -> Problem:
+        """Return the same problem with more of what surrounds the joint free.
+
+        Raises:
+            MethodError: nothing around the joint has that name.
+        """
+        new = [surrounding(name, self.loop.controller) for name in names]
+        kept = tuple(p for p in self.parameters if p.name not in names)
+        return replace(self, parameters=(*kept, *new))
 
     def values(self, x: FloatArray) -> dict[str, float]:
         """Return every parameter by name, the fixed ones too."""
@@ -67,8 +85,8 @@ class Problem:
         return {p.name: found[p.name] if p.free else float(given[p.name] or 0.0) for p in self.parameters}
 
     def vector(self, values: Mapping[str, float]) -> FloatArray:
-        """Return the free parameters of `values`, in order."""
-        return np.array([values[p.name] for p in self.free])
+        """Return the free parameters of `values`, in order; one that is not there starts as declared."""
+        return np.array([values.get(p.name, p.start or 0.0) for p in self.free])
 
     def filtered(self, columns: FloatArray) -> FloatArray:
         """Return signals, (samples,) or (samples, columns), through the problem's own filter."""
@@ -76,13 +94,54 @@ class Problem:
 
     def simulate(self, x: FloatArray) -> Simulation:
         """Return the loop's run with these parameters."""
-        values = self.values(x)
-        return simulate(self.loop, self.experiment, values, initial_of(values))
+        c = self._candidate(x)
+        return simulate(c.loop, c.experiment, c.values, c.initial)
 
     def torque(self, x: FloatArray) -> FloatArray:
-        """Return the raw simulated torque, (samples,)."""
-        values = self.values(x)
-        return simulate_torque(self.loop, self.experiment, values, initial_of(values)).torque
+        """Return the torque the log should show, raw, (samples,)."""
+        c = self._candidate(x)
+        return self._shown(simulate_torque(c.loop, c.experiment, c.values, c.initial).torque, c)
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the filtered, decimated torque error, (rows,); of a candidate that fails, something large."""
+        c = self._candidate(x)
+        response = simulate_torque(c.loop, c.experiment, c.values, c.initial)
+        return self.error(replace(response, torque=self._shown(response.torque, c)))
+
+    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free), from one run."""
+        response, columns = self.sensitivities(x)
+        return self.error(response), -self.filtered(columns)
+
+    def sensitivities(self, x: FloatArray) -> tuple[Response, FloatArray]:
+        """Return what the log should show, and its derivatives by the free parameters, (samples, free), raw.
+
+        Where the candidate cannot be simulated the derivatives are 0.
+        """
+        c = self._candidate(x)
+        own = [p.name for p in self.loop.joint.parameters]
+        names = [p.name for p in self.free if p.name not in ("drive_gain", "log_gain", "log_delay")]
+        scaled = any(p.name == "drive_gain" for p in self.free)
+        wanted = [*names, *(name for name in own if scaled and name not in names)]
+        run = simulate_sensitivities(c.loop, c.experiment, c.values, wanted, c.initial)
+        columns = dict(zip(wanted, run.torque.T, strict=True))
+        shown = self._shown(run.response.torque, c)
+        if scaled:  # all of the joint's parameters are measured in the torque that acts
+            columns["drive_gain"] = -sum((c.values[n] / c.drive_gain) * columns[n] for n in own)
+        for name in own:
+            if name in columns and c.drive_gain != 1.0:
+                columns[name] = columns[name] / c.drive_gain
+        if c.log_gain != 1.0 or c.log_delay != 0.0:
+            columns = {name: self._shown(column, c) for name, column in columns.items()}
+        columns["log_gain"] = shown / c.log_gain
+        columns["log_delay"] = self._slope(run.response.torque, c)
+        return replace(run.response, torque=shown), np.column_stack([columns[p.name] for p in self.free])
+
+    def positions(self, x: FloatArray) -> Sensitivities:
+        """Return the derivatives of torque and positions by the joint's free parameters and its first state, raw."""
+        c = self._candidate(x)
+        names = [p.name for p in self.free if p.name not in ("drive_gain", "log_gain", "log_delay")]
+        return simulate_sensitivities(c.loop, c.experiment, c.values, names, c.initial, positions=True)
 
     def error(self, run: Simulation | Response) -> FloatArray:
         """Return the filtered torque error of a run; of one that failed, something large and finite."""
@@ -92,16 +151,6 @@ class Problem:
             size = float(np.sqrt(np.mean(self.measured**2)))
             error = np.full_like(error, _FAILED * size * (2.0 - run.finished))
         return self.filtered(error)
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        """Return the filtered, decimated torque error, (rows,)."""
-        values = self.values(x)
-        return self.error(simulate_torque(self.loop, self.experiment, values, initial_of(values)))
-
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
-        J, _ = self.jacobian(x, np.maximum(np.abs(x[: len(self.free_joint)]), 1e-6))
-        return self.residual(x), -self.filtered(J)
 
     def regressor(self, simulation: Simulation) -> FloatArray:
         """Return the inverse-dynamic columns of the free joint parameters on a run, raw, (samples, parameters)."""
@@ -127,32 +176,49 @@ class Problem:
         floor = _FLOOR * np.linalg.norm(self.measured) / np.where(norms > 0, norms, 1.0)
         return np.asarray(np.maximum(np.abs(x[: norms.size]), floor))
 
-    def jacobian(self, x: FloatArray, scales: FloatArray, only: slice = slice(None)) -> tuple[FloatArray, int]:
-        """Return the raw torque's derivatives by the free parameters (or a slice of them), and the simulations run.
+    def _candidate(self, x: FloatArray) -> _Candidate:
+        values = self.values(x)
+        own = {p.name for p in self.loop.joint.parameters}
+        gain = values.get("drive_gain", 1.0)
+        numbers = {n: v for n, v in values.items() if n not in own and of_law(n)}
+        loop, experiment = self.loop, self.experiment
+        if any(v != getattr(loop.controller, n) for n, v in numbers.items()):
+            loop = with_numbers(loop, numbers)
+            experiment = experiment.with_law(loop.controller.law(experiment.sample_time))
+        joint = {n: values[n] / gain for n in own}
+        return _Candidate(
+            loop, experiment, joint, initial_of(values), gain, values.get("log_gain", 1.0), values.get("log_delay", 0.0)
+        )
 
-        Central differences, shape (samples, parameters); `scales` as from `scales`, for the joint's parameters. At a
-        lower bound, below which there may be nothing to simulate, they are taken a step inside it.
-        """
-        steps = _STEP * np.concatenate([scales, self._initial_scales()])[: x.size]
-        chosen = range(x.size)[only]
-        inside = [max(p.lower + 2 * step - value, 0.0) for p, value, step in zip(self.free, x, steps, strict=True)]
-        shifts = [(inside[i] + sign * steps[i]) * np.eye(x.size)[i] for i in chosen for sign in (1.0, -1.0)]
-        runs = in_threads(lambda shift: self.torque(x + shift), shifts)
-        pairs = zip(chosen, runs[::2], runs[1::2], strict=True)
-        columns = [(above - below) / (2 * steps[i]) for i, above, below in pairs]
-        return (np.column_stack(columns) if columns else np.zeros((self.measured.size, 0))), len(runs)
+    def _shown(self, torque: FloatArray, c: _Candidate) -> FloatArray:
+        """Return the torque with the gain of the log, and as much later as its stamps are wrong."""
+        if c.log_delay == 0.0:
+            return torque if c.log_gain == 1.0 else c.log_gain * torque
+        whole, part = _split(c.log_delay / self.experiment.sample_time)
+        return c.log_gain * ((1 - part) * _shifted(torque, whole) + part * _shifted(torque, whole + 1))
 
-    def _initial_scales(self) -> FloatArray:
-        reference = self.experiment.inputs[:, REFERENCE]
-        travel = float(np.ptp(reference)) or 1.0
-        speed = float(np.max(np.abs(np.diff(reference)))) / self.experiment.law.period or travel
-        sizes = {"initial_position": travel, "initial_velocity": speed}
-        return np.array([sizes[p.name] for p in self.free if p.name in sizes])
+    def _slope(self, torque: FloatArray, c: _Candidate) -> FloatArray:
+        """Return the derivative of the shown torque by the log's delay."""
+        whole, _ = _split(c.log_delay / self.experiment.sample_time)
+        if c.log_delay == 0.0:  # between two samples the shown torque has one slope, on a sample the mean of two
+            return c.log_gain * (_shifted(torque, 1) - _shifted(torque, -1)) / (2 * self.experiment.sample_time)
+        return c.log_gain * (_shifted(torque, whole + 1) - _shifted(torque, whole)) / self.experiment.sample_time
+
+
+def _split(samples: float) -> tuple[int, float]:
+    whole = math.floor(samples)
+    return whole, samples - whole
+
+
+def _shifted(signal: FloatArray, samples: int) -> FloatArray:
+    """Return a signal so many samples later; its ends last."""
+    at = np.clip(np.arange(signal.size) - samples, 0, signal.size - 1)
+    return np.asarray(signal[at])
 
 
 def initial_of(values: Mapping[str, float]) -> Initial:
-    """Return the initial state among a problem's values."""
-    return Initial(values["initial_position"], values["initial_velocity"])
+    """Return the initial state among a problem's values; on the reference, at rest, where there is none."""
+    return Initial(values.get("initial_position"), values.get("initial_velocity"))
 
 
 def torque_problem(
@@ -160,7 +226,7 @@ def torque_problem(
     loop: ClosedLoop,
     filtering: Filtering,
     parameters: tuple[Parameter, ...],
-    initial: tuple[Parameter, ...] = INITIAL_STATE,
+    surroundings: Sequence[Parameter] = INITIAL_STATE,
 ) -> Problem:
     """Return the problem of reproducing a record's torque by simulating the loop from its reference.
 
@@ -177,7 +243,7 @@ def torque_problem(
     return Problem(
         loop,
         experiment,
-        (*parameters, *initial),
+        (*parameters, *surroundings),
         measured,
         filtering.resolved(experiment.sample_time, loop.joint.model),
     )

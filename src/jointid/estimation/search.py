@@ -82,14 +82,10 @@ class Search:
         self.simulations += 1
         return State(x, simulation, problem.error(simulation), gain_scale)
 
-    def sensitivities(self, state: State, W: FloatArray, only: slice = slice(None)) -> FloatArray:
-        """Return the simulated torque's derivatives by the free parameters (or some of them), raw.
-
-        `W` is the regressor on the same simulation; it gives the parameters their scales.
-        """
-        J, runs = self.problem.jacobian(state.x, self.problem.scales(state.x, W), only)
-        self.simulations += runs
-        return J
+    def sensitivities(self, state: State) -> FloatArray:
+        """Return the simulated torque's derivatives by the free parameters, raw, (samples, free)."""
+        self.simulations += 1
+        return self.problem.sensitivities(state.x)[1]
 
     def note(self, state: State, before: State | None) -> Iteration:
         """Add a line to the trace."""

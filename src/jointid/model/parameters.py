@@ -22,6 +22,9 @@ class Quantity(StrEnum):
     STIFFNESS = "stiffness"
     POSITION = "position"
     VELOCITY = "velocity"
+    TIME = "time"
+    RATIO = "ratio"
+    GAIN = "gain"
 
 
 POSITION_UNIT: Mapping[str, str] = {"prismatic": "m", "revolute": "rad"}
@@ -34,17 +37,18 @@ def unit_of(quantity: Quantity, kind: Kind, torque_unit: str) -> str:
     In N and N m the inertias come in kg and kg m2; in the drive's own A or V everything comes per ampere or volt.
     """
     position = POSITION_UNIT[kind]
-    if quantity is Quantity.POSITION:
-        return position
-    if quantity is Quantity.VELOCITY:
-        return f"{position}/s"
-    if quantity is Quantity.FORCE:
-        return torque_unit
-    if quantity is Quantity.STIFFNESS:
-        return f"{torque_unit}/{position}"
-    if quantity is Quantity.VISCOUS:
-        return f"{torque_unit} s/{position}"
-    return {"N": "kg", "N m": "kg m2"}.get(torque_unit, f"{torque_unit} s2/{position}")
+    units = {
+        Quantity.POSITION: position,
+        Quantity.VELOCITY: f"{position}/s",
+        Quantity.FORCE: torque_unit,
+        Quantity.STIFFNESS: f"{torque_unit}/{position}",
+        Quantity.VISCOUS: f"{torque_unit} s/{position}",
+        Quantity.INERTIA: {"N": "kg", "N m": "kg m2"}.get(torque_unit, f"{torque_unit} s2/{position}"),
+        Quantity.TIME: "s",
+        Quantity.RATIO: "1",
+        Quantity.GAIN: "as declared",
+    }
+    return units[quantity]
 
 
 @dataclass(frozen=True, slots=True)
