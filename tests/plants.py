@@ -2,7 +2,7 @@
 
 Two families. Prismatic: the paper's axis with a free-free mode of 15 to 55 Hz, a load share of 0.2 to 0.85 and 60 to
 150 kg, under the loop of the EMPS benchmark. Rotary: inertias from 1e-5 to 1e3 kg m2, 5 to 400 Hz, 0.3 to 10 % damping,
-sampled at 250 Hz to 16 kHz with the mode below a fifth of it, under a loop that suits the drive.
+sampled at 250 Hz to 16 kHz with the mode from a 160th to a fifth of it, under a loop that suits the drive.
 """
 
 from __future__ import annotations
@@ -78,13 +78,15 @@ def rotary(seed: int) -> Case:
     while True:
         inertia = 10 ** rng.uniform(-5, 3)
         mode = math.exp(rng.uniform(math.log(5), math.log(400)))
-        rate = math.exp(rng.uniform(math.log(max(250.0, 5 * mode)), math.log(min(16e3, 60 * mode))))
+        rate = math.exp(rng.uniform(math.log(max(250.0, 5 * mode)), math.log(min(16e3, 160 * mode))))
         period, swing = 1 / rate, 10 ** rng.uniform(-1, 1)
         share, damping = rng.uniform(0.2, 0.85), math.exp(rng.uniform(math.log(0.003), math.log(0.1)))
         # Everything else is that of the paper's axis, in units of the mode's period and of the swing.
         pace = 30.0 / mode
         speeds = tuple(swing / pace * np.array([0.21, 0.415, 0.625]))
-        reference = trapezoids(speeds, 4.15 * swing / pace**2, swing, period, duration=24.0 * pace)
+        reference = trapezoids(
+            speeds, 4.15 * swing / pace**2, swing, period, duration=min(24.0 * pace, 60_000 * period)
+        )
         torque = inertia * swing / pace**2  # of the accelerations
         known = pulses(reference.size, period, height=7.0 * torque, width=0.02 * pace, every=0.4 * pace, seed=seed)
         level = rng.uniform(0.5, 1.5, 4)

@@ -179,12 +179,12 @@ def test_the_starts_said_to_end_together_are_different_ones(frequency: float, mo
     """At 38 Hz the halves of (13) are the best start: they must not be refined twice."""
     axis = twin(noise="white")
     seen = []
-    original = flexible._starts
-    monkeypatch.setattr(flexible, "_starts", lambda *arguments: (seen.append(original(*arguments)), seen[-1])[1])
+    original = flexible.explored
+    monkeypatch.setattr(flexible, "explored", lambda *arguments: (seen.append(original(*arguments)), seen[-1])[1])
     estimate = identify(torque_only(axis), axis.loop, FlexibleDIDIM(frequency=frequency))
-    first, second = seen[0]
-    assert np.any(np.abs(first - second) > 0.1 * np.abs(first))
-    assert "2 of 2 starts end there" in estimate.stop
+    first, second = (start for _, start in seen[0][0][:2])
+    assert any(abs(first[name] - second[name]) > 0.1 * abs(first[name]) for name in ("motor_inertia", "stiffness"))
+    assert "; 2 of 2 starts led there" in estimate.stop
 
 
 @pytest.mark.parametrize("noise", ["disturbance", "white"])

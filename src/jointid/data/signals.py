@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -155,15 +156,20 @@ def decimate(values: FloatArray, filtering: Filtering, sample_time: float) -> Fl
     Chebyshev type I of order 8 and 0.05 dB. Forwards and backwards it passes a constant at 0.9886, so it must be
     applied to both sides of an equation. The last sample is always kept, and every so many before it.
     """
-    from scipy.signal import cheby1
-
     assert filtering.cutoff is not None
     assert filtering.decimation is not None
-    sections = cheby1(_ORDER, _RIPPLE, 2 * filtering.cutoff * sample_time, output="sos")
-    smooth = _both_ways(sections, values, _ORDER)
+    smooth = _both_ways(_chebyshev(2 * filtering.cutoff * sample_time), values, _ORDER)
     keep, n = filtering.decimation, len(values)
     first = keep - (keep * math.ceil(n / keep) - n) - 1
     return smooth[first::keep]
+
+
+@lru_cache(maxsize=64)
+def _chebyshev(cutoff: float) -> FloatArray:
+    """Return the decimation filter's sections; designing them takes longer than filtering a column."""
+    from scipy.signal import cheby1
+
+    return np.asarray(cheby1(_ORDER, _RIPPLE, cutoff, output="sos"))
 
 
 def differences(values: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:

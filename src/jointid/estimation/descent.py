@@ -33,16 +33,19 @@ class Descent:
         self.simulations = 0
         self.scales = np.ones(len(problem.free))
         self.size = float(np.linalg.norm(problem.filtered(problem.measured)))
+        self._last: tuple[Problem, FloatArray, FloatArray, FloatArray] | None = None
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the filtered torque error; large and finite where the loop cannot be simulated."""
         self.simulations += 1
         return self.problem.residual(x)
 
-    def jacobian(self, x: FloatArray) -> FloatArray:
-        """Return the derivatives of the residual."""
-        self.simulations += 1
-        return self.problem.linearised(x)[1]
+    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the filtered torque error and its derivatives; asked twice for one point, it runs once."""
+        if self._last is None or self._last[0] is not self.problem or not np.array_equal(self._last[1], x):
+            self.simulations += 1
+            self._last = (self.problem, x.copy(), *self.problem.linearised(x))
+        return self._last[2], self._last[3]
 
     def note(self, x: FloatArray, norm: float) -> None:
         """Add a line to the trace, and tell every tenth."""
@@ -51,40 +54,41 @@ class Descent:
         if before is not None:
             change = abs(norm - before.residual_norm) / before.residual_norm if before.residual_norm else 0.0
             last = self.problem.vector(before.values)
-            step = float(np.max(np.abs(x - last) / np.maximum(np.abs(x), 1e-3 * self.scales)))
+            step = float(np.max(np.abs(x - last) / np.where(x != 0.0, np.abs(x), 1.0)))
         values, number = self.problem.values(x), len(self.trace)
         self.trace.append(Iteration(number, values, norm, change, step, self.simulations))
         if number % 100 == 0 or number < 10:  # a simplex takes more than a thousand steps
             self.progress(f"iteration {number}: torque error {100 * norm / self.size:.4f} %")
 
 
-def by_least_squares(descent: Descent, starts: list[FloatArray], tolerance: float) -> tuple[FloatArray, str, bool]:
-    """Refine the starts by least squares; return the best end, and say how many of them came to it."""
-    ends = [refined(descent, x, tolerance) for x in starts]
-    best = min(ends, key=lambda end: float(end.cost))
-    same = sum(float(end.cost) <= (1 + _IMPROVED) * float(best.cost) for end in ends)
-    agreed = f" ({same} of {len(ends)} starts end there)" if len(ends) > 1 else ""
-    if best.status not in _REASONS:
-        return best.x, f"not converged after {best.nfev} evaluations{agreed}", False
-    limit = f"{100 * tolerance:g} %"
-    return best.x, f"converged: {_REASONS[best.status]} changed by less than {limit}{agreed}", True
+def reason(end: OptimizeResult, tolerance: float) -> tuple[str, bool]:
+    """Return why a descent by least squares ended, in a sentence, and whether that is a good end."""
+    if end.status not in _REASONS:
+        return f"not converged after {end.nfev} evaluations", False
+    return f"converged: {_REASONS[end.status]} changed by less than {100 * tolerance:g} %", True
 
 
-def refined(descent: Descent, x: FloatArray, tolerance: float) -> OptimizeResult:
+def refined(descent: Descent, x: FloatArray, tolerance: float, evaluations: int = _EVALUATIONS) -> OptimizeResult:
     """Return SciPy's result of one least-squares descent within the bounds."""
     from scipy.optimize import least_squares
 
+    def residual(x: FloatArray) -> FloatArray:
+        return descent.linearised(x)[0]
+
+    def jacobian(x: FloatArray) -> FloatArray:
+        return descent.linearised(x)[1]
+
     free = descent.problem.free
     return least_squares(
-        descent.residual,
+        residual,
         x,
-        descent.jacobian,
+        jacobian,
         (np.array([p.lower for p in free]), np.array([p.upper for p in free])),
         x_scale="jac",
         xtol=tolerance,
         ftol=tolerance,
         gtol=None,
-        max_nfev=_EVALUATIONS,
+        max_nfev=evaluations,
         callback=lambda intermediate_result: descent.note(
             intermediate_result.x, math.sqrt(2 * float(intermediate_result.cost))
         ),

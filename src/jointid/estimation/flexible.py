@@ -14,6 +14,8 @@ and the best few are refined: half of such a grid is unstable for a fast loop, a
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -23,22 +25,21 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering
-from jointid.estimation.descent import Descent, by_least_squares, by_simplex, refined
-from jointid.estimation.didim import DIDIM, answer, identify_didim
+from jointid.estimation.descent import Descent, by_simplex, reason, refined
+from jointid.estimation.didim import answer
 from jointid.estimation.estimate import Estimate
+from jointid.estimation.exploration import WIDE, explored, frequencies_to_try, frequency_of, rigid_estimate, started
 from jointid.estimation.problem import Problem, initial_of, torque_problem
-from jointid.estimation.starts import pseudo_regular
 from jointid.estimation.surroundings import INITIAL_STATE
 from jointid.estimation.uncertainty import Covariance, sandwich, words
-from jointid.model.joints import FlexibleJoint, RigidJoint
 from jointid.model.parameters import Parameter
-from jointid.simulation.closed_loop import in_threads, simulate
+from jointid.simulation.closed_loop import simulate
 from jointid.simulation.experiment import ClosedLoop
 
-_RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
-_GUESSES = (0.2, 0.27, 0.35, 0.45, 0.55, 0.7, 0.9)  # frequencies to try, as shares of the cut-off
-_SHARES = (0.5, 0.2, 0.33, 0.67)  # of the load in the inertia, to try: first the halves of (13)
-_REFINED = 4  # starts of a grid that are refined
+_REFINED = 6  # starts that are refined at most, until two of them end together
+_ROUGHLY, _FEW = 1e-5, 30  # tolerance and evaluations of a refinement that only has to show where it leads
+_TOGETHER = 1e-3  # of a frequency: ends closer than this are one
+_MODES = 2.0  # the cut-off is that many free-free frequencies, or more
 _TOLERANCE, _SIMPLEX_TOLERANCE = 1e-8, 1e-4  # the latter is that of fminsearch
 _NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
 _MOVING = 9.0  # times the residual's variance: what a velocity at the first sample must explain to be believed
@@ -120,10 +121,12 @@ def identify_flexible(
         MethodError: the loop cannot be simulated at any start.
     """
     settings = settings or FlexibleDIDIM()
-    rigid = _rigid(record, loop, settings, progress)
+    paper = settings.minimiser == "nelder-mead"
+    rigid = rigid_estimate(record, loop, settings.rigid_cutoff, progress)
     problem = torque_problem(record, loop, filtering, parameters, _at_rest(record, settings))
     descent = Descent(problem, progress)
-    x, stop, converged = _descended(descent, _starts(descent, rigid, settings), settings)
+    solved = _by_nelder_mead if paper else _by_least_squares
+    x, stop, converged = solved(descent, filtering, rigid, settings)
     if rigid["initial_velocity"].free:  # below its resonance the axis seemed to move at the first sample
         x, stop, converged = _or_moving(descent, x, rigid, settings, (stop, converged))
     problem = descent.problem
@@ -142,7 +145,7 @@ def identify_flexible(
     return replace(
         estimate,
         parameters=found,
-        warnings=(*lost, *_touched(problem, x, descent.scales), *estimate.warnings),
+        warnings=(*lost, *_touched(problem, x), *estimate.warnings),
         variant=f"DIDIM by {how} from the pseudo-regular start",
         intervals=intervals,
         trace=tuple(descent.trace),
@@ -156,9 +159,9 @@ def _unsure(estimate: Estimate) -> tuple[str, ...]:
     return tuple(n for n in physical if estimate[n].free and estimate.values[n] <= 2 * (estimate[n].std or 0.0))
 
 
-def _touched(problem: Problem, x: FloatArray, scales: FloatArray) -> tuple[str, ...]:
+def _touched(problem: Problem, x: FloatArray) -> tuple[str, ...]:
     """Return a warning for each parameter that a bound holds."""
-    near = 1e-6 * scales
+    near = 1e-6 * _scales(x)
     at = [
         p
         for p, value, gap in zip(problem.free, x, near, strict=True)
@@ -167,24 +170,71 @@ def _touched(problem: Problem, x: FloatArray, scales: FloatArray) -> tuple[str, 
     return tuple(f"{p.name} is at its bound, where it does not follow the record" for p in at)
 
 
-def _descended(descent: Descent, starts: list[FloatArray], settings: FlexibleDIDIM) -> tuple[FloatArray, str, bool]:
-    """Go down from the starts, best first; return where that ends, why, and whether it is a good end."""
-    tolerance = stopping_tolerance(settings)
-    if settings.minimiser == "nelder-mead":
-        return by_simplex(descent, starts[0], tolerance, settings.simulations, settings.restarts)
-    return by_least_squares(descent, starts, tolerance)
+def _by_least_squares(
+    descent: Descent, filtering: Filtering, rigid: Estimate, settings: FlexibleDIDIM
+) -> tuple[FloatArray, str, bool]:
+    """Explore, refine the best starts until two end together, and go down from there to the full tolerance.
+
+    Where no cut-off is asked for, it follows the mode: the exploration sees the whole band of the log, a refinement
+    twice the frequency it starts from.
+    """
+    problem = descent.problem
+    wide = problem if filtering.cutoff else _on_band(problem, filtering, math.inf)
+    law, sample_time = problem.experiment.law, problem.experiment.sample_time
+    known = [settings.frequency] if settings.frequency else None
+    tried = known or frequencies_to_try(law, rigid.values["inertia"], sample_time)
+    starts, descent_simulations = explored(wide, rigid.values, tried, descent.progress)
+    descent.simulations += descent_simulations
+    ends: list[tuple[float, float, FloatArray]] = []
+    for frequency, values in starts[:_REFINED]:
+        descent.problem = problem if filtering.cutoff else _on_band(problem, filtering, frequency)
+        x = np.asarray(refined(descent, descent.problem.vector(values), _ROUGHLY, _FEW).x)
+        descent.simulations += 1
+        ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(problem.values(x)), x))
+        cost, mode, _ = min(ends, key=lambda end: end[0])
+        together = sum(abs(f / mode - 1) < _TOGETHER and c < (1 + _TOGETHER) * cost for c, f, _ in ends)
+        if together > 1:
+            break
+    _, mode, x = min(ends, key=lambda end: end[0])
+    descent.problem = problem if filtering.cutoff else _on_band(problem, filtering, mode)
+    descent.size = float(np.linalg.norm(descent.problem.filtered(problem.measured)))
+    end = refined(descent, x, stopping_tolerance(settings))
+    stop, converged = reason(end, stopping_tolerance(settings))
+    agreed = f"; {together} of {len(ends)} starts led there" if len(ends) > 1 else ""
+    return np.asarray(end.x), stop + agreed, converged
 
 
-def _rigid(record: Record, loop: ClosedLoop, settings: FlexibleDIDIM, progress: Progress) -> Estimate:
-    """Identify the joint as rigid, below its resonance."""
-    assert isinstance(loop.joint, FlexibleJoint)
-    joint = RigidJoint(loop.joint.kind, loop.joint.friction, loop.joint.torque_unit)
-    record.require(loop.channels, "DIDIM")
-    assert record.torque is not None
-    cutoff = settings.rigid_cutoff or _RIGID_CUTOFF / record.torque.sample_time
-    progress(f"identifying the joint as rigid, below {cutoff:g} Hz")
-    rigid = ClosedLoop(joint, loop.controller)
-    return identify_didim(record, rigid, joint.parameters, Filtering(cutoff=cutoff), DIDIM(), progress)
+def _on_band(problem: Problem, filtering: Filtering, mode: float) -> Problem:
+    """Return the problem filtered for a mode at that frequency: the default cut-off, or twice the mode."""
+    sample_time = problem.experiment.sample_time
+    default = Filtering().resolved(sample_time, "flexible").cutoff
+    assert default is not None
+    cutoff = min(max(default, _MODES * mode), WIDE / sample_time)
+    return replace(problem, filtering=replace(filtering, cutoff=cutoff).resolved(sample_time, "flexible"))
+
+
+def _by_nelder_mead(
+    descent: Descent, filtering: Filtering, rigid: Estimate, settings: FlexibleDIDIM
+) -> tuple[FloatArray, str, bool]:
+    """Search as the paper did: from (13) at its frequency, or where that loop is unstable from the best start."""
+    problem = descent.problem
+    law, sample_time = problem.experiment.law, problem.experiment.sample_time
+    values: Mapping[str, float] | None = None
+    if settings.frequency is not None:
+        values = started(problem, rigid.values, settings.frequency, 0.5)
+        descent.simulations += 1
+        if np.linalg.norm(problem.residual(problem.vector(values))) > descent.size:
+            descent.progress("the halved inertia (13) makes an unstable loop here; starting from another load share")
+            values = None
+    if values is None:
+        known = [settings.frequency] if settings.frequency else None
+        tried = known or frequencies_to_try(law, rigid.values["inertia"], sample_time)
+        starts, used = explored(problem, rigid.values, tried, descent.progress)
+        descent.simulations += used
+        values = starts[0][1]
+    x = problem.vector(values)
+    descent.scales = _scales(x)
+    return by_simplex(descent, x, stopping_tolerance(settings), settings.simulations, settings.restarts)
 
 
 def _at_rest(record: Record, settings: FlexibleDIDIM) -> tuple[Parameter, ...]:
@@ -203,19 +253,22 @@ def _or_moving(
     descent: Descent, x: FloatArray, rigid: Estimate, settings: FlexibleDIDIM, end: tuple[str, bool]
 ) -> tuple[FloatArray, str, bool]:
     """Return the better of two answers, the motor at rest at the first sample or moving: see `didim`."""
-    resting, scales = descent.problem, descent.scales
+    resting, tolerance = descent.problem, stopping_tolerance(settings)
     error = descent.residual(x)
     free = settings.minimiser == "least-squares"
     values = resting.values(x) | {p.name: rigid[p.name].value or 0.0 for p in INITIAL_STATE}
     state = tuple(replace(p, start=values[p.name], free=free) for p in INITIAL_STATE)
     descent.problem = replace(resting, parameters=(*resting.parameters[: -len(INITIAL_STATE)], *state))
-    if free:  # two more to search, each on its own size
-        descent.scales = np.append(scales[: len(resting.free_joint)], _scales(descent.problem.vector(values)[-2:]))
-    moving, stop, converged = _descended(descent, [descent.problem.vector(values)], settings)
+    start = descent.problem.vector(values)
+    if free:
+        found = refined(descent, start, tolerance)
+        moving, (stop, converged) = np.asarray(found.x), reason(found, tolerance)
+    else:
+        moving, stop, converged = by_simplex(descent, start, tolerance, settings.simulations, settings.restarts)
     gained = float(error @ error) - float(np.sum(descent.residual(moving) ** 2))
     if gained > _MOVING * float(error @ error) / error.size:
         return moving, stop, converged
-    descent.problem, descent.scales = resting, scales
+    descent.problem = resting
     return x, *end
 
 
@@ -225,35 +278,9 @@ def _scales(x: FloatArray) -> FloatArray:
     return np.asarray(np.where(sizes > 0, sizes, np.max(sizes) * 1e-6))
 
 
-def _starts(descent: Descent, rigid: Estimate, settings: FlexibleDIDIM) -> list[FloatArray]:
-    """Return the starts, best first: the paper's at a known frequency, else the best of a grid."""
-    problem = descent.problem
-    cutoff = problem.filtering.cutoff
-    assert cutoff is not None
-    paper = settings.frequency is not None and settings.minimiser == "nelder-mead"
-    frequencies = [settings.frequency] if settings.frequency else [guess * cutoff for guess in _GUESSES]
-    grid = [(f, share) for f in frequencies for share in _SHARES]
-    given = {p.name: p.start for p in problem.parameters if p.start is not None}
-    made = [{p.name: 0.0 for p in problem.parameters} | pseudo_regular(rigid.values, *at) | given for at in grid]
-    starts = [problem.vector(values) for values in made]
-    descent.scales = _scales(starts[0])
-    lower, upper = (np.array([getattr(p, side) for p in problem.free]) for side in ("lower", "upper"))
-    floor = np.where(np.isfinite(lower), lower + 1e-3 * descent.scales, lower)
-    starts = [np.minimum(np.maximum(x, floor), np.maximum(upper - 1e-3 * descent.scales, lower)) for x in starts]
-    costs = [float(np.linalg.norm(error)) for error in in_threads(problem.residual, starts)]
-    descent.simulations += len(starts)
-    order = np.argsort(costs)
-    if paper and costs[0] <= descent.size:  # (13) as printed, where its loop can be simulated
-        order = np.array([0])
-    elif paper:
-        descent.progress("the halved inertia (13) makes an unstable loop here; starting from another load share")
-    descent.note(starts[order[0]], costs[order[0]])
-    return [starts[i] for i in order[: 2 if settings.frequency else _REFINED]]
-
-
 def _covariance(descent: Descent, x: FloatArray, error: FloatArray, settings: FlexibleDIDIM) -> tuple[Covariance, str]:
     if settings.statistics == "sensitivities":
-        J = -descent.jacobian(x)
+        J = -descent.linearised(x)[1]
         covariance = sandwich(J, J, error)
         return covariance, f"from the output sensitivities, {words(covariance)}"
     descent.simulations += 1

@@ -58,6 +58,17 @@ class SampledLaw:
         drift = inverse @ (into * slope * self.period)
         return np.asarray(inverse @ (into * value - drift))
 
+    def feedback(self, hertz: FloatArray) -> FloatArray:
+        """Return the magnitude of the law's response to the position at these frequencies, torque per position."""
+        z = np.exp(2j * np.pi * hertz * self.period)
+        order = self.C.size
+        response = np.full(z.size, self.D[POSITION], dtype=np.complex128)
+        if order:
+            systems = z[:, np.newaxis, np.newaxis] * np.eye(order) - self.A
+            states = np.linalg.solve(systems, np.broadcast_to(self.B[:, POSITION, np.newaxis], (z.size, order, 1)))
+            response += states[..., 0] @ self.C
+        return np.abs(response)
+
 
 class Controller(Protocol):
     """What a closed loop asks of a controller; every law below is one."""
