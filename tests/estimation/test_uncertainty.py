@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointid.estimation.uncertainty import bandwidth, sandwich
+from jointid.estimation.uncertainty import bandwidth, covariance_of, different, sandwich, white
 
 
 def low_passed(random: np.random.Generator, size: int) -> np.ndarray:
@@ -62,3 +62,34 @@ def test_rows_of_two_equations_share_their_instants() -> None:
 
 def test_the_bandwidth_is_the_stated_rule() -> None:
     assert [bandwidth(rows) for rows in (50, 100, 4000)] == [4, 4, 10]
+
+
+def test_the_white_covariance_is_the_textbook_s_even_where_columns_are_nearly_parallel() -> None:
+    random = np.random.default_rng(4)
+    W = random.normal(size=(3000, 2))
+    W[:, 1] = W[:, 0] + 1e-4 * W[:, 1]
+    W *= [1.0, 1e5]
+    error = 0.5 * random.standard_normal(3000)
+    found = white(W, error)
+    s2 = error @ error / 2998
+    assert found.matrix == pytest.approx(s2 * np.linalg.inv(W.T @ W), rel=1e-5)
+    assert found.correlation[0, 1] < -0.999
+    assert found.bandwidth == 0
+
+
+def test_the_deviation_of_a_sum_takes_the_correlation_in() -> None:
+    found = covariance_of(np.array([[4.0, -5.7], [-5.7, 9.0]]), 3)
+    assert found.std_of(np.array([1.0, 1.0])) == pytest.approx(np.sqrt(4.0 + 9.0 - 11.4))
+    assert found.std_of(np.array([0.0, 2.0])) == pytest.approx(6.0)
+
+
+def test_where_the_white_and_the_robust_deviations_differ_is_said() -> None:
+    random = np.random.default_rng(5)
+    W = np.column_stack([np.ones(2000), random.standard_normal(2000)])
+    error = low_passed(random, 2000)
+    sentence = different(("mean", "quick"), white(W, error), sandwich(W, W, error))
+    assert sentence is not None
+    assert "mean 2." in sentence
+    assert "quick" not in sentence
+    noise = random.standard_normal(2000)
+    assert different(("mean", "quick"), white(W, noise), sandwich(W, W, noise)) is None

@@ -11,19 +11,26 @@ which the low-pass makes even of white noise, nor rows of different accuracy hav
 
 A fit pulls itself towards the rows that matter most, a few reversals for the Coulomb frictions, and the residual there
 is smaller than the noise was. So every block of a bandwidth's length gets the residual it would have had if it had been
-left out of the fit, ``(I - J_b (Z' J)^-1 Z_b')^-1 e_b``. What repeats with the motion is not noise, and is not covered.
+left out of the fit, ``(I - J_b (Z' J)^-1 Z_b')^-1 e_b``. What repeats with the motion is not noise, and is not covered
+here: `repeatable` measures it and widens.
+
+The textbook's covariance, ``s^2 (J' J)^-1``, is kept beside it (`white`): where the two differ, the residual is not
+white, or not as large everywhere, and only the robust one is honest.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.data.record import FloatArray
 
 _MOST = 2.0  # times its residual: what leaving a block out may make of it
+_DIFFERENT = 1.25  # a ratio of deviations that chance does not make of a white residual: it stays within about 10 %
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +46,42 @@ class Covariance:
     std: FloatArray
     correlation: FloatArray
     bandwidth: int
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The covariances themselves, (parameters, parameters)."""
+        return np.asarray(np.outer(self.std, self.std) * self.correlation)
+
+    def std_of(self, weights: FloatArray) -> float:
+        """Return the standard deviation of a weighted sum of the parameters, weights (parameters,)."""
+        weighted = np.asarray(weights) * self.std
+        return math.sqrt(max(float(weighted @ self.correlation @ weighted), 0.0))
+
+
+def covariance_of(matrix: FloatArray, lags: int) -> Covariance:
+    """Return a matrix of covariances, (parameters, parameters), as deviations and correlations.
+
+    `lags` are the rows on each side whose correlation was taken in.
+    """
+    std = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    scale = np.where(std > 0, std, 1.0)
+    return Covariance(std, matrix / np.outer(scale, scale), lags)
+
+
+def white(J: FloatArray, error: FloatArray) -> Covariance:
+    """Return the covariance of least squares whose residual is white, ``s^2 (J' J)^-1``.
+
+    Args:
+        J: (rows, parameters), the sensitivities of the prediction.
+        error: (rows,) what remains; ``s^2 = ||error||^2 / (rows - parameters)``.
+    """
+    norms = np.linalg.norm(J, axis=0)
+    norms = np.where(norms > 0, norms, 1.0)
+    variance = float(error @ error) / max(error.size - J.shape[1], 1)
+    R = np.linalg.qr(J / norms, mode="r")  # of J' J only the square of its condition number would be left
+    inverse = np.linalg.pinv(R)
+    found = covariance_of(variance * inverse @ inverse.T, 0)
+    return Covariance(found.std / norms, found.correlation, 0)
 
 
 def bandwidth(rows: int) -> int:
@@ -60,33 +103,64 @@ def sandwich(Z: FloatArray, J: FloatArray, error: FloatArray, equations: int = 1
     rows, count = Z.shape
     instants = rows // equations
     lags = min(bandwidth(instants), instants - 1)
-    Z, J = ((matrix / norms).reshape(equations, instants, count) for matrix in (Z, J))
-    spread = np.linalg.pinv(np.einsum("eti,etj->ij", Z, J))
-    left_out = _left_out(Z, J, error.reshape(equations, instants), spread, max(lags, 1))
-    scores = np.einsum("eti,et->ti", Z, left_out)
+    Z, J = Z / norms, J / norms
+    spread = np.asarray(np.linalg.pinv(Z.T @ J), dtype=np.float64)
+    at = np.arange(rows).reshape(equations, instants)
+    length = max(lags, 1)
+    blocks = (at[:, start : start + length].reshape(-1) for start in range(0, instants, length))
+    left_out = residual_left_out(Z, J, error, spread, blocks)
+    scores = np.sum((Z * left_out[:, np.newaxis]).reshape(equations, instants, count), axis=0)
     meat = scores.T @ scores
     for lag in range(1, lags + 1):
         together = scores[lag:].T @ scores[:-lag]
         meat += (1 - lag / (lags + 1)) * (together + together.T)
-    covariance = spread @ meat @ spread.T
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    scale = np.where(std > 0, std, 1.0)
-    return Covariance(std / norms, covariance / np.outer(scale, scale), lags)
+    found = covariance_of(spread @ meat @ spread.T, lags)
+    return Covariance(found.std / norms, found.correlation, lags)
 
 
-def _left_out(Z: FloatArray, J: FloatArray, error: FloatArray, spread: FloatArray, length: int) -> FloatArray:
-    """Return the residual, (equations, instants), each block had if it had been left out of the fit."""
+def residual_left_out(
+    Z: FloatArray, J: FloatArray, error: FloatArray, spread: FloatArray, blocks: Iterable[NDArray[np.intp]]
+) -> FloatArray:
+    """Return the residual, (rows,), that each block of rows had if it had been left out of the fit.
+
+    Args:
+        Z: (rows, parameters), the instruments.
+        J: (rows, parameters), the sensitivities of the prediction.
+        error: (rows,) what remains.
+        spread: (parameters, parameters), the inverse of Z' J.
+        blocks: the numbers of the rows of each; a row in none of them keeps its residual.
+
+    The small matrix of ``(I - J_b S Z_b')^-1 = I + J_b (I - S Z_b' J_b)^-1 S Z_b'`` is inverted: a block may be long.
+    """
     found = error.copy()
-    count = Z.shape[2]
-    for start in range(0, error.shape[1], length):
-        block = slice(start, start + length)
-        before = error[:, block].reshape(-1)
-        pull = J[:, block].reshape(-1, count) @ spread @ Z[:, block].reshape(-1, count).T
-        after = np.linalg.lstsq(np.eye(before.size) - pull, before, rcond=1e-6)[0]
+    for block in blocks:
+        before, instruments = error[block], spread @ Z[block].T
+        share = np.eye(len(spread)) - instruments @ J[block]
+        after = before + J[block] @ np.linalg.lstsq(share, instruments @ before, rcond=1e-6)[0]
         # A block that a parameter rests on alone, as the first does for the initial state, cannot be left out.
         if np.linalg.norm(after) <= _MOST * np.linalg.norm(before):
-            found[:, block] = after.reshape(error.shape[0], -1)
+            found[block] = after
     return found
+
+
+def different(names: Sequence[str], naive: Covariance, robust: Covariance) -> str | None:
+    """Return a sentence on the parameters whose deviation a white residual would misjudge, or None.
+
+    The rule: a robust deviation at least 1.25 times the white one, or at most that share of it. Chance alone keeps
+    the ratio of a white residual's within about 10 % at the rows of a usual record.
+    """
+    ratios = robust.std / np.where(naive.std > 0, naive.std, np.inf)
+    off = [(name, ratio) for name, ratio in zip(names, ratios, strict=True) if _differs(float(ratio))]
+    if not off:
+        return None
+    listed = ", ".join(f"{name} {ratio:.2g}" for name, ratio in off)
+    return (
+        f"the residual is not white: the robust deviations are these times those a white residual would give: {listed}"
+    )
+
+
+def _differs(ratio: float) -> bool:
+    return ratio > 0 and not 1 / _DIFFERENT < ratio < _DIFFERENT
 
 
 def words(covariance: Covariance) -> str:
