@@ -302,9 +302,12 @@ def uncertainty(
 
 
 def _words(covariance: Covariance, verdict: Repeatable) -> str:
-    if not verdict.significant:
+    if verdict.p_value is None:
         return words(covariance)
+    robust = f"autocorrelation-robust (Newey-West over {covariance.bandwidth} rows on each side)"
+    if not verdict.significant:
+        return robust
     return (
-        f"autocorrelation-robust (Newey-West over {covariance.bandwidth} rows on each side), widened for what repeats "
+        f"{robust}, widened for what repeats "
         "with the motion (scores summed over cells of position, direction and speed; the larger in every direction)"
     )
