@@ -72,6 +72,16 @@ class Cells:
     positions: int
     speeds: FloatArray
 
+    @property
+    def lags(self) -> int:
+        """Cells along the travel, on each side, that err together with one."""
+        return min(bandwidth(self.positions), self.positions - 1)
+
+    @property
+    def stretch(self) -> IntArray:
+        """The number of each row's stretch: so many neighbouring cells of one family, (rows,)."""
+        return np.asarray(self.family * self.positions + self.position // (self.lags + 1))
+
 
 @dataclass(frozen=True, slots=True)
 class Repeatable:
@@ -248,9 +258,8 @@ def by_place(Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells) -> C
     norms = np.where(norms > 0, norms, 1.0)
     Z, J = Z / norms, J / norms
     spread = np.asarray(np.linalg.pinv(Z.T @ J), dtype=np.float64)
-    lags = min(bandwidth(where.positions), where.positions - 1)
-    stretch = where.family * where.positions + where.position // (lags + 1)
-    blocks = (np.flatnonzero(stretch == one) for one in np.unique(stretch))
+    lags = where.lags
+    blocks = (np.flatnonzero(where.stretch == one) for one in np.unique(where.stretch))
     scores = Z * residual_left_out(Z, J, error, spread, blocks)[:, np.newaxis]
     sums = np.zeros((int(where.family.max()) + 1, where.positions, Z.shape[1]))
     np.add.at(sums, (where.family, where.position), scores)
