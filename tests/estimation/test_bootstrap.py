@@ -97,6 +97,24 @@ def test_nearly_parallel_columns_are_no_obstacle() -> None:
     assert found.std == pytest.approx(white(A, y - A @ x).std, rel=0.15)
 
 
+def test_what_rests_on_the_first_rows_alone_does_not_run_away() -> None:
+    first = 1.0 * (np.arange(len(W)) < 10)
+    A = np.column_stack([W, first])
+    y = A @ [*TRUTH, 5.0] + np.random.default_rng(9).standard_normal(len(W))
+    x = solved(A, y)
+    found = time_bootstrap(parameters(*NAMES, "kick"), x, y - A @ x, -A)
+    assert found.std[:4] == pytest.approx(white(A, y - A @ x).std[:4], rel=0.15)
+    assert found.std[4] <= 1.0
+
+
+def test_an_estimate_that_is_no_minimum_is_still_the_centre() -> None:
+    x, residual = fitted(np.random.default_rng(10).standard_normal(len(W)))
+    off = 3.0 * white(W, residual).std
+    found = time_bootstrap(FREE, x + off, residual - W @ off, -W)
+    assert np.mean(found.draws, axis=0) == pytest.approx(x + off, abs=0.3 * float(np.max(found.std)))
+    assert np.abs(np.mean(found.draws, axis=0) - x - off) / found.std == pytest.approx(np.zeros(4), abs=0.3)
+
+
 def test_a_short_record_is_refused() -> None:
     x, residual = fitted(np.random.default_rng(8).standard_normal(len(W)))
     with pytest.raises(MethodError, match="8 blocks or more; this record has 5"):

@@ -4,11 +4,13 @@ The rows of the residual are drawn in blocks: stretches of time that may overlap
 (moving blocks, Kunsch 1989), or all the rows of one cell of position, direction and speed at once, which keeps what
 repeats there. For every resample, with w the number of times each row was drawn::
 
-    one step   dx = -(J' diag(w) J)^-1 J' diag(w) r
+    one step   dx = -(J' diag(w) J)^-1 J' diag(w) r,  less the same with w = 1, which is 0 at a minimum
     refitted   x minimises sum w r(x)^2
 
 One step is a problem as linear as the covariance takes it to be, and costs no simulation; it differs from a sandwich in
-that the information is drawn too, and that its intervals need not be symmetric. A refit sees the bend.
+that the information is drawn too, and that its intervals need not be symmetric. A refit sees the bend. What rests on
+few rows, as the initial state does on the first, is missing from many resamples, and is then kept by the one step: no
+bootstrap tells its deviation.
 """
 
 from __future__ import annotations
@@ -32,6 +34,7 @@ Refit: TypeAlias = Callable[[FloatArray], FloatArray]
 """From the number of times each row was drawn, (rows,), to the estimate, (free,)."""
 
 _FEWEST = 8  # blocks: fewer cannot say how far the parts of a record differ
+_LOST = 0.05  # of the information on a direction: a resample that has less of it is not asked
 _PER_BANDWIDTH = 3  # times the bandwidth of the autocorrelation is a block of time long
 
 
@@ -245,16 +248,20 @@ def _drawn(
 
 
 def _one_step(x: FloatArray, residual: FloatArray, J: FloatArray) -> Refit:
-    """Return one Gauss-Newton step on a resample.
+    """Return one Gauss-Newton step on a resample, about the one on the record.
 
     The columns are made orthogonal first: the normal equations of parameters that are hardly told apart lose half the
-    digits, in these little is left to lose.
+    digits. In these the record's own information is the identity, and what a resample has lost of it is seen.
     """
     Q, R = np.linalg.qr(J)
-    back = np.linalg.pinv(R / np.linalg.norm(R, axis=0)) / np.linalg.norm(R, axis=0)[:, np.newaxis]
+    norms = np.linalg.norm(R, axis=0)
+    norms = np.where(norms > 0, norms, 1.0)
+    back = np.linalg.pinv(R / norms) / norms[:, np.newaxis]
+    whole = Q.T @ residual
 
     def step(weights: FloatArray) -> FloatArray:
         weighted = weights[:, np.newaxis] * Q
-        return np.asarray(x - back @ np.linalg.lstsq(weighted.T @ Q, weighted.T @ residual, rcond=None)[0])
+        drawn = np.linalg.lstsq(weighted.T @ Q, weighted.T @ residual, rcond=_LOST)[0]
+        return np.asarray(x - back @ (drawn - whole))
 
     return step
