@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from jointid.data.record import Record
 from jointid.data.signals import Filtering
 from jointid.estimation.identify import identify
 from jointid.estimation.problem import Problem, torque_problem
-from jointid.estimation.repeatable import Cells, Uncertainty, by_place, cells, larger, repeatable, uncertainty
-from jointid.estimation.uncertainty import Covariance, covariance_of, sandwich
+from jointid.estimation.repeatable import Cells, Uncertainty, by_place, cells, repeatable, uncertainty
+from jointid.estimation.uncertainty import sandwich
 from jointid.model.joints import RigidJoint
+from jointid.paper.twin import twin
 from jointid.simulation.experiment import ClosedLoop
 from tests.estimation.conftest import CONTROLLER
 from tests.estimation.motions import NAMES, columns, field, motion
@@ -116,33 +118,18 @@ def of_many(draw: str, runs: int, seed: int) -> tuple[np.ndarray, np.ndarray, li
 
 
 def test_the_widening_does_not_spoil_the_coverage_of_noise() -> None:
-    robust, widened, found = of_many("coloured", 300, 5)
+    robust, widened, found = of_many("coloured", 240, 5)
     assert np.all((widened >= 0.92) & (widened <= 0.985))
     assert np.all(np.abs(widened - robust) <= 0.02)
     assert np.mean([one.repeatable.significant for one in found]) <= 0.08
 
 
 def test_the_widening_covers_what_repeats() -> None:
-    robust, widened, found = of_many("place", 200, 6)
+    robust, widened, found = of_many("place", 120, 6)
     assert np.all(widened >= 0.90)
-    assert np.max(robust) <= 0.85
-    assert np.min(robust) <= 0.6
+    assert np.all(robust <= 0.88)
     assert all(one.repeatable.significant for one in found)
     assert "widened for what repeats" in found[0].sentences[0]
-
-
-def test_the_larger_of_two_is_above_both_and_no_larger_than_needed() -> None:
-    random = np.random.default_rng(7)
-    A, B = (m @ m.T for m in random.normal(size=(2, 3, 3)) * [[1.0], [1e4], [1e-3]])
-    both = larger(covariance_of(A, 4), covariance_of(B, 0))
-    scale = np.outer(both.std, both.std)
-    for one in (A, B):
-        assert np.min(np.linalg.eigvalsh((both.matrix - one) / scale)) >= -1e-9
-    assert both.bandwidth == 4
-    same = larger(covariance_of(A, 0), covariance_of(0.5 * A, 0))
-    assert same.matrix == pytest.approx(A, rel=1e-6)
-    apart = larger(Covariance(np.array([3.0, 1.0]), np.eye(2), 0), Covariance(np.array([1.0, 2.0]), np.eye(2), 0))
-    assert apart.std == pytest.approx([3.0, 2.0])
 
 
 def test_by_place_is_the_textbook_s_for_noise() -> None:
@@ -154,16 +141,20 @@ def test_by_place_is_the_textbook_s_for_noise() -> None:
     assert np.mean(squares, axis=0) == pytest.approx(expected, rel=0.25)
 
 
+def at_rows(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the motor's simulated position and velocity at the rows of the residual."""
+    run, keep = problem.simulate(x), problem.filtering.decimation or 1
+    last = (problem.measured.size - 1) % keep
+    return run.motor_position[last::keep], run.motor_velocity[last::keep]
+
+
 def emps_fit(record: Record) -> tuple[Problem, np.ndarray, np.ndarray, Cells]:
     estimate = identify(record, LOOP)
     values = {p.name: p.value for p in estimate.parameters}
     problem = torque_problem(record, LOOP, Filtering(), LOOP.joint.parameters)
     x = problem.vector({name: value or 0.0 for name, value in values.items()})
     residual, J = problem.linearised(x)
-    run, keep = problem.simulate(x), problem.filtering.decimation or 1
-    last = (problem.measured.size - 1) % keep
-    where = cells(run.motor_position[last::keep], run.motor_velocity[last::keep])
-    return problem, residual, J[:, :4], where
+    return problem, residual, J[:, :4], cells(*at_rows(problem, x))
 
 
 @pytest.fixture(scope="module")
@@ -202,3 +193,29 @@ def test_on_the_real_axis_its_records_and_their_sixths_agree(
             assert abs(change[1]) <= 2 * np.hypot(over_place.std[1], whole.covariance.std[1])
             beyond += abs(change[1]) > 2 * np.hypot(over_time.std[1], whole.robust.std[1])
     assert beyond >= 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("which", ["L19", "L30"])
+def test_on_the_twin_the_intervals_hold_the_truth_and_nothing_repeats(which: Literal["L19", "L30"]) -> None:
+    """A disturbance inside the loop, estimated by one linear step from the truth: 100 runs of the paper's axis."""
+    axis = twin(which, noise="none")
+    problem = torque_problem(axis.record, axis.loop, Filtering(), axis.loop.joint.parameters)
+    still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
+    problem = replace(problem, parameters=still)
+    x = problem.vector({**axis.truth, "initial_position": 0.0})
+    _, J = problem.linearised(x)
+    where = cells(*at_rows(problem, x))
+    inside, repeats = np.zeros(x.size), 0
+    for seed in range(100):
+        noisy = twin(which, seed=seed + 5000).record.torque
+        assert noisy is not None
+        error = problem.filtered(noisy.values - problem.measured)
+        change = -np.linalg.lstsq(J / np.linalg.norm(J, axis=0), error, rcond=None)[0] / np.linalg.norm(J, axis=0)
+        found = uncertainty(J, J, error + J @ change, where, [p.name for p in problem.free], "N")
+        inside += np.abs(change) <= 2 * found.covariance.std
+        repeats += found.repeatable.significant
+    share = inside[:-1] / 100  # the initial position rests on the first rows alone
+    assert np.all(share >= 0.89)
+    assert 0.93 <= share.mean() <= 0.985
+    assert repeats <= 10

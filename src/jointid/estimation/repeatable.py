@@ -36,8 +36,9 @@ from jointid.estimation.uncertainty import (
     bandwidth,
     covariance_of,
     different,
+    larger,
     residual_left_out,
-    sandwich,
+    robust,
     white,
     words,
 )
@@ -51,7 +52,6 @@ _BLOCKS = 40  # of time, at most
 _FEWEST = 6  # of them, to say anything
 _FLIPS = 999
 _LEVEL = 0.05
-_SINGULAR = 1e-10  # of the largest: a direction whose variance is rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -271,24 +271,6 @@ def by_place(Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells) -> C
     return Covariance(found.std / norms, found.correlation, lags)
 
 
-def larger(first: Covariance, second: Covariance) -> Covariance:
-    """Return the smallest covariance of its kind above both: in every direction that tells them apart the larger.
-
-    In the parameters in which the first is the identity and the second diagonal, the larger of the two diagonals. No
-    weighted sum of the parameters is then known better than either says.
-    """
-    std = np.where(first.std > 0, first.std, 1.0)
-    values, vectors = np.linalg.eigh(0.5 * (first.correlation + first.correlation.T))
-    kept = values > _SINGULAR * values[-1]
-    root = vectors[:, kept] * np.sqrt(values[kept])
-    whiten = vectors[:, kept] / np.sqrt(values[kept])
-    other = whiten.T @ (second.matrix / np.outer(std, std)) @ whiten
-    sizes, directions = np.linalg.eigh(0.5 * (other + other.T))
-    factor = root @ directions * np.sqrt(np.maximum(sizes, 1.0))
-    found = covariance_of(factor @ factor.T, first.bandwidth)
-    return Covariance(found.std * std, found.correlation, first.bandwidth)
-
-
 def uncertainty(
     Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells, names: Sequence[str], unit: str = ""
 ) -> Uncertainty:
@@ -302,21 +284,23 @@ def uncertainty(
         names: of the parameters.
         unit: of the residual.
     """
-    naive, robust = white(J, error), sandwich(Z, J, error)
+    naive, over_time = white(J, error), robust(Z, J, error)
     verdict = repeatable(error, where, unit)
-    judged = larger(robust, by_place(Z, J, error, where)) if verdict.significant else robust
+    judged = larger(over_time, by_place(Z, J, error, where)) if verdict.significant else over_time
     said = [_words(judged, verdict), str(verdict)]
-    differs = different(names, naive, robust)
-    return Uncertainty(naive, robust, judged, verdict, (*said, *([differs] if differs else [])))
+    differs = different(names, naive, over_time)
+    return Uncertainty(naive, over_time, judged, verdict, (*said, *([differs] if differs else [])))
 
 
 def _words(covariance: Covariance, verdict: Repeatable) -> str:
     if verdict.p_value is None:
-        return words(covariance)
-    robust = f"autocorrelation-robust (Newey-West over {covariance.bandwidth} rows on each side)"
+        return f"{words(covariance)}, and by the residual's spectrum where that says more"
+    said = (
+        f"autocorrelation-robust (Newey-West over {covariance.bandwidth} rows on each side, or by the residual's "
+        "spectrum: the larger in every direction)"
+    )
     if not verdict.significant:
-        return robust
+        return said
     return (
-        f"{robust}, widened for what repeats "
-        "with the motion (scores summed over cells of position, direction and speed; the larger in every direction)"
+        f"{said}, widened for what repeats with the motion (scores summed over cells of position, direction and speed)"
     )

@@ -14,6 +14,15 @@ is smaller than the noise was. So every block of a bandwidth's length gets the r
 left out of the fit, ``(I - J_b (Z' J)^-1 Z_b')^-1 e_b``. What repeats with the motion is not noise, and is not covered
 here: `repeatable` measures it and widens.
 
+A bandwidth so short smears the residual's spectrum over several hertz. Where a loop rings at 10 Hz and a parameter is
+told by what happens at 10 Hz, half of that is missed: of 2-sigma intervals of the twin's viscous frictions 91 % hold
+the truth. A stationary residual's covariance is known much better from its spectrum S, at all lags (`stationary`)::
+
+    S_Z = sum_f S(f) Z(f)' Z(f)*
+
+but no residual is known to be stationary, so of the two the larger is taken, in every direction (`robust`): 94-98 %
+then do.
+
 The textbook's covariance, ``s^2 (J' J)^-1``, is kept beside it (`white`): where the two differ, the residual is not
 white, or not as large everywhere, and only the robust one is honest.
 """
@@ -30,6 +39,7 @@ from numpy.typing import NDArray
 from jointid.data.record import FloatArray
 
 _MOST = 2.0  # times its residual: what leaving a block out may make of it
+_SINGULAR = 1e-10  # of the largest: a direction whose variance is rounding
 _DIFFERENT = 1.25  # a ratio of deviations that chance does not make of a white residual: it stays within about 10 %
 
 
@@ -116,6 +126,64 @@ def sandwich(Z: FloatArray, J: FloatArray, error: FloatArray, equations: int = 1
         meat += (1 - lag / (lags + 1)) * (together + together.T)
     found = covariance_of(spread @ meat @ spread.T, lags)
     return Covariance(found.std / norms, found.correlation, lags)
+
+
+def stationary(Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
+    """Return the covariance for a residual that is stationary, by its spectrum (see the module).
+
+    Args:
+        Z: (rows, parameters), the instruments.
+        J: (rows, parameters), the sensitivities of the prediction.
+        error: (rows,) what remains, in the order of time. Its periodogram is averaged over sqrt(rows) neighbours, the
+            mean left out, which a fit of an offset takes away.
+    """
+    norms = np.linalg.norm(Z, axis=0)
+    norms = np.where(norms > 0, norms, 1.0)
+    Z, J = Z / norms, J / norms
+    rows, count = Z.shape
+    half = max(math.isqrt(rows) // 2, 1)
+    periodogram = np.abs(np.fft.rfft(error)[1:]) ** 2 / max(rows - count, 1)
+    half = min(half, periodogram.size - 1)
+    padded = np.pad(periodogram, half, "reflect")
+    spectrum = np.convolve(padded, np.full(2 * half + 1, 1 / (2 * half + 1)), "valid")
+    spectrum = np.concatenate([spectrum[:1], spectrum])
+    # Half a spectrum: every frequency but the first, and the last of an even number of rows, stands for two.
+    both = np.full(spectrum.size, 2.0)
+    both[[0, -1]] = 1.0, 2.0 if rows % 2 else 1.0
+    seen = np.fft.rfft(Z, axis=0)
+    meat = np.real(((both * spectrum)[:, np.newaxis] * seen.conj()).T @ seen) / rows
+    spread = np.linalg.pinv(Z.T @ J)
+    found = covariance_of(spread @ meat @ spread.T, rows)
+    return Covariance(found.std / norms, found.correlation, rows)
+
+
+def robust(Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
+    """Return the larger of `sandwich` and `stationary`, in every direction.
+
+    Args:
+        Z: (rows, parameters), the instruments.
+        J: (rows, parameters), the sensitivities of the prediction.
+        error: (rows,) what remains, in the order of time.
+    """
+    return larger(sandwich(Z, J, error), stationary(Z, J, error))
+
+
+def larger(first: Covariance, second: Covariance) -> Covariance:
+    """Return the smallest covariance of its kind above both: in every direction that tells them apart the larger.
+
+    In the parameters in which the first is the identity and the second diagonal, the larger of the two diagonals. No
+    weighted sum of the parameters is then known better than either says.
+    """
+    std = np.where(first.std > 0, first.std, 1.0)
+    values, vectors = np.linalg.eigh(0.5 * (first.correlation + first.correlation.T))
+    kept = values > _SINGULAR * values[-1]
+    root = vectors[:, kept] * np.sqrt(values[kept])
+    whiten = vectors[:, kept] / np.sqrt(values[kept])
+    other = whiten.T @ (second.matrix / np.outer(std, std)) @ whiten
+    sizes, directions = np.linalg.eigh(0.5 * (other + other.T))
+    factor = root @ directions * np.sqrt(np.maximum(sizes, 1.0))
+    found = covariance_of(factor @ factor.T, first.bandwidth)
+    return Covariance(found.std * std, found.correlation, first.bandwidth)
 
 
 def residual_left_out(
