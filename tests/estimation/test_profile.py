@@ -13,7 +13,7 @@ from jointid.data.signals import Filtering
 from jointid.estimation.combination import ByCompliance, Combination, single
 from jointid.estimation.problem import torque_problem
 from jointid.estimation.profile import Profiling, profile
-from jointid.estimation.uncertainty import sandwich, white
+from jointid.estimation.uncertainty import larger, sandwich, stationary, white
 from jointid.model.parameters import Parameter, Quantity
 from jointid.paper.twin import twin
 from tests.estimation.linear import Toy, linear, parameters, solved
@@ -55,7 +55,8 @@ def test_another_covariance_scales_the_threshold() -> None:
     found = profile(linear(free, A, y), x, single(free[2], ""), robust)
     half = stats.t.ppf(0.5 + 0.9545 / 2, ROWS - 3) * robust.std[2]
     assert found.interval == pytest.approx((x[2] - half, x[2] + half), rel=1e-6)
-    assert profile(linear(free, A, y), x, single(free[2], "")).interval == pytest.approx(found.interval)
+    by_itself = profile(linear(free, A, y), x, single(free[2], ""), larger(robust, stationary(A, A, y - A @ x)))
+    assert profile(linear(free, A, y), x, single(free[2], "")).interval == pytest.approx(by_itself.interval)
 
 
 def decay(seed: int) -> Toy:
@@ -120,6 +121,27 @@ def test_what_leaves_no_trace_has_no_ends() -> None:
     assert profile(linear(free, A, y), x, single(free[0], "")).interval == (None, None)
     together = Combination("both", "A + 0.002 B", "", {"a": 1.0, "b": 2e-3})
     assert profile(linear(free, A, y), x, together).bounded
+
+
+def test_what_is_known_without_error_has_an_interval_of_no_width() -> None:
+    A, _ = line()
+    free, x = parameters("a", "b", "c"), np.array([3.0, 2000.0, -0.5])
+    found = profile(linear(free, A, A @ x), x, single(free[2], ""))
+    assert found.interval == (-0.5, -0.5)
+    assert found.bounded
+
+
+def test_candidates_that_cannot_be_simulated_end_the_interval() -> None:
+    """They come back large and finite, at any parameter: the end is where they begin."""
+    A, y = line(6)
+    x = solved(A, y)
+    std = white(A, y - A @ x).std
+    limit = x[2] + 0.8 * std[2]
+    toy = linear(parameters("a", "b", "c"), A, y)
+    failing = replace(toy, model=lambda x: A @ x if x[2] <= limit else np.full(ROWS, 1e6))
+    found = profile(failing, x, single(toy.free[2], ""), white(A, y - A @ x))
+    assert found.interval[1] == pytest.approx(limit, abs=0.05 * std[2])
+    assert found.interval[0] == pytest.approx(x[2] - 2.046 * std[2], abs=0.01 * std[2])
 
 
 def test_a_wrong_minimum_is_noticed() -> None:

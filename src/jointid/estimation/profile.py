@@ -28,7 +28,7 @@ from jointid.common.text import number
 from jointid.data.record import FloatArray
 from jointid.estimation.combination import Combination
 from jointid.estimation.criterion import Criterion
-from jointid.estimation.uncertainty import Covariance, sandwich
+from jointid.estimation.uncertainty import Covariance, robust
 
 _HELD = 100.0  # times stiffer than the criterion is c held: it then yields by 1e-4 of its distance
 _FIRST = 0.5  # of the way to where a linear problem would end
@@ -120,7 +120,7 @@ class Profile:
         }[self.interval[0] is not None, self.interval[1] is not None]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class _Point:
     value: float
     cost: float
@@ -202,12 +202,12 @@ def profile(
     settings = settings or Profiling()
     weights = combination.vector(criterion.free)
     residual, J = criterion.linearised(x)
-    covariance = covariance or sandwich(J, J, residual)
+    covariance = covariance or robust(J, J, residual)
     direction, flat = _least_rise(J, weights)
-    if flat is None:
-        return _unseen(combination, settings, x, float(weights @ x), float(residual @ residual) / residual.size)
-    quantile = float(student.ppf(0.5 + 0.5 * settings.level, max(residual.size - x.size, 1)))
     std = covariance.std_of(weights)
+    if flat is None or std == 0.0:
+        return _alone(combination, settings, x, weights, seen=flat is not None)
+    quantile = float(student.ppf(0.5 + 0.5 * settings.level, max(residual.size - x.size, 1)))
     threshold = quantile**2 * std**2 / flat
     walk = _Walk(criterion, weights, _HELD / math.sqrt(flat), settings, 1)
     centre = _Point(float(weights @ x), float(residual @ residual), np.array(x, dtype=np.float64))
@@ -252,11 +252,13 @@ def _least_rise(J: FloatArray, weights: FloatArray) -> tuple[FloatArray, float |
     return np.asarray(follows), flat
 
 
-def _unseen(combination: Combination, settings: Profiling, x: FloatArray, value: float, variance: float) -> Profile:
-    """Return the profile of a quantity that leaves no trace in the residual: it is not searched."""
+def _alone(combination: Combination, settings: Profiling, x: FloatArray, weights: FloatArray, seen: bool) -> Profile:
+    """Return the profile of what is not searched: it leaves no trace in the residual, or is known without error."""
+    value = float(weights @ x)
+    interval = (value, value) if seen else (None, None)
     return Profile(
         combination.name, combination.formula, combination.unit, value, settings.level, np.array([value]),
-        np.zeros(1), np.array([x]), variance, (None, None), (value, value), False, 1,
+        np.zeros(1), np.array([x]), 0.0, interval, (value, value), False, 1,
     )  # fmt: skip
 
 
