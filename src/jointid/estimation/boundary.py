@@ -15,6 +15,10 @@ That keeps the autocorrelation, and keeps the loud rows where they are, at the r
 joint shows too. Moving the blocks about, as is more usual, would not. Where the cells of the motion are given, whole
 stretches of them are turned as well, all visits together, and the less certain of the two answers counts: an error that
 repeats with the motion must not be taken for a spring. Nothing is simulated.
+
+E is best taken with the whole friction on the motor's side. With a share of it on the load's, a compliance also makes
+the friction lag behind at reversals, as real ones do without any spring: on EMPS, which shows no mode, that direction
+takes 7 % off the sum of squares (p < 0.001), the compliance alone 0.3-1.7 % (p > 0.01 over place).
 """
 
 from __future__ import annotations
