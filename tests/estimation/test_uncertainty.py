@@ -4,8 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
-from jointid.estimation.uncertainty import bandwidth, sandwich
+from jointid.estimation.uncertainty import (
+    Covariance,
+    bandwidth,
+    covariance_of,
+    different,
+    larger,
+    robust,
+    sandwich,
+    stationary,
+    white,
+)
 
 
 def low_passed(random: np.random.Generator, size: int) -> np.ndarray:
@@ -62,3 +73,90 @@ def test_rows_of_two_equations_share_their_instants() -> None:
 
 def test_the_bandwidth_is_the_stated_rule() -> None:
     assert [bandwidth(rows) for rows in (50, 100, 4000)] == [4, 4, 10]
+
+
+def test_the_white_covariance_is_the_textbook_s_even_where_columns_are_nearly_parallel() -> None:
+    random = np.random.default_rng(4)
+    W = random.normal(size=(3000, 2))
+    W[:, 1] = W[:, 0] + 1e-4 * W[:, 1]
+    W *= [1.0, 1e5]
+    error = 0.5 * random.standard_normal(3000)
+    found = white(W, error)
+    s2 = error @ error / 2998
+    assert found.matrix == pytest.approx(s2 * np.linalg.inv(W.T @ W), rel=1e-5)
+    assert found.correlation[0, 1] < -0.999
+    assert found.bandwidth == 0
+
+
+def test_the_deviation_of_a_sum_takes_the_correlation_in() -> None:
+    found = covariance_of(np.array([[4.0, -5.7], [-5.7, 9.0]]), 3)
+    assert found.std_of(np.array([1.0, 1.0])) == pytest.approx(np.sqrt(4.0 + 9.0 - 11.4))
+    assert found.std_of(np.array([0.0, 2.0])) == pytest.approx(6.0)
+
+
+def test_where_the_white_and_the_robust_deviations_differ_is_said() -> None:
+    random = np.random.default_rng(5)
+    W = np.column_stack([np.ones(2000), random.standard_normal(2000)])
+    error = low_passed(random, 2000)
+    sentence = different(("mean", "quick"), white(W, error), sandwich(W, W, error))
+    assert sentence is not None
+    assert "mean 2." in sentence
+    assert "quick" not in sentence
+    noise = random.standard_normal(2000)
+    assert different(("mean", "quick"), white(W, noise), sandwich(W, W, noise)) is None
+
+
+def test_the_larger_of_two_is_above_both_and_no_larger_than_needed() -> None:
+    random = np.random.default_rng(7)
+    A, B = (m @ m.T for m in random.normal(size=(2, 3, 3)) * [[1.0], [1e4], [1e-3]])
+    both = larger(covariance_of(A, 4), covariance_of(B, 0))
+    scale = np.outer(both.std, both.std)
+    for one in (A, B):
+        assert np.min(np.linalg.eigvalsh((both.matrix - one) / scale)) >= -1e-9
+    assert both.bandwidth == 4
+    same = larger(covariance_of(A, 0), covariance_of(0.5 * A, 0))
+    assert same.matrix == pytest.approx(A, rel=1e-6)
+    apart = larger(Covariance(np.array([3.0, 1.0]), np.eye(2), 0), Covariance(np.array([1.0, 2.0]), np.eye(2), 0))
+    assert apart.std == pytest.approx([3.0, 2.0])
+
+
+def ringing(random: np.random.Generator, size: int) -> np.ndarray:
+    """Return noise that rings at a sixteenth of the sampling frequency for longer than the bandwidth."""
+    noise = random.standard_normal(size + 300)
+    return np.asarray(lfilter([1.0], [1.0, -2 * 0.97 * np.cos(np.pi / 8), 0.97**2], noise)[300:])
+
+
+def test_the_spectrum_sees_a_ringing_that_the_bandwidth_does_not() -> None:
+    random = np.random.default_rng(6)
+    W = np.column_stack([ringing(random, 2000), np.ones(2000)])
+    inside = {"sandwich": 0, "stationary": 0, "robust": 0}
+    for _ in range(200):
+        error = ringing(random, 2000)
+        x = np.linalg.lstsq(W, error, rcond=None)[0]
+        residual = error - W @ x
+        for name, covariance in (("sandwich", sandwich), ("stationary", stationary), ("robust", robust)):
+            inside[name] += abs(x[0]) <= 2 * covariance(W, W, residual).std[0]
+    assert inside["sandwich"] / 200 <= 0.8
+    assert inside["stationary"] / 200 >= 0.9
+    assert inside["robust"] >= inside["stationary"]
+
+
+def test_a_loud_stretch_is_seen_by_the_sandwich_alone() -> None:
+    """A parameter that is told where it is loud: stationarity is wrong, and the larger of both is still right."""
+    random = np.random.default_rng(7)
+    loud = np.arange(3000) % 300 < 30
+    W = np.column_stack([random.standard_normal(3000) * loud, random.standard_normal(3000)])
+    error = random.standard_normal(3000) * (1.0 + 9.0 * loud)
+    expected = np.sqrt(np.sum(W[:, 0] ** 2 * 100.0)) / np.sum(W[:, 0] ** 2)
+    assert stationary(W, W, error).std[0] < 0.5 * expected
+    assert robust(W, W, error).std[0] == pytest.approx(expected, rel=0.25)
+
+
+@pytest.mark.parametrize("rows", [3000, 3001])
+def test_a_white_residual_s_spectrum_is_flat(rows: int) -> None:
+    random = np.random.default_rng(8)
+    W = random.normal(size=(rows, 3)) * [1.0, 1e4, 1e-3]
+    W[:, 2] += 1e-3
+    squares = [stationary(W, W, 0.3 * random.standard_normal(rows)).std ** 2 for _ in range(50)]
+    expected = 0.09 * np.diag(np.linalg.inv(W.T @ W))
+    assert np.mean(squares, axis=0) == pytest.approx(expected, rel=0.05)

@@ -20,6 +20,7 @@ class Quantity(StrEnum):
     VISCOUS = "viscous friction"
     FORCE = "force"
     STIFFNESS = "stiffness"
+    COMPLIANCE = "compliance"
     POSITION = "position"
     VELOCITY = "velocity"
     TIME = "time"
@@ -37,18 +38,19 @@ def unit_of(quantity: Quantity, kind: Kind, torque_unit: str) -> str:
     In N and N m the inertias come in kg and kg m2; in the drive's own A or V everything comes per ampere or volt.
     """
     position = POSITION_UNIT[kind]
-    units = {
-        Quantity.POSITION: position,
-        Quantity.VELOCITY: f"{position}/s",
+    inertia = {"N": "kg", "N m": "kg m2"}.get(torque_unit, f"{torque_unit} s2/{position}")
+    return {
+        Quantity.INERTIA: inertia,
+        Quantity.VISCOUS: f"{torque_unit} s/{position}",
         Quantity.FORCE: torque_unit,
         Quantity.STIFFNESS: f"{torque_unit}/{position}",
-        Quantity.VISCOUS: f"{torque_unit} s/{position}",
-        Quantity.INERTIA: {"N": "kg", "N m": "kg m2"}.get(torque_unit, f"{torque_unit} s2/{position}"),
+        Quantity.COMPLIANCE: f"{position}/({torque_unit})" if " " in torque_unit else f"{position}/{torque_unit}",
+        Quantity.POSITION: position,
+        Quantity.VELOCITY: f"{position}/s",
         Quantity.TIME: "s",
         Quantity.RATIO: "1",
         Quantity.GAIN: "as declared",
-    }
-    return units[quantity]
+    }[quantity]
 
 
 @dataclass(frozen=True, slots=True)

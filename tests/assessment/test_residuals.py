@@ -1,0 +1,109 @@
+"""The residual's report: sizes and bands as by hand, and white noise through the filter called white."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from jointid.assessment.residuals import residual_report, whiteness
+from jointid.common.errors import MethodError
+from jointid.data.signals import Filtering, decimate
+from jointid.estimation.repeatable import Repeatable
+
+FILTERING = Filtering(cutoff=60.0).resolved(1e-3)
+STEP = 6e-3
+SAMPLES = 24_000
+
+
+def seen(signal: np.ndarray) -> np.ndarray:
+    return decimate(signal, FILTERING, 1e-3)
+
+
+@pytest.mark.parametrize("loud", [False, True])
+def test_white_noise_through_the_filter_is_white(loud: bool) -> None:
+    """5 % of the time it is not, also where a tenth of the record is five times as loud."""
+    random = np.random.default_rng(0)
+    size = 1.0 + 4.0 * (np.arange(SAMPLES) % 1000 < 100) * loud
+    tests = [whiteness(seen(size * random.standard_normal(SAMPLES)), STEP, 60.0) for _ in range(300)]
+    found = [test.p_value for test in tests if test is not None]
+    assert len(found) == 300
+    assert np.mean(np.array(found) <= 0.05) == pytest.approx(0.05, abs=2.5 * np.sqrt(0.05 * 0.95 / 300))
+    assert np.mean(found) == pytest.approx(0.5, abs=0.06)
+
+
+def test_the_usual_test_would_call_it_coloured() -> None:
+    e = seen(np.random.default_rng(1).standard_normal(SAMPLES))
+    correlation = [float(e[lag:] @ e[:-lag] / (e @ e)) for lag in range(1, 21)]
+    assert e.size * np.sum(np.square(correlation)) > 200  # 31 would be 5 % of chi-square
+
+
+def test_coloured_noise_and_a_tone_are_not_white() -> None:
+    random = np.random.default_rng(2)
+    white = random.standard_normal(SAMPLES)
+    slow = np.convolve(white, np.ones(20) / np.sqrt(20.0), "same")
+    tone = white + 0.3 * np.sin(2 * np.pi * 27.0 * 1e-3 * np.arange(SAMPLES))
+    for noise in (slow, tone):
+        test = whiteness(seen(noise), STEP, 60.0)
+        assert test is not None
+        assert not test.white
+        assert "is not white" in str(test)
+
+
+def test_a_residual_too_short_to_judge_is_not_judged() -> None:
+    assert whiteness(np.random.default_rng(3).standard_normal(60), STEP, 60.0) is None
+    assert whiteness(np.zeros(4000), STEP, 60.0) is None
+
+
+def test_sizes_are_as_by_hand() -> None:
+    random = np.random.default_rng(4)
+    measured = 50.0 + 10.0 * random.standard_normal(4000)
+    error = 2.0 + random.standard_normal(4000)
+    found = residual_report(error, measured, STEP, 60.0, rigid_error=4.0 * error)
+    assert found.relative == pytest.approx(np.sqrt(5.0) / np.sqrt(2600.0), rel=0.03)
+    assert found.centred == pytest.approx(0.1, rel=0.04)
+    assert found.rms == pytest.approx(np.sqrt(5.0), rel=0.03)
+    assert found.mean == pytest.approx(2.0, abs=0.05)
+    assert found.against_rigid == pytest.approx(0.25)
+    assert "25.0 % of what a rigid model leaves" in str(found)
+
+
+def test_a_tone_is_in_its_band() -> None:
+    time = STEP * np.arange(4000)
+    measured = 10.0 * np.sin(2 * np.pi * 0.5 * time) + 3.0 * np.sin(2 * np.pi * 27.0 * time)
+    error = 1.5 * np.sin(2 * np.pi * 27.0 * time + 0.4)
+    found = residual_report(error, measured, STEP, 60.0, edges=(0.0, 18.0, 25.0, 30.0, 60.0))
+    assert [(band.low, band.high) for band in found.bands] == [(0.0, 18.0), (18.0, 25.0), (25.0, 30.0), (30.0, 60.0)]
+    assert found.bands[2].error == pytest.approx(0.5, rel=0.01)
+    assert found.bands[2].share == pytest.approx(1.0, abs=1e-4)
+    assert found.bands[0].error == pytest.approx(0.0, abs=1e-3)
+    assert "25.000" not in str(found)
+    assert "25.0 - 30.0" in str(found)
+
+
+def test_the_bands_are_octaves_below_the_cutoff_and_hold_all_of_it() -> None:
+    e = seen(np.random.default_rng(5).standard_normal(SAMPLES))
+    found = residual_report(e, 10.0 * e, STEP, 60.0)
+    edges = [band.low for band in found.bands]
+    assert edges == [0.0, 0.9375, 1.875, 3.75, 7.5, 15.0, 30.0, 60.0]
+    assert found.bands[-1].high == pytest.approx(83.3333)
+    assert sum(band.share for band in found.bands) == pytest.approx(1.0)
+    assert found.bands[-1].share < 0.1
+    assert found.bands[-2].share == pytest.approx(0.5, abs=0.06)  # half of the pass band holds half of white noise
+    assert all(band.error == pytest.approx(0.1) for band in found.bands)
+
+
+def test_what_repeats_is_reported_beside_it() -> None:
+    e = np.random.default_rng(6).standard_normal(4000)
+    verdict = Repeatable(1.65, 0.47, 0.99, 0.001, 1.0, "N")
+    found = residual_report(e, e + 20.0, STEP, 60.0, repeatable=verdict)
+    assert str(found).splitlines()[-1] == str(verdict)
+    assert found.whiteness is not None
+    assert str(found).splitlines()[-2] == str(found.whiteness)
+
+
+def test_what_does_not_belong_together_is_refused() -> None:
+    e = np.ones(100)
+    with pytest.raises(MethodError, match="received 99, 100: filter and decimate them alike"):
+        residual_report(e, e[1:], STEP, 60.0)
+    with pytest.raises(MethodError, match=r"increasing frequencies, two or more; received \[5.0, 5.0\]"):
+        residual_report(e, e, STEP, 60.0, edges=(5.0, 5.0))

@@ -1,0 +1,30 @@
+"""A motion and a linear model of a rigid joint on it, cheap enough for hundreds of runs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from jointid.data.excitation import trapezoids
+from jointid.data.record import FloatArray
+
+STEP = 0.01  # s
+NAMES = ("inertia", "viscous", "coulomb", "offset")
+TRUTH = np.array([95.0, 207.0, 20.0, -3.0])
+
+
+def motion(duration: float = 40.0) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return position, velocity and acceleration of trapezoids at three speeds, each (rows,)."""
+    position = trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, STEP, duration=duration)
+    velocity = np.gradient(position, STEP)
+    return position, velocity, np.gradient(velocity, STEP)
+
+
+def columns(velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+    """Return the inverse-dynamic columns of a rigid joint, (rows, 4)."""
+    return np.column_stack([acceleration, velocity, np.sign(velocity), np.ones_like(velocity)])
+
+
+def field(random: np.random.Generator, position: FloatArray, length: float) -> FloatArray:
+    """Return one smooth random function of the position, of variance 1 and that correlation length, (rows,)."""
+    waves, phases = random.standard_normal(40) / length, random.uniform(0.0, 2 * np.pi, 40)
+    return np.asarray(np.cos(np.outer(position, waves) + phases).sum(axis=1) / np.sqrt(20))

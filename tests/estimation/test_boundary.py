@@ -1,0 +1,187 @@
+"""Flexible against rigid: chance is called chance as often as it should be, a spring is found, its opposite is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError
+from jointid.data.record import Record
+from jointid.data.signals import Filtering
+from jointid.estimation.boundary import BoundarySettings, BoundaryTest, flexible_against_rigid
+from jointid.estimation.problem import torque_problem
+from jointid.estimation.repeatable import cells
+from jointid.model.controllers import Cascade
+from jointid.model.joints import FlexibleJoint, RigidJoint
+from jointid.paper.twin import CONTROLLERS, twin
+from jointid.simulation.experiment import ClosedLoop
+from tests.estimation.conftest import CONTROLLER
+from tests.estimation.linear import solved
+from tests.estimation.motions import columns, field, motion
+
+POSITION, VELOCITY, ACCELERATION = motion()
+W = columns(VELOCITY, ACCELERATION)
+WHERE = cells(POSITION, VELOCITY)
+SMOOTH = np.convolve(ACCELERATION, np.ones(9) / 9, "same")
+BEND = np.gradient(np.gradient(SMOOTH))
+BEND = -(BEND / np.linalg.norm(BEND))[:, np.newaxis]  # of the residual: a compliance adds to the prediction
+SLOPE = np.gradient(SMOOTH)[:, np.newaxis] / np.linalg.norm(np.gradient(SMOOTH))
+QUICK = BoundarySettings(draws=399, level=0.05)
+
+
+def left(error: np.ndarray) -> np.ndarray:
+    return np.asarray(error - W @ solved(W, error))
+
+
+def noise(random: np.random.Generator, kind: str) -> np.ndarray:
+    white = random.standard_normal(len(W) + 4)
+    if kind == "coloured":
+        return np.convolve(white, np.ones(5) / np.sqrt(5.0), "valid")
+    return white[4:] * (1.0 + 6.0 * (np.abs(BEND[:, 0]) > 0.1 * np.abs(BEND).max()) if kind == "loud" else 1.0)
+
+
+@pytest.mark.parametrize("kind", ["white", "coloured", "loud"])
+def test_chance_is_found_significant_as_often_as_the_level_says(kind: str) -> None:
+    random = np.random.default_rng(1)
+    tests = [flexible_against_rigid(left(noise(random, kind)), -W, [BEND], settings=QUICK) for _ in range(400)]
+    allowed = 2.5 * np.sqrt(0.05 * 0.95 / 400)
+    assert np.mean([test.significant for test in tests]) == pytest.approx(0.05, abs=allowed)
+    assert np.mean([test.statistic == 0 for test in tests]) == pytest.approx(0.5, abs=0.08)  # on the boundary
+    assert all(test.p_value == 1.0 for test in tests if test.statistic == 0)
+
+
+def test_the_draws_of_white_noise_are_the_textbook_s_mixture() -> None:
+    """With one direction: 0 in half of the draws, chi-square of one degree of freedom in the others."""
+    random = np.random.default_rng(2)
+    residuals = [left(noise(random, "white")) for _ in range(60)]
+    draws = np.concatenate([flexible_against_rigid(r, -W, [BEND], settings=QUICK).draws for r in residuals])
+    assert np.mean(draws == 0) == pytest.approx(0.5, abs=0.02)
+    assert np.mean(draws > 2.706) == pytest.approx(0.05, abs=0.015)
+
+
+def test_a_spring_is_found_and_its_amount() -> None:
+    error = noise(np.random.default_rng(3), "white") - 6.0 * BEND[:, 0]
+    found = flexible_against_rigid(left(error), -W, [BEND], WHERE)
+    assert found.significant
+    assert found.extra == pytest.approx([6.0], abs=3.0)
+    assert "asks for the flexible model" in str(found)
+    both = np.hstack([W, -BEND])
+    taken = np.sum(left(error) ** 2) - np.sum((error - both @ solved(both, error)) ** 2)
+    assert found.gained == pytest.approx(taken / np.sum(left(error) ** 2))
+    expected = taken / ((np.sum(left(error) ** 2) - taken) / (len(W) - 5))
+    assert found.statistic == pytest.approx(expected)
+
+
+def test_a_negative_compliance_is_no_spring() -> None:
+    error = noise(np.random.default_rng(4), "white") + 6.0 * BEND[:, 0]
+    found = flexible_against_rigid(left(error), -W, [BEND])
+    assert found.statistic == 0.0
+    assert found.p_value == 1.0
+    assert found.extra == pytest.approx([0.0])
+    assert "does not ask for" in str(found)
+
+
+def test_a_cone_of_two_directions_is_projected_on_as_by_nnls() -> None:
+    from scipy.optimize import nnls
+
+    random = np.random.default_rng(5)
+    E = np.hstack([BEND, SLOPE, 0.7 * BEND + SLOPE])
+    beside = E - W @ solved(W, E)
+    for _ in range(30):
+        residual = left(random.standard_normal(len(W)) + beside @ random.normal(size=3))
+        found = flexible_against_rigid(residual, -W, [E], settings=BoundarySettings(draws=1))
+        amounts, norm = nnls(-beside, residual)
+        rigid = residual @ residual
+        assert found.gained == pytest.approx(1 - norm**2 / rigid, abs=1e-9)
+        assert beside @ found.extra == pytest.approx(beside @ amounts, abs=1e-6)
+
+
+def test_the_best_of_several_shares_counts_in_the_draws_too() -> None:
+    random = np.random.default_rng(6)
+    shares = [BEND, BEND + 0.5 * SLOPE, BEND - 0.5 * SLOPE, -SLOPE]
+    tests = [flexible_against_rigid(left(noise(random, "white")), -W, shares, settings=QUICK) for _ in range(300)]
+    assert np.mean([test.significant for test in tests]) <= 0.05 + 2.5 * np.sqrt(0.05 * 0.95 / 300)
+    single = flexible_against_rigid(left(noise(random, "white") + 9.0 * SLOPE[:, 0]), -W, shares)
+    assert single.alternative == 3
+    assert single.significant
+
+
+def test_what_repeats_with_the_motion_is_not_taken_for_a_spring() -> None:
+    """Two functions of the place that have nothing to do with each other: over time one seems to explain the other."""
+    random = np.random.default_rng(7)
+
+    def of_the_place() -> np.ndarray:
+        families = np.unique(WHERE.family)
+        return np.sum([(WHERE.family == family) * field(random, POSITION, 0.004) for family in families], axis=0)
+
+    of_time = of_place = 0
+    for _ in range(100):
+        direction, error = of_the_place()[:, np.newaxis], 0.3 * random.standard_normal(len(W)) + of_the_place()
+        of_time += flexible_against_rigid(left(error), -W, [direction], settings=QUICK).significant
+        of_place += flexible_against_rigid(left(error), -W, [direction], WHERE, settings=QUICK).significant
+    assert of_time >= 18
+    assert of_place <= 11
+
+
+def test_a_fit_that_was_made_takes_the_place_of_the_linear_one() -> None:
+    residual = left(noise(np.random.default_rng(8), "white"))
+    total = float(residual @ residual)
+    found = flexible_against_rigid(residual, -W, [BEND], fitted=0.9 * total)
+    assert found.gained == pytest.approx(0.1)
+    assert found.significant
+    assert flexible_against_rigid(residual, -W, [BEND], fitted=1.1 * total).statistic == 0.0
+
+
+def test_directions_that_say_nothing_are_refused() -> None:
+    residual = left(noise(np.random.default_rng(9), "white"))
+    with pytest.raises(MethodError, match="received 1, of which 1 can be made up"):
+        flexible_against_rigid(residual, -W, [W[:, :1] - 2.0 * W[:, 1:2]])
+    with pytest.raises(MethodError, match="needs an alternative; received none"):
+        flexible_against_rigid(residual, -W, [])
+
+
+@pytest.mark.parametrize("wrong", [{"draws": 0}, {"level": 1.0}, {"seed": -1}])
+def test_settings_that_make_no_sense_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(MethodError, match="A test at a boundary needs"):
+        BoundarySettings(**wrong)  # type: ignore[arg-type]
+
+
+def of_record(record: Record, controller: Cascade, start: dict[str, float]) -> BoundaryTest:
+    """Return the test of a record, by compliances that put the mode at 150 Hz, at three load shares."""
+    filtering = Filtering(cutoff=60.0)
+    rigid, flexible = (ClosedLoop(joint, controller) for joint in (RigidJoint(), FlexibleJoint()))
+    problem = torque_problem(record, rigid, filtering, rigid.joint.parameters)
+    x = problem.vector(start)
+    for _ in range(8):
+        residual, J = problem.linearised(x)
+        scale = np.linalg.norm(J, axis=0)
+        x = x - solved(J / scale, residual) / scale
+    residual, J = problem.linearised(x)
+    values, run = problem.values(x), problem.simulate(x)
+    larger = torque_problem(record, flexible, filtering, flexible.joint.parameters)
+    none = dict.fromkeys((p.name for p in larger.parameters), 0.0)
+    motor = {f"motor_{name}": values[name] for name in ("viscous", "coulomb")}
+    extra = []
+    for share in (0.1, 0.33, 0.6):
+        reduced = values["inertia"] * share * (1 - share)
+        stiffness = reduced * (2 * np.pi * 150.0) ** 2
+        inertias = {"motor_inertia": values["inertia"] * (1 - share), "load_inertia": values["inertia"] * share}
+        spring = {"stiffness": stiffness, "damping": 0.04 * reduced * 2 * np.pi * 150.0}
+        around = {name: values[name] for name in ("offset", "initial_position", "initial_velocity")}
+        bent = larger.residual(larger.vector(none | motor | inertias | spring | around))
+        extra.append(((bent - residual) * stiffness)[:, np.newaxis])
+    keep = problem.filtering.decimation or 1
+    last = (problem.measured.size - 1) % keep
+    where = cells(run.motor_position[last::keep], run.motor_velocity[last::keep])
+    return flexible_against_rigid(residual, J, extra, where)
+
+
+def test_the_real_axis_shows_no_spring_and_the_twin_does(emps: Record) -> None:
+    start = {"viscous": 207.5, "coulomb": 20.1, "offset": -3.17, "initial_position": 0.0}
+    real = of_record(emps, CONTROLLER, start | {"inertia": 94.9, "initial_velocity": 0.0069})
+    assert not real.significant
+    assert real.over == "place"
+    axis = twin("L19", seed=3)
+    spring = of_record(axis.record, CONTROLLERS["L19"], start | {"inertia": 104.9, "initial_velocity": 0.0})
+    assert spring.significant
+    assert spring.gained > 0.2

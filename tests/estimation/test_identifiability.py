@@ -1,0 +1,130 @@
+"""What is known and what is not: sums before their parts, in sentences."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.estimation.combination import physical
+from jointid.estimation.identifiability import identifiability
+from jointid.estimation.uncertainty import white
+from jointid.model.friction import AsymmetricFriction
+from jointid.model.joints import FlexibleJoint, RigidJoint
+from jointid.model.parameters import Parameter, Quantity
+
+FRICTIONS = (
+    Parameter("motor_viscous", "Fv1", Quantity.VISCOUS, lower=0.0),
+    Parameter("load_viscous", "Fv2", Quantity.VISCOUS, lower=0.0),
+    Parameter("offset", "offset", Quantity.FORCE),
+    Parameter("initial_position", "q(0)", Quantity.POSITION),
+)
+UNITS = {"motor_viscous": "N s/m", "load_viscous": "N s/m", "offset": "N"}
+X = np.array([95.0, 106.0, -3.2, 0.0])
+
+
+def sensitivities(apart: float, rows: int = 4000) -> np.ndarray:
+    """Return columns of two frictions that differ by so much, an offset's, and an initial position's."""
+    random = np.random.default_rng(0)
+    together, difference, first = random.standard_normal((3, rows))
+    J = np.column_stack([together + apart * difference, together - apart * difference, np.ones(rows), first])
+    J[:, 3] += 0.5 * J[:, 0]
+    return J * [0.05, 0.05, 1.0, 1e5]
+
+
+def residual(rows: int = 4000) -> np.ndarray:
+    return 4.0 * np.random.default_rng(1).standard_normal(rows)
+
+
+def test_two_frictions_are_known_by_their_sum() -> None:
+    J = sensitivities(0.05)
+    covariance = white(J, residual())
+    found = identifiability(FRICTIONS, UNITS, X, J, covariance)
+    total, difference = found.physical
+    assert total.combination.formula == "Fv1 + Fv2"
+    assert total.value == pytest.approx(201.0)
+    together = covariance.matrix[:2, :2]
+    assert total.std == pytest.approx(np.sqrt(together.sum()))
+    assert difference.std == pytest.approx(np.sqrt(together[0, 0] + together[1, 1] - 2 * together[0, 1]))
+    assert difference.std > 10 * total.std
+    assert total.verdict == "well"
+    assert difference.verdict == "poorly"
+    assert len(found.sentences) == 1
+    assert found.sentences[0].startswith(f"Fv1 and Fv2 are known by their sum: 201.0 +- {2 * total.std:.1f} N s/m; ")
+    assert f"apart Fv1 only to +- {2 * covariance.std[0]:.0f}, " in found.sentences[0]
+    assert not found.undetermined
+
+
+def test_the_directions_are_those_of_the_scaled_information() -> None:
+    """Their errors are uncorrelated for a white residual, with the initial position taken out."""
+    J = sensitivities(0.05)
+    covariance = white(J, residual())
+    found = identifiability(FRICTIONS, UNITS, X, J, covariance)
+    assert [known.relative for known in found.directions] == sorted(known.relative for known in found.directions)
+    assert found.directions[0].relative < found.parameters[0].relative / 5
+    best = found.directions[0].combination
+    assert set(best.weights) == {"motor_viscous", "load_viscous"}
+    assert best.weights["load_viscous"] == 1.0
+    assert best.weights["motor_viscous"] == pytest.approx(1.0, abs=0.2)
+    assert found.directions[0].value == pytest.approx(106.0 + best.weights["motor_viscous"] * 95.0)
+    scaled = covariance.matrix[:3, :3] / np.outer(np.abs(X[:3]), np.abs(X[:3]))
+    sizes = np.linalg.eigvalsh(scaled)
+    assert found.condition == pytest.approx(np.sqrt(sizes[-1] / sizes[0]), rel=1e-6)
+    assert "q(0)" not in str(found)
+
+
+def test_what_is_well_known_apart_needs_no_sentence() -> None:
+    J = sensitivities(2.0)
+    found = identifiability(FRICTIONS, UNITS, X, J, white(J, residual()))
+    assert not found.sentences
+    assert [known.verdict for known in found.parameters] == ["well", "well", "well"]
+
+
+def test_what_must_be_positive_and_is_not_told_from_zero_is_named() -> None:
+    J = sensitivities(0.01)
+    found = identifiability(FRICTIONS, UNITS, X, J, white(J, residual()))
+    assert found.undetermined == ("motor_viscous", "load_viscous")
+    assert any(sentence.startswith("Fv1 is not told from 0") for sentence in found.sentences)
+    assert found.parameters[0].verdict == "not"
+    free = tuple(replace(p, lower=-np.inf) for p in FRICTIONS)
+    assert not identifiability(free, UNITS, X, J, white(J, residual())).undetermined
+
+
+def test_two_of_different_units_are_known_by_a_weighted_sum() -> None:
+    random = np.random.default_rng(2)
+    together, other = random.standard_normal((2, 3000))
+    J = np.column_stack([together, 1e-4 * (together + 0.1 * other)])
+    parameters = (
+        Parameter("coulomb", "Fc", Quantity.FORCE, lower=0.0),
+        Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0),
+    )
+    covariance = white(J, random.standard_normal(3000))
+    found = identifiability(parameters, {"coulomb": "N", "stiffness": "N/m"}, np.array([20.0, 2e5]), J, covariance)
+    assert found.sentences[0].startswith("Fc and K12 are known by Fc + 1.0")
+    best = np.array([1.0, -covariance.correlation[0, 1] * covariance.std[0] / covariance.std[1]])
+    assert f"+- {2 * covariance.std_of(best):.2g} N; apart Fc only to +- " in found.sentences[0]
+
+
+def test_the_table_to_the_letter() -> None:
+    J = sensitivities(0.05)
+    covariance = white(J, residual())
+    shown = str(identifiability(FRICTIONS, UNITS, X, J, covariance)).splitlines()
+    assert shown[0].split() == ["combination", "value", "2", "sigma", "unit", "known"]
+    assert shown[2].split()[:4] == ["Fv1", "+", "Fv2", "201.00"]
+    assert shown[2].endswith("N s/m  well")
+    assert shown[-2].startswith("condition number ")
+
+
+def test_the_sums_of_every_joint() -> None:
+    """Sums and differences are of both sides, direction by direction; a rigid joint has one side."""
+    joint = FlexibleJoint(friction=AsymmetricFriction())
+    units = {p.name: joint.unit(p) for p in joint.parameters}
+    formulas = [c.formula for c in physical(joint.parameters, units)]
+    assert formulas == [
+        "ZZ1 + ZZ2", "Fv1+ + Fv2+", "Fv1+ - Fv2+", "Fc1+ + Fc2+", "Fc1+ - Fc2+",
+        "Fv1- + Fv2-", "Fv1- - Fv2-", "Fc1- + Fc2-", "Fc1- - Fc2-",
+    ]  # fmt: skip
+    assert not physical(RigidJoint().parameters, dict.fromkeys(("inertia", "viscous", "coulomb", "offset"), ""))
+    held = tuple(p for p in joint.parameters if p.name != "load_inertia")
+    assert "ZZ1 + ZZ2" not in [c.formula for c in physical(held, units)]

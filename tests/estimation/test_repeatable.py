@@ -1,0 +1,221 @@
+"""What repeats with the motion: measured, tested, and covered; noise is not called repeatable."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from jointid.data.record import Record
+from jointid.data.signals import Filtering
+from jointid.estimation.identify import identify
+from jointid.estimation.problem import Problem, torque_problem
+from jointid.estimation.repeatable import Cells, Uncertainty, by_place, cells, repeatable, uncertainty
+from jointid.estimation.uncertainty import sandwich
+from jointid.model.joints import RigidJoint
+from jointid.paper.twin import twin
+from jointid.simulation.experiment import ClosedLoop
+from tests.estimation.conftest import CONTROLLER
+from tests.estimation.motions import NAMES, columns, field, motion
+
+POSITION, VELOCITY, ACCELERATION = motion()
+W = columns(VELOCITY, ACCELERATION)
+WHERE = cells(POSITION, VELOCITY)
+LOOP = ClosedLoop(RigidJoint(), CONTROLLER)
+
+
+def coloured(random: np.random.Generator, size: int) -> np.ndarray:
+    return np.convolve(random.standard_normal(size + 4), np.ones(5) / np.sqrt(5.0), "valid")
+
+
+def fitted(error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    x = np.linalg.lstsq(W, error, rcond=None)[0]
+    return x, error - W @ x
+
+
+def test_the_cells_part_directions_and_the_three_speeds() -> None:
+    assert WHERE.speeds == pytest.approx([0.042, 0.083, 0.125], rel=0.1)
+    for label in np.unique(WHERE.label):
+        rows = WHERE.label == label
+        assert np.ptp(POSITION[rows]) <= 0.2 / 24 + 1e-9
+        directions = set(np.sign(VELOCITY[rows]))
+        assert len(directions) == 1 or np.max(np.abs(VELOCITY[rows])) <= 0.02 * 0.125
+    cruising = np.abs(np.abs(VELOCITY)[:, np.newaxis] - [0.042, 0.083, 0.125]) < 1e-4
+    kinds = [set(WHERE.family[cruising[:, i] & (VELOCITY > 0)]) for i in range(3)]
+    assert [len(kind) for kind in kinds] == [1, 1, 1]
+    assert len(set.union(*kinds)) == 3
+
+
+def test_a_motion_without_a_place_is_one_cell() -> None:
+    still = cells(np.zeros(50), np.zeros(50))
+    assert np.all(still.label == 0)
+    found = repeatable(np.random.default_rng(0).standard_normal(50), still)
+    assert found.p_value is None or found.p_value > 0.001
+
+
+def test_the_repeatable_part_is_measured() -> None:
+    """A known function of the place beside noise: its size, its share and its return come out."""
+    random = np.random.default_rng(1)
+    known = np.sin(2 * np.pi * POSITION / 0.1) * np.where(VELOCITY > 0, 2.0, 1.0)
+    noise = 1.5 * random.standard_normal(known.size)
+    found = repeatable(known + noise, WHERE, "N")
+    assert found.rms == pytest.approx(float(np.sqrt(np.mean(known**2))), rel=0.05)
+    assert found.share == pytest.approx(found.rms**2 / np.mean((known + noise) ** 2))
+    assert found.correlation is not None
+    assert found.correlation > 0.85
+    assert found.p_value == 0.001
+    assert "repeats with position, direction and speed: 1." in str(found)
+    alone = repeatable(noise, WHERE, "N")
+    assert alone.rms < 0.15
+    assert not alone.significant
+    assert str(alone).startswith("no part of the residual repeats")
+
+
+@pytest.mark.parametrize("kind", ["white", "coloured", "louder when accelerating"])
+def test_noise_is_not_called_repeatable(kind: str) -> None:
+    random = np.random.default_rng(2)
+    loud = 1.0 + 4.0 * (np.abs(ACCELERATION) > 0.1)
+    found = []
+    for _ in range(400):
+        noise = coloured(random, len(W)) if kind == "coloured" else random.standard_normal(len(W))
+        found.append(repeatable(fitted(noise * loud if kind.startswith("louder") else noise)[1], WHERE).significant)
+    assert np.mean(found) <= 0.05 + 2 * np.sqrt(0.05 * 0.95 / 400)
+
+
+def test_half_the_noise_s_size_is_found() -> None:
+    """The test has power: a function of the place half as large as the noise is always seen."""
+    random = np.random.default_rng(3)
+    for _ in range(20):
+        error = random.standard_normal(len(W)) + 0.5 * field(random, POSITION, 0.01)
+        assert repeatable(fitted(error)[1], WHERE).significant
+
+
+def test_a_short_record_is_not_judged() -> None:
+    once = slice(0, 150)
+    where = cells(POSITION[once], VELOCITY[once])
+    verdict = repeatable(np.random.default_rng(4).standard_normal(150), where)
+    assert verdict.p_value is None
+    assert "cannot be said" in str(verdict)
+    assert not verdict.significant
+
+
+def of_many(draw: str, runs: int, seed: int) -> tuple[np.ndarray, np.ndarray, list[Uncertainty]]:
+    """Return how often robust and widened 2-sigma intervals held the truth, and what was found."""
+    random = np.random.default_rng(seed)
+    robust, widened, found = np.zeros(4), np.zeros(4), []
+    for _ in range(runs):
+        error = coloured(random, len(W)) if draw == "coloured" else random.standard_normal(len(W))
+        if draw == "place":
+            for family in np.unique(WHERE.family):
+                error += (WHERE.family == family) * field(random, POSITION, 0.004)
+        x, residual = fitted(error)
+        found.append(uncertainty(W, W, residual, WHERE, NAMES))
+        robust += np.abs(x) <= 2 * found[-1].robust.std
+        widened += np.abs(x) <= 2 * found[-1].covariance.std
+    return robust / runs, widened / runs, found
+
+
+def test_the_widening_does_not_spoil_the_coverage_of_noise() -> None:
+    robust, widened, found = of_many("coloured", 240, 5)
+    assert np.all((widened >= 0.92) & (widened <= 0.985))
+    assert np.all(np.abs(widened - robust) <= 0.02)
+    assert np.mean([one.repeatable.significant for one in found]) <= 0.08
+
+
+def test_the_widening_covers_what_repeats() -> None:
+    robust, widened, found = of_many("place", 120, 6)
+    assert np.all(widened >= 0.90)
+    assert np.all(robust <= 0.88)
+    assert all(one.repeatable.significant for one in found)
+    assert "widened for what repeats" in found[0].sentences[0]
+
+
+def test_by_place_is_the_textbook_s_for_noise() -> None:
+    random = np.random.default_rng(8)
+    squares = []
+    for _ in range(100):
+        squares.append(by_place(W, W, fitted(random.standard_normal(len(W)))[1], WHERE).std ** 2)
+    expected = np.diag(np.linalg.inv(W.T @ W))
+    assert np.mean(squares, axis=0) == pytest.approx(expected, rel=0.25)
+
+
+def at_rows(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the motor's simulated position and velocity at the rows of the residual."""
+    run, keep = problem.simulate(x), problem.filtering.decimation or 1
+    last = (problem.measured.size - 1) % keep
+    return run.motor_position[last::keep], run.motor_velocity[last::keep]
+
+
+def emps_fit(record: Record) -> tuple[Problem, np.ndarray, np.ndarray, Cells]:
+    estimate = identify(record, LOOP)
+    values = {p.name: p.value for p in estimate.parameters}
+    problem = torque_problem(record, LOOP, Filtering(), LOOP.joint.parameters)
+    x = problem.vector({name: value or 0.0 for name, value in values.items()})
+    residual, J = problem.linearised(x)
+    return problem, residual, J[:, :4], cells(*at_rows(problem, x))
+
+
+@pytest.fixture(scope="module")
+def fits(emps: Record, emps_pulses: Record) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, Cells]]:
+    found = []
+    for record in (emps, emps_pulses):
+        problem, residual, J, where = emps_fit(record)
+        found.append((np.array(list(identify(record, LOOP).values.values())), residual, J, where))
+        assert residual.size == where.label.size == len(problem.filtered(problem.measured))
+    return found
+
+
+def test_on_the_real_axis_the_residual_repeats(fits: list[tuple[np.ndarray, np.ndarray, np.ndarray, Cells]]) -> None:
+    _, residual, _, where = fits[0]
+    found = repeatable(residual, where, "N")
+    assert found.correlation is not None
+    assert 0.975 <= found.correlation <= 0.995
+    assert 1.4 <= found.rms <= 1.7
+    assert found.p_value == 0.001
+
+
+def test_on_the_real_axis_its_records_and_their_sixths_agree(
+    fits: list[tuple[np.ndarray, np.ndarray, np.ndarray, Cells]],
+) -> None:
+    """Autocorrelation alone does not explain how the parts of one record differ; what repeats does."""
+    judged = [uncertainty(-J, -J, residual, where, NAMES, "N") for _, residual, J, where in fits]
+    gap = np.abs(fits[0][0] - fits[1][0])
+    assert np.all(gap <= 2 * np.hypot(judged[0].covariance.std, judged[1].covariance.std))
+    beyond = 0
+    for (_, residual, J, where), whole in zip(fits, judged, strict=True):
+        for part in np.array_split(np.arange(residual.size), 6):
+            change = np.linalg.lstsq(-J[part], residual[part], rcond=None)[0]
+            left = residual[part] + J[part] @ change
+            there = replace(where, label=where.label[part], position=where.position[part], family=where.family[part])
+            over_time, over_place = sandwich(J[part], J[part], left), by_place(J[part], J[part], left, there)
+            assert abs(change[1]) <= 2 * np.hypot(over_place.std[1], whole.covariance.std[1])
+            beyond += abs(change[1]) > 2 * np.hypot(over_time.std[1], whole.robust.std[1])
+    assert beyond >= 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("which", ["L19", "L30"])
+def test_on_the_twin_the_intervals_hold_the_truth_and_nothing_repeats(which: Literal["L19", "L30"]) -> None:
+    """A disturbance inside the loop, estimated by one linear step from the truth: 100 runs of the paper's axis."""
+    axis = twin(which, noise="none")
+    problem = torque_problem(axis.record, axis.loop, Filtering(), axis.loop.joint.parameters)
+    still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
+    problem = replace(problem, parameters=still)
+    x = problem.vector({**axis.truth, "initial_position": 0.0})
+    _, J = problem.linearised(x)
+    where = cells(*at_rows(problem, x))
+    inside, repeats = np.zeros(x.size), 0
+    for seed in range(100):
+        noisy = twin(which, seed=seed + 5000).record.torque
+        assert noisy is not None
+        error = problem.filtered(noisy.values - problem.measured)
+        change = -np.linalg.lstsq(J / np.linalg.norm(J, axis=0), error, rcond=None)[0] / np.linalg.norm(J, axis=0)
+        found = uncertainty(J, J, error + J @ change, where, [p.name for p in problem.free], "N")
+        inside += np.abs(change) <= 2 * found.covariance.std
+        repeats += found.repeatable.significant
+    share = inside[:-1] / 100  # the initial position rests on the first rows alone
+    assert np.all(share >= 0.89)
+    assert 0.93 <= share.mean() <= 0.985
+    assert repeats <= 10
