@@ -28,7 +28,15 @@ from jointid.data.signals import Filtering
 from jointid.estimation.descent import Descent, by_simplex, reason, refined
 from jointid.estimation.didim import answer
 from jointid.estimation.estimate import Estimate
-from jointid.estimation.exploration import WIDE, explored, frequencies_to_try, frequency_of, rigid_estimate, started
+from jointid.estimation.exploration import (
+    FASTEST,
+    WIDE,
+    explored,
+    frequencies_to_try,
+    frequency_of,
+    rigid_estimate,
+    started,
+)
 from jointid.estimation.problem import Problem, initial_of, torque_problem
 from jointid.estimation.surroundings import INITIAL_STATE
 from jointid.estimation.uncertainty import Covariance, sandwich, words
@@ -205,8 +213,13 @@ def _by_least_squares(
 
 
 def _on_band(problem: Problem, filtering: Filtering, mode: float) -> Problem:
-    """Return the problem filtered for a mode at that frequency: the default cut-off, or twice the mode."""
+    """Return the problem filtered for a mode at that frequency: the default cut-off, or twice the mode.
+
+    What seems to be a mode too fast for the log is none, and no reason to look at more than by default.
+    """
     sample_time = problem.experiment.sample_time
+    if FASTEST / sample_time < mode < math.inf:
+        mode = 0.0
     default = Filtering().resolved(sample_time, "flexible").cutoff
     assert default is not None
     cutoff = min(max(default, _MODES * mode), WIDE / sample_time)
