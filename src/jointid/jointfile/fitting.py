@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from jointid.common import units
 from jointid.data.columns import known_units
-from jointid.estimation.idim import idim_channels
+from jointid.estimation.inverse_model import idim_channels
 from jointid.jointfile import wording
 from jointid.jointfile.schema import ChannelTable, JointTable, MethodTable, ParameterTable
 from jointid.model.controllers import Controller

@@ -20,6 +20,8 @@ class Quantity(StrEnum):
     VISCOUS = "viscous friction"
     FORCE = "force"
     STIFFNESS = "stiffness"
+    FORCE_DRIFT = "force per time"
+    VISCOUS_DRIFT = "viscous friction per time"
     POSITION = "position"
     VELOCITY = "velocity"
 
@@ -38,13 +40,18 @@ def unit_of(quantity: Quantity, kind: Kind, torque_unit: str) -> str:
         return position
     if quantity is Quantity.VELOCITY:
         return f"{position}/s"
-    if quantity is Quantity.FORCE:
-        return torque_unit
-    if quantity is Quantity.STIFFNESS:
-        return f"{torque_unit}/{position}"
-    if quantity is Quantity.VISCOUS:
-        return f"{torque_unit} s/{position}"
-    return {"N": "kg", "N m": "kg m2"}.get(torque_unit, f"{torque_unit} s2/{position}")
+    if quantity is Quantity.INERTIA:
+        return {"N": "kg", "N m": "kg m2"}.get(torque_unit, f"{torque_unit} s2/{position}")
+    return (
+        torque_unit
+        + {
+            Quantity.FORCE: "",
+            Quantity.STIFFNESS: f"/{position}",
+            Quantity.VISCOUS: f" s/{position}",
+            Quantity.FORCE_DRIFT: "/s",
+            Quantity.VISCOUS_DRIFT: f" s/{position} per s",
+        }[quantity]
+    )
 
 
 @dataclass(frozen=True, slots=True)
