@@ -103,7 +103,7 @@ def moved(
 ) -> tuple[Effect, ...]:
     """Return effects with the periods of `columns` moved by what was found for them."""
     new: dict[Effect, Effect] = {
-        column.ripple: replace(column.ripple, period=column.period + change[column.name]) for column in columns
+        column.ripple: replace(column.ripple, period=float(column.period + change[column.name])) for column in columns
     }
     return tuple(new.get(effect, effect) for effect in effects)
 

@@ -13,7 +13,7 @@ from jointid.common import units
 from jointid.data.columns import known_units
 from jointid.estimation.inverse_model import idim_channels
 from jointid.jointfile import wording
-from jointid.jointfile.schema import ChannelTable, JointTable, MethodTable, ParameterTable
+from jointid.jointfile.schema import OF_IDIM, ChannelTable, JointTable, MethodTable, ParameterTable
 from jointid.model.controllers import Controller
 from jointid.model.joints import FRICTIONS, Joint
 from jointid.model.parameters import TORQUE_UNIT, Kind, Parameter
@@ -148,7 +148,10 @@ def _not_its_own(table: MethodTable, name: str | None, model: str | None) -> Ite
     """Yield the key and the rest of the sentence on settings of the other model or method, or of a preset."""
     for key, value in table.given("name").items():
         own = table.model_of(key)
-        if None not in (own, model) and own != model:
+        if key in OF_IDIM:
+            if name == "didim":
+                yield key, ' is for IDIM, but the method is DIDIM: leave it out, or use method.name = "idim".'
+        elif None not in (own, model) and own != model:
             remedy = f'leave it out, or set joint.model = "{own}"'
             yield key, f" is for DIDIM of a {own} joint, but the joint is {model}: {remedy}."
         elif name == "idim":
