@@ -120,7 +120,13 @@ def instrumental(rows: Rows, Z: FloatArray, values: FloatArray) -> Solution:
     sizes = _sizes(rows, values, _rms)
     scale = rows.spread_out(sizes)[:, np.newaxis]
     Zs, Ws, Ys = Z / scale, rows.W / scale, rows.Y / scale[:, 0]
-    least_squares(Zs, Ys, rows.names)  # refuses instruments that excite nothing, or are collinear
+    try:
+        least_squares(Zs, Ys, rows.names)
+    except MethodError as error:
+        raise MethodError(
+            f"The simulated motion does not determine the parameters ({str(error).split(';')[0]}); check that the "
+            "controller is the one the record was made with, or use another estimator."
+        ) from None
     norms = np.linalg.norm(Zs, axis=0)
     found = np.linalg.solve((Zs / norms).T @ (Ws / norms), (Zs / norms).T @ Ys) / norms
     covariance = sandwich(Zs, Ws, Ys - Ws @ found, rows.equations)
