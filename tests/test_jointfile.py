@@ -690,6 +690,18 @@ FAULTS = [
         'method.minimiser is for DIDIM, but the method is IDIM: leave it out, or use method.name = "didim".',
     ),
     (
+        JOINT + CHANNELS + '[method]\nname = "idim"\nestimator = "iv"',
+        'controller is missing, but method.estimator = "iv" simulates the loop: add it, or use another.',
+    ),
+    (
+        JOINT + CHANNELS + CASCADE + '[method]\nname = "didim"\ndrift = "force"',
+        'method.drift is for IDIM, but the method is DIDIM: leave it out, or use method.name = "idim".',
+    ),
+    (
+        JOINT + CHANNELS + "[method]\nperiod = 0.005",
+        "method.period is 0.005, but there are no harmonics; add harmonics = 1, or leave it out.",
+    ),
+    (
         FLEXIBLE + "[method]\nfrequency = -30",
         "method.frequency is -30; expected a positive number: correct it, or leave it out.",
     ),
@@ -1075,6 +1087,9 @@ def test_what_a_joint_file_cannot_say_is_not_written() -> None:
 
     with pytest.raises(JointFileError, match="no word for the controller Other; give a StateSpaceController"):
         dumps(dataclasses.replace(file, controller=Other(kp=1.0, kv=1.0)))
+    loads_only = IDIM(effects=(PositionHarmonics(0.1, side="load"),))
+    with pytest.raises(JointFileError, match="has words for one PositionHarmonics, then one Drift, both on the motor"):
+        dumps(dataclasses.replace(file, method=loads_only))
     with pytest.raises(JointFileError, match="no word for the friction OtherFriction; use symmetric or asymmetric"):
         dumps(dataclasses.replace(file, joint=RigidJoint(friction=OtherFriction())))
     with pytest.raises(JointFileError, match="The joint's torque is in A, but its channel's in N; give"):

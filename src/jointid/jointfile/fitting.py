@@ -122,6 +122,9 @@ def method_faults(
                 f"{key} is missing, but {_called(name, of_model)} needs it: add it, "
                 f'or use method.name = "{other}", which needs only {_needs(other, of_model)}.'
             )
+        if name == "idim" and table.estimator == "iv":
+            for key in [key for key in lacking("didim") if key not in lacking(name)]:
+                yield f'{key} is missing, but method.estimator = "iv" simulates the loop: add it, or use another.'
     for key, sentence in _not_its_own(table, name, model):
         yield f"method.{key}{sentence}"
 
