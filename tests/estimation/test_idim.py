@@ -137,7 +137,7 @@ def test_spikes_in_the_torque_do_not_move_the_robust_estimate() -> None:
 
 
 def test_the_robust_estimate_is_95_percent_efficient_and_knows_its_deviation() -> None:
-    """With normal errors it goes with least squares at a correlation of sqrt(0.95): the constants are the right ones."""
+    """With normal errors it goes with least squares at a correlation of sqrt(0.95): so the constants are right."""
     random = np.random.default_rng(8)
     W = np.column_stack([np.ones(600), np.sin(np.arange(600) / 9.0)])
     plain, found, said = [], [], []
