@@ -9,7 +9,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from jointid.answers import estimate_answer, simulation_answer, validation_answer
+    from jointid.answers import comparison_answer, estimate_answer, simulation_answer, validation_answer
+    from jointid.assessment.comparison import Comparison, compare
     from jointid.assessment.validation import Validation, validate
     from jointid.common.errors import (
         ExtraError,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from jointid.estimation.idim import IDIM
     from jointid.jointfile import JointFile, load
     from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
+    from jointid.model.effects import Drift, PositionHarmonics
     from jointid.model.friction import AsymmetricFriction, SymmetricFriction
     from jointid.model.joints import FlexibleJoint, RigidJoint, frequencies, rigid_sums
     from jointid.model.parameters import Parameter
@@ -41,7 +43,8 @@ if TYPE_CHECKING:
     from jointid.simulation.synthesis import simulated_record
 
 _HOMES = {
-    "answers": ("estimate_answer", "simulation_answer", "validation_answer"),
+    "answers": ("comparison_answer", "estimate_answer", "simulation_answer", "validation_answer"),
+    "assessment.comparison": ("Comparison", "compare"),
     "assessment.validation": ("Validation", "validate"),
     "common.errors": ("ExtraError", "JointFileError", "JointidError", "MethodError", "RecordError"),
     "data.checks": ("check_record",),
@@ -57,6 +60,7 @@ _HOMES = {
     "estimation.identify": ("identify",),
     "jointfile": ("JointFile", "load"),
     "model.controllers": ("PD", "Cascade", "DigitalFilter", "StateSpaceController"),
+    "model.effects": ("Drift", "PositionHarmonics"),
     "model.friction": ("AsymmetricFriction", "SymmetricFriction"),
     "model.joints": ("FlexibleJoint", "RigidJoint", "frequencies", "rigid_sums"),
     "model.parameters": ("Parameter",),
@@ -78,7 +82,9 @@ __all__ = [
     "Channel",
     "ClosedLoop",
     "Column",
+    "Comparison",
     "DigitalFilter",
+    "Drift",
     "Estimate",
     "EstimatedParameter",
     "ExtraError",
@@ -95,6 +101,7 @@ __all__ = [
     "MethodError",
     "Outcome",
     "Parameter",
+    "PositionHarmonics",
     "Record",
     "RecordError",
     "RigidJoint",
@@ -106,6 +113,8 @@ __all__ = [
     "Twin",
     "Validation",
     "check_record",
+    "compare",
+    "comparison_answer",
     "estimate_answer",
     "frequencies",
     "identify",

@@ -7,22 +7,29 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
+from jointid.assessment.comparison import Comparison
 from jointid.assessment.validation import Validation
-from jointid.common.errors import RecordError
+from jointid.common.errors import MethodError, RecordError
 from jointid.data.signals import Filtering
 from jointid.estimation.estimate import Estimate, EstimatedParameter, IdentifiedJoint, Iteration, MethodName
+from jointid.model.effects import Drift, Effect, PositionHarmonics, effect_parameters
 from jointid.model.joints import Joint
 from jointid.simulation.closed_loop import Initial, Simulation
 from jointid.simulation.experiment import ClosedLoop
 
 ESTIMATE_SCHEMA = "jointid.estimate/1"
 VALIDATION_SCHEMA = "jointid.validation/1"
+COMPARISON_SCHEMA = "jointid.comparison/1"
 SIMULATION_SCHEMA = "jointid.simulation/1"
 
 Json = dict[str, Any]
+
+_EFFECTS: Mapping[str, type[PositionHarmonics] | type[Drift]] = {"harmonics": PositionHarmonics, "drift": Drift}
 
 
 def estimate_answer(estimate: Estimate) -> Json:
@@ -60,6 +67,8 @@ def estimate_answer(estimate: Estimate) -> Json:
         "stop": estimate.stop,
         "intervals": estimate.intervals,
         "trace": [_iteration(line) for line in estimate.trace],
+        "tests": [asdict(test) for test in estimate.tests],
+        "effects": [_effect(effect) for effect in estimate.effects],
         "warnings": list(estimate.warnings),
     }
 
@@ -84,6 +93,25 @@ def validation_answer(validation: Validation) -> Json:
         "initial": _initial(validation.initial),
         "simulations": validation.simulations,
         "warnings": list(validation.warnings),
+    }
+
+
+def comparison_answer(comparison: Comparison) -> Json:
+    """Return a comparison as it is written to JSON: the whole answer of each method that ran."""
+    return {
+        "schema": COMPARISON_SCHEMA,
+        "record": comparison.record,
+        "model": comparison.model,
+        "methods": [
+            {
+                "name": method.name,
+                "estimate": None if method.estimate is None else estimate_answer(method.estimate),
+                "refusal": method.refusal,
+                "seconds": method.seconds,
+            }
+            for method in comparison.methods
+        ],
+        "disagreements": list(comparison.disagreements),
     }
 
 
@@ -138,7 +166,7 @@ def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> 
     answer = _read(path)
     try:
         return _identified(answer, joint, loop)
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, MethodError):
         raise RecordError(
             f"{path} is no estimate of schema {ESTIMATE_SCHEMA} for a {joint.kind} {joint.model} joint with these "
             "parameters in these units; identify with this joint file first."
@@ -177,7 +205,9 @@ def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identifi
     same = answer["schema"] == ESTIMATE_SCHEMA and (answer["model"], answer["kind"]) == (joint.model, joint.kind)
     if not same or any(found[p.name]["unit"] != joint.unit(p) for p in joint.parameters):
         raise ValueError
-    values = {p.name: float(found[p.name]["value"]) for p in joint.parameters}
+    effects = tuple(_read_effect(effect) for effect in answer.get("effects", []))
+    every = (*joint.parameters, *effect_parameters(effects))
+    values = {p.name: float(found[p.name]["value"]) for p in every}
     given = answer["filtering"]
     filtering = Filtering(
         given["position_cutoff"],
@@ -199,7 +229,22 @@ def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identifi
         str(record["name"]),
         str(record["torque_sha256"]),
         str(answer["controller_sha256"] or ""),
+        effects,
     )
+
+
+def _effect(effect: Effect) -> Json:
+    kinds = [kind for kind, made in _EFFECTS.items() if type(effect) is made]
+    if not kinds:
+        raise MethodError(
+            f"An answer has no word for the effect {type(effect).__name__}; it has PositionHarmonics and Drift."
+        )
+    assert isinstance(effect, PositionHarmonics | Drift)
+    return {"kind": kinds[0], **asdict(effect)}
+
+
+def _read_effect(answer: Json) -> Effect:
+    return _EFFECTS[answer["kind"]](**{key: value for key, value in answer.items() if key != "kind"})
 
 
 def _parameter(p: EstimatedParameter) -> Json:

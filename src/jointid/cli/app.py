@@ -11,6 +11,7 @@ import sys
 from cyclopts import App, CycloptsError
 
 from jointid import __version__
+from jointid.cli.compare import compare
 from jointid.cli.demo import demo
 from jointid.cli.identify import identify
 from jointid.cli.reproduce import reproduce
@@ -27,7 +28,7 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (demo, identify, validate, simulate, reproduce):
+for command in (demo, identify, compare, validate, simulate, reproduce):
     app.command(command)
 
 

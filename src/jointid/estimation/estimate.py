@@ -14,7 +14,9 @@ from jointid.common.errors import RecordError
 from jointid.common.text import aligned, number
 from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
+from jointid.estimation.endogeneity import ChiSquareTest
 from jointid.estimation.regression import Conditioning
+from jointid.model.effects import Effect
 from jointid.model.joints import Joint
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.experiment import ClosedLoop
@@ -81,12 +83,13 @@ class IdentifiedJoint:
         method: "didim" or "idim".
         joint: the model.
         loop: the closed loop, for DIDIM.
-        values: every parameter of the joint by name.
+        values: every parameter of the joint, and of its effects, by name.
         filtering: resolved, as it was identified with.
         delay: seconds from the logged torque to the torque that acts.
         record: name of the record it was identified from.
         fingerprint: of that record's torque, see `fingerprint`.
         controller: fingerprint of the loop's controller, for DIDIM; see `law_fingerprint`.
+        effects: what the torque holds beside the joint's own model; `values` has their parameters too.
     """
 
     method: MethodName
@@ -98,6 +101,7 @@ class IdentifiedJoint:
     record: str
     fingerprint: str
     controller: str = ""
+    effects: tuple[Effect, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,6 +133,8 @@ class Estimate:
         delay: seconds from the logged torque to the torque that acts, as declared.
         correlation: of the errors of the free parameters, in their order: all of them, or the joint's, which come
             first; empty where it is not known.
+        tests: of what the method takes for granted.
+        effects: what the torque holds beside the joint's own model; their parameters follow the joint's.
     """
 
     method: MethodName
@@ -158,6 +164,8 @@ class Estimate:
     fingerprint: str = ""
     delay: float = 0.0
     correlation: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    tests: tuple[ChiSquareTest, ...] = ()
+    effects: tuple[Effect, ...] = ()
 
     def total(self, names: Sequence[str]) -> tuple[float, float]:
         """Return a sum of parameters, by name or symbol, and its standard deviation, with their correlation."""
@@ -177,12 +185,13 @@ class Estimate:
         law = "" if self.loop is None else law_fingerprint(self.loop)
         found, filtering = self.values, self.filtering
         return IdentifiedJoint(
-            self.method, self.joint, self.loop, found, filtering, self.delay, self.record, self.fingerprint, law
-        )
+            self.method, self.joint, self.loop, found, filtering, self.delay, self.record, self.fingerprint, law,
+            self.effects,
+        )  # fmt: skip
 
     @property
     def values(self) -> dict[str, float]:
-        """The joint's parameters by name, fixed ones included; a refused one is missing."""
+        """The parameters of joint and effects by name, fixed ones included; a refused one is missing."""
         return {p.name: p.value for p in self.parameters if p.of_joint and p.value is not None}
 
     @property
@@ -218,9 +227,10 @@ class Estimate:
             lines.append(
                 f"conditioning  {c.raw:.6g} raw, {c.normalised:.4g} normalised, {c.scaled:.4g} scaled by the parameters"
             )
-        if self.loop is not None:
+        if self.simulations:
             lines.append(f"effort        {self.iterations} iterations, {self.simulations} simulations")
         lines += [f"stopped       {self.stop}", f"intervals     {self.intervals}"]
+        lines += [f"test          {test.name}: {test.sentence}" for test in self.tests]
         lines += [f"warning       {warning}" for warning in self.warnings]
         return "\n".join(lines)
 

@@ -116,7 +116,7 @@ def _identified(
 ) -> Estimate:
     if isinstance(method, IDIM):
         delay = loop.controller.law(1.0).delay if loop else 0.0
-        return identify_idim(record, joint, parameters, filtering, delay)
+        return identify_idim(record, joint, parameters, filtering, delay, method, loop)
     if loop is None:
         raise MethodError(
             "DIDIM simulates the closed loop, so it needs the controller; give a ClosedLoop, or use IDIM with a "
