@@ -16,7 +16,16 @@ from jointid.assessment.comparison import Comparison
 from jointid.assessment.validation import Validation
 from jointid.common.errors import MethodError, RecordError
 from jointid.data.signals import Filtering
-from jointid.estimation.estimate import Estimate, EstimatedParameter, IdentifiedJoint, Iteration, MethodName
+from jointid.estimation.estimate import (
+    Estimate,
+    EstimatedParameter,
+    IdentifiedJoint,
+    Iteration,
+    MethodName,
+    law_fingerprint,
+)
+from jointid.estimation.identifiability import Identifiability
+from jointid.estimation.residuals import ResidualReport
 from jointid.model.effects import Drift, Effect, PositionHarmonics, effect_parameters
 from jointid.model.joints import Joint
 from jointid.simulation.closed_loop import Initial, Simulation
@@ -60,7 +69,7 @@ def estimate_answer(estimate: Estimate) -> Json:
         else {"raw": conditioning.raw, "normalised": conditioning.normalised, "scaled": conditioning.scaled},
         "filtering": _filtering(estimate.filtering),
         "delay": estimate.delay,
-        "controller_sha256": estimate.identified.controller or None,
+        "controller_sha256": None if estimate.loop is None else law_fingerprint(estimate.loop),
         "iterations": estimate.iterations,
         "simulations": estimate.simulations,
         "converged": estimate.converged,
@@ -70,6 +79,53 @@ def estimate_answer(estimate: Estimate) -> Json:
         "tests": [asdict(test) for test in estimate.tests],
         "effects": [_effect(effect) for effect in estimate.effects],
         "warnings": list(estimate.warnings),
+        "verdicts": [{"subject": v.subject, "good": v.good, "said": v.said} for v in estimate.verdicts],
+        "combinations": None if estimate.known is None else _combinations(estimate.known),
+        "residuals": None if estimate.residuals is None else _residuals(estimate.residuals),
+        "stiffness_bounds": [
+            {"load_share": bound.share, "stiffness": bound.stiffness, "free_free_hz": bound.frequency}
+            for bound in estimate.bounds
+        ],
+    }
+
+
+def _combinations(known: Identifiability) -> list[Json]:
+    return [
+        {
+            "name": one.combination.name,
+            "formula": one.combination.formula,
+            "weights": dict(one.combination.weights),
+            "value": one.value,
+            "std": one.std,
+            "unit": one.combination.unit,
+            "known": one.verdict,
+        }
+        for one in (*known.physical, *known.directions)
+    ]
+
+
+def _residuals(report: ResidualReport) -> Json:
+    repeats = report.repeatable
+    return {
+        "relative_percent": 100 * report.relative,
+        "mean_removed_percent": 100 * report.centred,
+        "rms": report.rms,
+        "mean": report.mean,
+        "unit": report.unit,
+        "bands": [
+            {
+                "low_hz": band.low,
+                "high_hz": band.high,
+                "error_percent": None if band.error is None else 100 * band.error,
+                "share_percent": 100 * band.share,
+            }
+            for band in report.bands
+        ],
+        "against_rigid_percent": None if report.against_rigid is None else 100 * report.against_rigid,
+        "whiteness_p": None if report.whiteness is None else report.whiteness.p_value,
+        "repeatable": None
+        if repeats is None
+        else {"rms": repeats.rms, "share_percent": 100 * repeats.share, "p": repeats.p_value},
     }
 
 

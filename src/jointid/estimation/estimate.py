@@ -10,12 +10,15 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from jointid.common.errors import RecordError
+from jointid.common.errors import MethodError, RecordError
 from jointid.common.text import aligned, number
 from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
 from jointid.estimation.endogeneity import ChiSquareTest
+from jointid.estimation.identifiability import Identifiability, Known
 from jointid.estimation.regression import Conditioning
+from jointid.estimation.residuals import ResidualReport
+from jointid.estimation.verdict import StiffnessBound, Verdict
 from jointid.model.effects import Effect
 from jointid.model.joints import Joint
 from jointid.simulation.closed_loop import Initial
@@ -134,6 +137,10 @@ class Estimate:
         correlation: of the errors of the free parameters, in their order: all of them, or the joint's, which come
             first; empty where it is not known.
         tests: of what the method takes for granted.
+        verdicts: on the solver, the fit, what remains, and what the record tells, one question each.
+        known: which parameters and combinations the record tells, and how well.
+        residuals: what the model leaves of the torque.
+        bounds: how soft the spring may be where its stiffness is refused, by the load's share of the inertia.
         effects: what the torque holds beside the joint's own model; their parameters follow the joint's.
     """
 
@@ -165,6 +172,10 @@ class Estimate:
     delay: float = 0.0
     correlation: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     tests: tuple[ChiSquareTest, ...] = ()
+    verdicts: tuple[Verdict, ...] = ()
+    known: Identifiability | None = None
+    residuals: ResidualReport | None = None
+    bounds: tuple[StiffnessBound, ...] = ()
     effects: tuple[Effect, ...] = ()
 
     def total(self, names: Sequence[str]) -> tuple[float, float]:
@@ -181,7 +192,17 @@ class Estimate:
 
     @property
     def identified(self) -> IdentifiedJoint:
-        """What of it is needed to predict a torque."""
+        """What of it is needed to predict a torque.
+
+        Raises:
+            MethodError: a value is refused, without which no torque can be predicted.
+        """
+        refused = [p.name for p in self.parameters if p.of_joint and p.value is None]
+        if refused:
+            raise MethodError(
+                f"{', '.join(refused)} cannot be told from this record, so this estimate predicts no torque; identify "
+                "the joint as rigid."
+            )
         law = "" if self.loop is None else law_fingerprint(self.loop)
         found, filtering = self.values, self.filtering
         return IdentifiedJoint(
@@ -230,6 +251,13 @@ class Estimate:
         if self.simulations:
             lines.append(f"effort        {self.iterations} iterations, {self.simulations} simulations")
         lines += [f"stopped       {self.stop}", f"intervals     {self.intervals}"]
+        if self.known is not None and self.known.physical:
+            lines += ["", "known together", *(_together(known) for known in self.known.physical)]
+        if self.bounds:
+            lines += ["", "K12 is at least, by the load's share of the inertia (95 %, lightly damped mode)"]
+            lines += [_bound(bound, self["stiffness"].unit) for bound in self.bounds]
+        if self.verdicts:
+            lines += ["", "verdicts", *map(str, self.verdicts), ""]
         lines += [f"test          {test.name}: {test.sentence}" for test in self.tests]
         lines += [f"warning       {warning}" for warning in self.warnings]
         return "\n".join(lines)
@@ -252,6 +280,17 @@ def _row(p: EstimatedParameter) -> tuple[str, ...]:
         f"{percent:.2f}" if percent < _LOST else "-",
         p.unit,
     )
+
+
+def _together(known: Known) -> str:
+    c = known.combination
+    return f"{c.formula:14} {number(known.value):>11} +- {number(2 * known.std, 2)} {c.unit}"
+
+
+def _bound(bound: StiffnessBound, unit: str) -> str:
+    if bound.stiffness is None:
+        return f"share {bound.share:4.2f}  not bounded by this record"
+    return f"share {bound.share:4.2f}  {number(bound.stiffness, 2):>8} {unit}, a mode at {bound.frequency:.0f} Hz"
 
 
 def _words(p: EstimatedParameter) -> str:

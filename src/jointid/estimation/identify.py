@@ -86,7 +86,7 @@ def _beyond(estimate: Estimate, wanted: tuple[Parameter, ...]) -> tuple[float, P
     Raises:
         MethodError: an inertia is not positive, for which no bound is a remedy.
     """
-    found = [(estimate.values[p.name], p) for p in wanted if p.free]
+    found = [(estimate.values[p.name], p) for p in wanted if p.free and p.name in estimate.values]
     for value, p in found:
         if p.quantity is Quantity.INERTIA and value <= 0:
             raise MethodError(

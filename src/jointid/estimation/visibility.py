@@ -36,8 +36,9 @@ from jointid.estimation.descent import Descent, refined
 from jointid.estimation.exploration import FASTEST, crossover, frequency_of
 from jointid.estimation.problem import Problem
 from jointid.estimation.profile import Profile, profile
-from jointid.estimation.repeatable import Cells, Uncertainty, cells, uncertainty
+from jointid.estimation.repeatable import Uncertainty, uncertainty
 from jointid.estimation.uncertainty import robust, white
+from jointid.estimation.verdict import StiffnessBound, Verdict
 from jointid.model.joints import RigidJoint
 from jointid.model.parameters import Parameter, Quantity
 from jointid.simulation.closed_loop import in_threads
@@ -63,21 +64,6 @@ _FEW = 6  # evaluations of one of these fits
 _QUANTILE = 2.706  # of chi-square with one degree of freedom, at 90 %: one side of it is passed by one in twenty
 
 
-@dataclass(frozen=True, slots=True)
-class StiffnessBound:
-    """The softest spring a record allows at one load share.
-
-    Attributes:
-        share: of the load in the inertia.
-        stiffness: K12 is above it, with 95 % confidence; None where the record bounds nothing at this share.
-        frequency: free-free, Hz, at that stiffness.
-    """
-
-    share: float
-    stiffness: float | None
-    frequency: float | None
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Visibility:
     """What a record shows of a joint's spring.
@@ -87,7 +73,7 @@ class Visibility:
         test: of the flexible joint against the rigid one.
         profile: of the compliance, where one was needed.
         reasons: why the stiffness is refused, a sentence each.
-        rigid: values of the rigid joint on the same band. rigid_std: of them.
+        rigid: values of the rigid joint on the same band. rigid_std: standard deviations of those that were free.
         rigid_error: (rows,) what it leaves.
         bounds: where the stiffness is refused.
         simulations: that all this took.
@@ -102,6 +88,13 @@ class Visibility:
     rigid_error: FloatArray
     bounds: tuple[StiffnessBound, ...]
     simulations: int
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the stiffness is reported, and why not."""
+        if self.shown:
+            return Verdict("stiffness", True, str(self.test))
+        return Verdict("stiffness", False, "not identifiable from this record: " + "; ".join(self.reasons))
 
 
 def visible(
@@ -118,7 +111,7 @@ def visible(
     """
     rigid, at = _rigid(problem, problem.values(x))
     error, J = rigid.linearised(at.x)
-    where = where_of(rigid, at.x)
+    where = rigid.cells(rigid.simulate(at.x))
     test = flexible_against_rigid(error, J, _springs(problem, rigid.values(at.x), error), where)
     runs = at.simulations + 2 + len(_TEST_SHARES) * len(_TEST_MODES)
     reasons = [] if test.significant else [str(test)]
@@ -161,14 +154,6 @@ def _doubts(
     if together[1] > 1 and together[0] < 2:
         found.append(f"of {together[1]} starts no two led to the same flexible joint")
     return found
-
-
-def where_of(problem: Problem, x: FloatArray) -> Cells:
-    """Return where and how the motor was when each row of the residual was taken, in simulation."""
-    run = problem.simulate(x)
-    keep = problem.filtering.decimation or 1
-    last = (problem.measured.size - 1) % keep
-    return cells(run.motor_position[last::keep], run.motor_velocity[last::keep])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
