@@ -154,6 +154,7 @@ def identify_flexible(
     how = "Nelder-Mead" if paper else "least squares"
     if settings.statistics == "inverse-model":
         found = answer(record, problem, x, run, (stop, converged), known, J)
+        descent.simulations += 1
         found = with_paper_statistics(found, inverse_model_covariance(problem, x, error), len(problem.free_joint))
     else:
         spring = visible(problem, x, known, end.led, progress)

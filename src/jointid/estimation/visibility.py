@@ -113,7 +113,7 @@ def visible(
     error, J = rigid.linearised(at.x)
     where = rigid.cells(rigid.simulate(at.x))
     test = flexible_against_rigid(error, J, _springs(problem, rigid.values(at.x), error), where)
-    runs = at.simulations + 2 + len(_TEST_SHARES) * len(_TEST_MODES)
+    runs = at.simulations + 3 + len(_TEST_SHARES) * len(_TEST_MODES)
     reasons = [] if test.significant else [str(test)]
     reasons += _doubts(problem, x, known, error, together)
     found = None
