@@ -28,6 +28,7 @@ from jointid.estimation.starts import pseudo_regular
 from jointid.estimation.surroundings import INITIAL_STATE
 from jointid.model.controllers import SampledLaw
 from jointid.model.joints import FlexibleJoint, RigidJoint, frequencies
+from jointid.model.parameters import Quantity
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.experiment import ClosedLoop
 
@@ -151,9 +152,14 @@ def frequency_of(values: Mapping[str, float]) -> float:
 
 
 def _inside(problem: Problem, values: dict[str, float]) -> dict[str, float]:
+    """Return the values a little inside their bounds, by a thousandth of their size or of what would be one."""
     found = dict(values)
+    force = float(np.std(problem.measured))
+    rate = 2 * math.pi * frequency_of(values)
+    inertia = values["motor_inertia"] + values["load_inertia"]
+    typical = {Quantity.FORCE: force, Quantity.VISCOUS: inertia * rate, Quantity.STIFFNESS: inertia * rate**2}
     for p in problem.free:
-        inside = 1e-3 * (abs(values[p.name]) or 1.0)
+        inside = 1e-3 * (abs(values[p.name]) or typical.get(p.quantity, inertia))
         low = p.lower + inside if math.isfinite(p.lower) else p.lower
         found[p.name] = min(max(values[p.name], low), max(p.upper - inside, p.lower))
     return found

@@ -51,7 +51,8 @@ from jointid.simulation.experiment import ClosedLoop
 
 _REFINED = 6  # starts that are refined at most, until two of them end together
 _ROUGHLY, _FEW = 1e-5, 30  # tolerance and evaluations of a refinement that only has to show where it leads
-_TOGETHER = 1e-3  # of a frequency: ends closer than this are one
+_TOGETHER = 1e-3  # of a frequency, and of what remains: ends closer than this are one
+_REST = 1e-4  # of the torque: what remains of a record without noise, and is not compared
 _MODES = 2.0  # the cut-off is that many free-free frequencies, or more
 _TOLERANCE, _SIMPLEX_TOLERANCE = 1e-8, 1e-4  # the latter is that of fminsearch
 _NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
@@ -244,7 +245,8 @@ def _by_least_squares(descent: Descent, filtering: Filtering, rigid: Estimate, s
         descent.simulations += 1
         ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(problem.values(x)), x))
         cost, mode, _ = min(ends, key=lambda end: end[0])
-        together = sum(abs(f / mode - 1) < _TOGETHER and c < (1 + _TOGETHER) * cost for c, f, _ in ends)
+        as_good = (1 + _TOGETHER) * cost + _REST * float(np.linalg.norm(wide.filtered(wide.measured)))
+        together = sum(abs(f / mode - 1) < _TOGETHER and c < as_good for c, f, _ in ends)
         if together > 1:
             break
     _, mode, x = min(ends, key=lambda end: end[0])
@@ -270,7 +272,7 @@ def _leads_back(descent: Descent, x: FloatArray, mode: float) -> bool:
     end = refined(descent, start, _ROUGHLY, _FEW)
     cost = float(np.linalg.norm(end.fun))
     same = abs(frequency_of(descent.problem.values(np.asarray(end.x))) / mode - 1) < 10 * _TOGETHER
-    return same and cost < (1 + _TOGETHER) * float(np.linalg.norm(descent.residual(x)))
+    return same and cost < (1 + _TOGETHER) * float(np.linalg.norm(descent.residual(x))) + _REST * descent.size
 
 
 def _on_band(problem: Problem, filtering: Filtering, mode: float) -> Problem:
