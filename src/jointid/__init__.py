@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from jointid.answers import comparison_answer, estimate_answer, simulation_answer, validation_answer
     from jointid.assessment.comparison import Comparison, compare
+    from jointid.assessment.intervals import Intervals, intervals
     from jointid.assessment.validation import Validation, validate
     from jointid.common.errors import (
         ExtraError,
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "answers": ("comparison_answer", "estimate_answer", "simulation_answer", "validation_answer"),
     "assessment.comparison": ("Comparison", "compare"),
+    "assessment.intervals": ("Intervals", "intervals"),
     "assessment.validation": ("Validation", "validate"),
     "common.errors": ("ExtraError", "JointFileError", "JointidError", "MethodError", "RecordError"),
     "data.checks": ("check_record",),
@@ -95,6 +97,7 @@ __all__ = [
     "Initial",
     "Injection",
     "InjectionPoint",
+    "Intervals",
     "JointFile",
     "JointFileError",
     "JointidError",
@@ -118,6 +121,7 @@ __all__ = [
     "estimate_answer",
     "frequencies",
     "identify",
+    "intervals",
     "load",
     "prepare",
     "pulses",

@@ -14,6 +14,7 @@ from jointid import __version__
 from jointid.cli.compare import compare
 from jointid.cli.demo import demo
 from jointid.cli.identify import identify
+from jointid.cli.intervals import intervals
 from jointid.cli.reproduce import reproduce
 from jointid.cli.simulate import simulate
 from jointid.cli.validate import validate
@@ -28,7 +29,7 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (demo, identify, compare, validate, simulate, reproduce):
+for command in (demo, identify, intervals, compare, validate, simulate, reproduce):
     app.command(command)
 
 
