@@ -90,7 +90,7 @@ def test_derivatives_are_those_of_differences(pause: bool) -> None:
             for word in ("viscous", "coulomb"):
                 value = values.pop(f"{side}_{word}")
                 values |= {f"{side}_{word}_forwards": 1.1 * value, f"{side}_{word}_backwards": 0.9 * value}
-    values |= {"load_position": 1e-4, "load_velocity": 1e-3}
+    values |= {"initial_load_position": 1e-4, "initial_load_velocity": 1e-3}
     names = tuple(p.name for p in joint.parameters) + LOAD_STATE
     motion = prescribed_motion(wave(pause=pause), T)
     run = simulate_drive_side(joint, motion, values, names)

@@ -22,7 +22,7 @@ from jointid.simulation.experiment import ClosedLoop
 _LOST = 1000.0  # %: a deviation so much larger than its value says nothing in percent
 _POOR = 0.15  # of the filtered torque: the EMPS axis leaves 0.045, the paper's 0.08
 
-MethodName: TypeAlias = Literal["didim", "idim"]
+MethodName: TypeAlias = Literal["didim", "idim", "drive_side", "open_loop"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +129,8 @@ class Estimate:
         delay: seconds from the logged torque to the torque that acts, as declared.
         correlation: of the errors of the free parameters, in their order: all of them, or the joint's, which come
             first; empty where it is not known.
+        compared: "torque", or "position" where an open loop is compared by it: then measured, predicted and the errors
+            are of the motor position, without its drift.
     """
 
     method: MethodName
@@ -158,6 +160,7 @@ class Estimate:
     fingerprint: str = ""
     delay: float = 0.0
     correlation: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    compared: Literal["torque", "position"] = "torque"
 
     def total(self, names: Sequence[str]) -> tuple[float, float]:
         """Return a sum of parameters, by name or symbol, and its standard deviation, with their correlation."""
@@ -210,7 +213,7 @@ class Estimate:
                 (False, False, True, True, True, False),
             ),
             "",
-            f"torque error  {100 * self.relative_error:.4f} % raw ({left_out}), "
+            f"{self.compared} error".ljust(13) + f" {100 * self.relative_error:.4f} % raw ({left_out}), "
             f"{100 * self.filtered_error:.4f} % filtered ({self.rows} rows)",
         ]
         if self.conditioning is not None:
@@ -218,7 +221,7 @@ class Estimate:
             lines.append(
                 f"conditioning  {c.raw:.6g} raw, {c.normalised:.4g} normalised, {c.scaled:.4g} scaled by the parameters"
             )
-        if self.loop is not None:
+        if self.simulations:
             lines.append(f"effort        {self.iterations} iterations, {self.simulations} simulations")
         lines += [f"stopped       {self.stop}", f"intervals     {self.intervals}"]
         lines += [f"warning       {warning}" for warning in self.warnings]

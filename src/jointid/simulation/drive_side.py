@@ -33,7 +33,7 @@ _WALL = 1e200  # a Coulomb force that nothing overcomes, and whose square is sti
 _SMALL = 1e-6  # of a joint's value: where steady motion begins is a rational function of it
 _TAPED = 1000  # rows of the tape to begin with
 _DEGREE = 7  # of the spline: a cubic's second derivative errs by 3 % at a tenth of the sampling frequency
-LOAD_STATE = ("load_position", "load_velocity")
+LOAD_STATE = ("initial_load_position", "initial_load_velocity")
 """The load's state at the first sample, beside where steady motion has it."""
 
 
