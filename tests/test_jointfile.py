@@ -23,11 +23,13 @@ from jointid.data.columns import Column, known_units
 from jointid.data.record import InjectionPoint, Tap, Timing
 from jointid.data.signals import Filtering
 from jointid.estimation.didim import DIDIM
+from jointid.estimation.drive_side import DriveSideFit
 from jointid.estimation.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.estimation.identify import identify
 from jointid.estimation.idim import IDIM
+from jointid.estimation.open_loop import OpenLoopFit
 from jointid.jointfile import JointFile, Source, dumps, json_schema, load, loads, save
-from jointid.jointfile.schema import DIDIMS, FILTERINGS, OF_IDIM
+from jointid.jointfile.schema import CLOSINGS, DIDIMS, FILTERINGS, OF_IDIM
 from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
 from jointid.model.effects import Drift, PositionHarmonics
 from jointid.model.friction import AsymmetricFriction, SymmetricFriction
@@ -155,7 +157,7 @@ def test_every_word_of_the_objects_is_a_word_of_the_file() -> None:
     assert [field.name for field in dataclasses.fields(Filtering)] == list(table("FilteringTable"))[1:]
     assert table("FilteringTable")["preset"]["enum"] == list(FILTERINGS)
     assert table("JointTable")["model"]["enum"] == list(DIDIMS)
-    settings = [field.name for method in (DIDIM, FlexibleDIDIM) for field in dataclasses.fields(method)]
+    settings = [field.name for method in (*DIDIMS.values(), *CLOSINGS.values()) for field in dataclasses.fields(method)]
     assert [*dict.fromkeys(settings), *OF_IDIM] == list(table("MethodTable"))[2:]
     assert table("MethodTable")["drift"]["enum"] == list(get_args(get_type_hints(Drift)["of"]))
     for method in (DIDIM, FlexibleDIDIM, IDIM):
@@ -1337,3 +1339,47 @@ def test_importing_loads_nothing_heavy() -> None:
     program = f"import sys, jointid.jointfile; print([m for m in '{heavy}'.split(', ') if m in sys.modules])"
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("lines", "made"),
+    [
+        ('name = "drive_side"', DriveSideFit()),
+        ('name = "drive_side"\nlog_delay = -4e-4\ninstruments = "never"', DriveSideFit(-4e-4, instruments="never")),
+        ('name = "drive_side"\ncurrent_lag = "estimated"\nfrequency = 54', DriveSideFit(None, None, 54.0)),
+        ('name = "open_loop"\nhighpass = 2', OpenLoopFit(highpass=2.0)),
+    ],
+)
+def test_methods_without_a_controller_come_back(lines: str, made: DriveSideFit | OpenLoopFit) -> None:
+    file = loads(_BARE + lines)
+    assert file.method == made
+    assert loads(dumps(file)).method == made
+
+
+@pytest.mark.parametrize(
+    ("lines", "sentence"),
+    [
+        ('name = "drive_side"\nhighpass = 2', 'method.highpass is not for the method "drive_side"'),
+        ('name = "open_loop"\nform = "paper"', 'method.form is not for the method "open_loop"'),
+        ('name = "idim"\nlog_delay = 1e-3', 'method.log_delay is not for the method "idim"'),
+    ],
+)
+def test_a_setting_of_another_method_is_a_fault(lines: str, sentence: str) -> None:
+    with pytest.raises(JointFileError, match=sentence):
+        loads(_BARE + lines)
+
+
+def test_the_drive_side_needs_the_motor_position() -> None:
+    with pytest.raises(JointFileError, match=r"record.channels.motor_position is missing, but the drive side method"):
+        loads(_BARE.replace("motor_position", "load_position") + 'name = "drive_side"')
+
+
+_BARE = """
+[joint]
+kind = "revolute"
+model = "flexible"
+[record.channels]
+torque = { column = "i", unit = "A" }
+motor_position = { column = "q", unit = "rad" }
+[method]
+"""

@@ -27,10 +27,12 @@ if TYPE_CHECKING:
     from jointid.data.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, record_of
     from jointid.data.signals import Filtering
     from jointid.estimation.didim import DIDIM
+    from jointid.estimation.drive_side import DriveSideFit
     from jointid.estimation.estimate import Estimate, EstimatedParameter, IdentifiedJoint
     from jointid.estimation.flexible import FlexibleDIDIM
     from jointid.estimation.identify import identify
     from jointid.estimation.idim import IDIM
+    from jointid.estimation.open_loop import OpenLoopFit
     from jointid.jointfile import JointFile, load
     from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
     from jointid.model.effects import Drift, PositionHarmonics
@@ -40,7 +42,9 @@ if TYPE_CHECKING:
     from jointid.paper.twin import Twin, twin
     from jointid.report.figures import residual_figure, save, torque_figure
     from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_many
+    from jointid.simulation.drive_side import DriveSide
     from jointid.simulation.experiment import ClosedLoop, prepare
+    from jointid.simulation.open_loop import OpenLoop
     from jointid.simulation.synthesis import simulated_record
 
 _HOMES = {
@@ -56,10 +60,12 @@ _HOMES = {
     "data.record": ("Channel", "Injection", "InjectionPoint", "Record", "Tap", "Timing", "record_of"),
     "data.signals": ("Filtering",),
     "estimation.didim": ("DIDIM",),
+    "estimation.drive_side": ("DriveSideFit",),
     "estimation.estimate": ("Estimate", "EstimatedParameter", "IdentifiedJoint"),
     "estimation.flexible": ("FlexibleDIDIM",),
     "estimation.idim": ("IDIM",),
     "estimation.identify": ("identify",),
+    "estimation.open_loop": ("OpenLoopFit",),
     "jointfile": ("JointFile", "load"),
     "model.controllers": ("PD", "Cascade", "DigitalFilter", "StateSpaceController"),
     "model.effects": ("Drift", "PositionHarmonics"),
@@ -69,7 +75,9 @@ _HOMES = {
     "paper.twin": ("Twin", "twin"),
     "report.figures": ("residual_figure", "save", "torque_figure"),
     "simulation.closed_loop": ("Initial", "Outcome", "Simulation", "simulate", "simulate_many"),
+    "simulation.drive_side": ("DriveSide",),
     "simulation.experiment": ("ClosedLoop", "prepare"),
+    "simulation.open_loop": ("OpenLoop",),
     "simulation.synthesis": ("simulated_record",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
@@ -87,6 +95,8 @@ __all__ = [
     "Comparison",
     "DigitalFilter",
     "Drift",
+    "DriveSide",
+    "DriveSideFit",
     "Estimate",
     "EstimatedParameter",
     "ExtraError",
@@ -102,6 +112,8 @@ __all__ = [
     "JointFileError",
     "JointidError",
     "MethodError",
+    "OpenLoop",
+    "OpenLoopFit",
     "Outcome",
     "Parameter",
     "PositionHarmonics",

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from jointid.assessment.comparison import Comparison
 from jointid.assessment.validation import Validation
@@ -62,6 +62,7 @@ def estimate_answer(estimate: Estimate) -> Json:
         "parameters": {p.name: _parameter(p) for p in estimate.parameters},
         "relative_error_percent": 100 * estimate.relative_error,
         "filtered_error_percent": 100 * estimate.filtered_error,
+        "compared": estimate.compared,
         "samples_left_out": list(estimate.borders),
         "rows": estimate.rows,
         "condition_numbers": None
@@ -273,7 +274,9 @@ def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identifi
         given["timing"],
         given["aliasing"],
     )
-    method: MethodName = "didim" if answer["method"] == "didim" else "idim"
+    method: MethodName = answer["method"]
+    if method not in get_args(MethodName):
+        raise ValueError
     record = answer["record"]
     return IdentifiedJoint(
         method,

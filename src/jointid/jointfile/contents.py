@@ -19,7 +19,7 @@ from jointid.estimation.idim import IDIM
 from jointid.jointfile import written
 from jointid.jointfile.checking import checked
 from jointid.jointfile.fitting import changed, chosen_method, needed_channels, torque_unit
-from jointid.jointfile.schema import RecordTable
+from jointid.jointfile.schema import CLOSINGS, RecordTable
 from jointid.model.controllers import Controller
 from jointid.model.joints import Joint
 from jointid.model.parameters import Parameter
@@ -244,4 +244,6 @@ class JointFile:
 
     @property
     def _method_name(self) -> str:
-        return "idim" if isinstance(self.method, IDIM) else "didim"
+        if isinstance(self.method, IDIM):
+            return "idim"
+        return next((name for name, made in CLOSINGS.items() if isinstance(self.method, made)), "didim")

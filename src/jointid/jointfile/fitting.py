@@ -13,7 +13,7 @@ from jointid.common import units
 from jointid.data.columns import known_units
 from jointid.estimation.inverse_model import idim_channels
 from jointid.jointfile import wording
-from jointid.jointfile.schema import OF_IDIM, ChannelTable, JointTable, MethodTable, ParameterTable
+from jointid.jointfile.schema import CLOSINGS, OF_IDIM, ChannelTable, JointTable, MethodTable, ParameterTable
 from jointid.model.controllers import Controller
 from jointid.model.joints import FRICTIONS, Joint
 from jointid.model.parameters import TORQUE_UNIT, Kind, Parameter
@@ -66,7 +66,7 @@ _NO_OFFSET = (
     " cannot be identified beside asymmetric friction: a constant adds to the Coulomb force forwards and takes as much "
     'from it backwards, so the two cannot be told apart; give it a value, or set joint.friction = "symmetric".'
 )
-_OTHER = {"didim": "idim", "idim": "didim"}
+_OTHER = {"didim": "idim", "idim": "didim", "drive_side": "didim", "open_loop": "didim"}
 
 
 def chosen_method(name: str | None, channels: Collection[str], controlled: bool, model: str) -> str | None:
@@ -91,6 +91,8 @@ def needed_channels(method: str, controller: Controller | None, model: str) -> t
     """Return the names of the channels that a method reads; of a controller not known, only the reference."""
     if method == "idim":
         return idim_channels(model)
+    if method in CLOSINGS:
+        return "torque", "motor_position"
     return ("torque", *(("reference",) if controller is None else controller.channels))
 
 
@@ -110,11 +112,11 @@ def method_faults(
 
     def lacking(method: str) -> list[str]:
         missing = [f"record.channels.{n}" for n in needed_channels(method, controller, of_model) if n not in channels]
-        return missing if controlled or method == "idim" else [*missing, "controller"]
+        return missing if controlled or method != "didim" else [*missing, "controller"]
 
     name = chosen_method(table.name, channels, controlled, of_model)
     if name is None:
-        yield _no_method({method: lacking(method) for method in _OTHER}, channels, controlled, of_model)
+        yield _no_method({method: lacking(method) for method in ("didim", "idim")}, channels, controlled, of_model)
     else:
         other = _OTHER[name]
         for key in lacking(name):
@@ -131,6 +133,8 @@ def method_faults(
 
 def _called(method: str, model: str) -> str:
     """Return what a sentence on a method's needs calls it: those of IDIM are the model's."""
+    if method in CLOSINGS:
+        return f"the {method.replace('_', ' ')} method"
     return "IDIM of a flexible joint" if (method, model) == ("idim", "flexible") else method.upper()
 
 
@@ -152,8 +156,14 @@ def _not_its_own(table: MethodTable, name: str | None, model: str | None) -> Ite
     for key, value in table.given("name").items():
         own = table.model_of(key)
         if key in OF_IDIM:
-            if name == "didim":
-                yield key, ' is for IDIM, but the method is DIDIM: leave it out, or use method.name = "idim".'
+            if name not in (None, "idim"):
+                other = "DIDIM" if name == "didim" else f'"{name}"'
+                yield key, f' is for IDIM, but the method is {other}: leave it out, or use method.name = "idim".'
+        elif name in CLOSINGS or (table.of_closing(key) and name is not None):
+            others = [method for method in ("didim", *CLOSINGS) if table.is_of(key, method)]
+            if name not in others:
+                remedy = f"leave it out, or use method.name = {wording.either(others)}"
+                yield key, f' is not for the method "{name}": {remedy}.'
         elif None not in (own, model) and own != model:
             remedy = f'leave it out, or set joint.model = "{own}"'
             yield key, f" is for DIDIM of a {own} joint, but the joint is {model}: {remedy}."
