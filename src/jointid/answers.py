@@ -24,8 +24,8 @@ from jointid.estimation.estimate import (
     MethodName,
     law_fingerprint,
 )
-from jointid.estimation.identifiability import Identifiability
-from jointid.estimation.residuals import ResidualReport
+from jointid.inference.identifiability import Identifiability
+from jointid.inference.residuals import ResidualReport
 from jointid.model.effects import Drift, Effect, PositionHarmonics, effect_parameters
 from jointid.model.joints import Joint
 from jointid.simulation.closed_loop import Initial, Simulation

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jointid.common.progress import silent
-from jointid.estimation.bounded import descend
+from jointid.inference.bounded import descend
 from jointid.model.parameters import Parameter, Quantity
 
 

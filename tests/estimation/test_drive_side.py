@@ -11,11 +11,11 @@ import pytest
 import jointid as ji
 from jointid.common.progress import silent
 from jointid.data.record import Channel, Record, Tap, Timing
-from jointid.estimation.bands import band_deviations
-from jointid.estimation.bounded import Bottom, descend
 from jointid.estimation.first_stage import Judgement, _Shadow, contrast, judged, known_motions, solved
 from jointid.estimation.prescribed import MotionProblem, motion_problem
-from jointid.estimation.uncertainty import sandwich
+from jointid.inference.bands import band_deviations
+from jointid.inference.bounded import Bottom, descend
+from jointid.inference.uncertainty import sandwich
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
 
 JOINT = ji.FlexibleJoint()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from jointid.estimation.uncertainty import (
+from jointid.inference.uncertainty import (
     Covariance,
     bandwidth,
     covariance_of,

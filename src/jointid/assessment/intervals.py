@@ -15,14 +15,14 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.record import FloatArray, Record
-from jointid.estimation.bootstrap import Bootstrap, Bootstrapping, cell_bootstrap, refitted, time_bootstrap
-from jointid.estimation.combination import ByCompliance, Combination
-from jointid.estimation.criterion import Criterion
 from jointid.estimation.estimate import Estimate, fingerprint
 from jointid.estimation.problem import Problem, torque_problem
-from jointid.estimation.profile import Profile, Profiling, profile
-from jointid.estimation.repeatable import uncertainty
-from jointid.estimation.uncertainty import Covariance, covariance_of
+from jointid.inference.bootstrap import Bootstrap, Bootstrapping, cell_bootstrap, refitted, time_bootstrap
+from jointid.inference.combination import ByCompliance, Combination
+from jointid.inference.criterion import Criterion
+from jointid.inference.profile import Profile, Profiling, profile
+from jointid.inference.repeatable import uncertainty
+from jointid.inference.uncertainty import Covariance, covariance_of
 
 _LEAST = 1e-4  # of the compliance: less is as good as none
 

@@ -22,8 +22,6 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering
-from jointid.estimation.bands import band_words, with_bands
-from jointid.estimation.bounded import Bottom, descend
 from jointid.estimation.estimate import (
     Estimate,
     EstimatedParameter,
@@ -35,7 +33,9 @@ from jointid.estimation.estimate import (
 from jointid.estimation.first_stage import Judgement, judged
 from jointid.estimation.prescribed import CURRENT_LAG, MotionProblem, motion_problem
 from jointid.estimation.surroundings import LOG_DELAY
-from jointid.estimation.uncertainty import Covariance, sandwich, words
+from jointid.inference.bands import band_words, with_bands
+from jointid.inference.bounded import Bottom, descend
+from jointid.inference.uncertainty import Covariance, sandwich, words
 from jointid.model.parameters import Parameter
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.drive_side import LOAD_STATE, DriveSide

@@ -14,11 +14,11 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.text import aligned, number
 from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
-from jointid.estimation.endogeneity import ChiSquareTest
-from jointid.estimation.identifiability import Identifiability, Known
 from jointid.estimation.regression import Conditioning
-from jointid.estimation.residuals import ResidualReport
-from jointid.estimation.verdict import StiffnessBound, Verdict
+from jointid.inference.endogeneity import ChiSquareTest
+from jointid.inference.identifiability import Identifiability, Known
+from jointid.inference.residuals import ResidualReport
+from jointid.inference.verdict import StiffnessBound, Verdict
 from jointid.model.effects import Effect
 from jointid.model.joints import Joint
 from jointid.simulation.closed_loop import Initial

@@ -24,10 +24,10 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import decimate
-from jointid.estimation.bands import with_bands
-from jointid.estimation.bounded import Bottom
 from jointid.estimation.prescribed import MotionProblem
-from jointid.estimation.uncertainty import Covariance, bandwidth, sandwich
+from jointid.inference.bands import with_bands
+from jointid.inference.bounded import Bottom
+from jointid.inference.uncertainty import Covariance, bandwidth, sandwich
 from jointid.simulation.drive_side import LOAD_STATE, PARTS, prescribed_motion
 
 _MEMORY = 40  # rows of the filtered torque that a response goes back

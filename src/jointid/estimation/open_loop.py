@@ -19,8 +19,6 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.record import Channel, FloatArray, Record
 from jointid.data.signals import Filtering, decimate, derivative, lowpass
-from jointid.estimation.bands import band_words
-from jointid.estimation.bounded import Bottom, descend
 from jointid.estimation.drive_side import (
     DriveSideFit,
     covariance_of,
@@ -33,7 +31,9 @@ from jointid.estimation.estimate import Estimate, EstimatedParameter, fingerprin
 from jointid.estimation.inverse_model import motor_torque
 from jointid.estimation.prescribed import require_one_rate
 from jointid.estimation.surroundings import INITIAL_STATE, LOG_DELAY
-from jointid.estimation.uncertainty import words
+from jointid.inference.bands import band_words
+from jointid.inference.bounded import Bottom, descend
+from jointid.inference.uncertainty import words
 from jointid.model.joints import Joint, require_units
 from jointid.model.parameters import Parameter
 from jointid.simulation.closed_loop import Initial

@@ -18,7 +18,7 @@ from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
 from jointid.estimation.flexible import inverse_model_covariance, refined_least_squares
 from jointid.estimation.problem import Problem, torque_problem
-from jointid.estimation.uncertainty import sandwich
+from jointid.inference.uncertainty import sandwich
 from jointid.paper.twin import twin
 from jointid.simulation.closed_loop import in_threads
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from jointid.common.progress import Progress
 from jointid.data.record import FloatArray
-from jointid.estimation.criterion import Criterion
+from jointid.inference.criterion import Criterion
 
 _EVALUATIONS = 60  # of one descent
 _DAMPING, _LEAST, _MOST = 1e-3, 1e-12, 1e12  # of the first step, in columns of norm 1; and its range

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from jointid.common.text import number
 from jointid.data.record import FloatArray
-from jointid.estimation.uncertainty import (
+from jointid.inference.uncertainty import (
     Covariance,
     bandwidth,
     covariance_of,

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from jointid.data.record import FloatArray
-from jointid.estimation.uncertainty import Covariance
+from jointid.inference.uncertainty import Covariance
 
 BANDS = 8
 
