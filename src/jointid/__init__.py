@@ -24,11 +24,13 @@ if TYPE_CHECKING:
     from jointid.data.reading import read, write
     from jointid.data.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, record_of
     from jointid.data.signals import Filtering
+    from jointid.estimation.common_estimate import CommonEstimate, RecordShare
     from jointid.estimation.didim import DIDIM
     from jointid.estimation.estimate import Estimate, EstimatedParameter, IdentifiedJoint
     from jointid.estimation.flexible import FlexibleDIDIM
     from jointid.estimation.identify import identify
     from jointid.estimation.idim import IDIM
+    from jointid.estimation.together import identify_together
     from jointid.jointfile import JointFile, load
     from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
     from jointid.model.friction import AsymmetricFriction, SymmetricFriction
@@ -50,11 +52,13 @@ _HOMES = {
     "data.reading": ("read", "write"),
     "data.record": ("Channel", "Injection", "InjectionPoint", "Record", "Tap", "Timing", "record_of"),
     "data.signals": ("Filtering",),
+    "estimation.common_estimate": ("CommonEstimate", "RecordShare"),
     "estimation.didim": ("DIDIM",),
     "estimation.estimate": ("Estimate", "EstimatedParameter", "IdentifiedJoint"),
     "estimation.flexible": ("FlexibleDIDIM",),
     "estimation.idim": ("IDIM",),
     "estimation.identify": ("identify",),
+    "estimation.together": ("identify_together",),
     "jointfile": ("JointFile", "load"),
     "model.controllers": ("PD", "Cascade", "DigitalFilter", "StateSpaceController"),
     "model.friction": ("AsymmetricFriction", "SymmetricFriction"),
@@ -78,6 +82,7 @@ __all__ = [
     "Channel",
     "ClosedLoop",
     "Column",
+    "CommonEstimate",
     "DigitalFilter",
     "Estimate",
     "EstimatedParameter",
@@ -97,6 +102,7 @@ __all__ = [
     "Parameter",
     "Record",
     "RecordError",
+    "RecordShare",
     "RigidJoint",
     "Simulation",
     "StateSpaceController",
@@ -109,6 +115,7 @@ __all__ = [
     "estimate_answer",
     "frequencies",
     "identify",
+    "identify_together",
     "load",
     "prepare",
     "pulses",
