@@ -74,6 +74,7 @@ class CommonEstimate:
         agreement: whether the records, each by itself, agree.
         simulations: that were run, all of them.
         stop: why it ended, in a sentence; converged: whether that is a good end.
+        weighting: what the rows were weighted by, in words.
         intervals: what the deviations are, in a sentence.
         warnings: what the reader must know, one sentence each.
     """
@@ -88,6 +89,7 @@ class CommonEstimate:
     simulations: int
     stop: str
     converged: bool
+    weighting: str
     intervals: str
     warnings: tuple[str, ...] = field(default=())
 
@@ -117,7 +119,7 @@ class CommonEstimate:
         lines += [_own(own), ""] if own else []
         lines += [self._residuals(), ""]
         lines += [f"agreement     {self.agreement}", f"effort        {self.simulations} simulations"]
-        lines += [f"stopped       {self.stop}", f"intervals     {self.intervals}"]
+        lines += [f"stopped       {self.stop}", f"weighting     {self.weighting}", f"intervals     {self.intervals}"]
         lines += [f"warning       {warning}" for warning in self.warnings]
         return "\n".join(lines)
 

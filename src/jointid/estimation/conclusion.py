@@ -33,6 +33,7 @@ def concluded(
     end: End,
     alone: Sequence[BySelf],
     simulations: int,
+    weighting: str,
 ) -> CommonEstimate:
     """Return the answer.
 
@@ -43,6 +44,7 @@ def concluded(
         end: its solution.
         alone: each record by itself.
         simulations: that were run before.
+        weighting: of the rows, in words.
     """
     ended = _Ended(records, arranged, criterion, end, alone)
     judged, compared = ended.judged(), ended.agreement()
@@ -58,6 +60,7 @@ def concluded(
         simulations=simulations + (end.evaluations + 2) * len(records),
         stop=end.stop,
         converged=end.converged,
+        weighting=weighting,
         intervals=f"from the output sensitivities, {judged.sentences[0]}; no record's rows correlated with another's",
         warnings=ended.warnings(judged, compared, covariance),
     )
@@ -167,15 +170,15 @@ class _Ended:
             values={p.name: values[p.name] for p in self.arranged.joint.parameters},
             initial=initial_of(values),
             level=one.level,
-            repeatable=one.uncertainty.repeatable,
+            repeatable=one.repeatable,
             sample_time=problem.experiment.sample_time,
             filtering=problem.filtering,
-            rows=one.end.error.size,
+            rows=one.error.size,
             measured=problem.measured,
             predicted=predicted,
             relative_error=relative_error(problem.measured, predicted, problem.filtering.borders),
             filtered_error=float(np.linalg.norm(problem.filtered(problem.measured - predicted)) / size),
-            alone_error=float(np.linalg.norm(one.end.error) / size),
+            alone_error=float(np.linalg.norm(one.error) / size),
         )
 
     def warnings(self, judged: Uncertainty, compared: Agreement, covariance: Covariance) -> tuple[str, ...]:
@@ -200,7 +203,7 @@ class _Ended:
         found += list(judged.sentences[2:]) + ([judged.sentences[1]] if judged.repeatable.significant else [])
         for number, one in enumerate(self.alone, 1):
             size = np.linalg.norm(one.problem.filtered(one.problem.measured))
-            found += [f"record {number}: {said}" for said in poor_fit(float(np.linalg.norm(one.end.error) / size))]
+            found += [f"record {number}: {said}" for said in poor_fit(float(np.linalg.norm(one.error) / size))]
         return tuple(found)
 
     def _estimated(self, at: int, covariance: Covariance) -> EstimatedParameter:

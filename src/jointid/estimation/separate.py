@@ -1,14 +1,15 @@
 """Each of several records by itself: a start for the fit of all of them, the level of its residual, what it says alone.
 
 By itself a record is fitted as it will be with the others, by bounded least squares with the exact Jacobian, from what
-its own identification found; only the gain of its drive, which no record tells alone, is kept at 1.
+its own identification found; only the gain of its drive, which no record tells alone, is kept at 1. Its residual gives
+the weights of its rows in the fit of all records, and in another one of itself (`whitened`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,8 +19,9 @@ from jointid.estimation.criterion import Criterion
 from jointid.estimation.descent import reason
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.problem import Problem
-from jointid.estimation.repeatable import Uncertainty, cells, uncertainty
-from jointid.estimation.several import at_rows
+from jointid.estimation.repeatable import Repeatable, Uncertainty, cells, uncertainty
+from jointid.estimation.several import at_rows, several, whitening
+from jointid.estimation.uncertainty import bandwidth
 from jointid.model.parameters import TORQUE_UNIT
 
 _TOLERANCE, _EVALUATIONS = 1e-10, 100
@@ -51,16 +53,22 @@ class BySelf:
 
     Attributes:
         problem: what was solved, per torque of the log.
-        end: its solution.
+        end: its solution, in rows that are weighted.
+        error: (rows,) its residual, not weighted.
         level: rms of the residual over its degrees of freedom.
+        weights: taps of the filter that the rows go through.
         uncertainty: of the solution.
+        repeatable: what of the residual repeats with the motion.
         simulations: that this took.
     """
 
     problem: Problem
     end: End
+    error: FloatArray
     level: float
+    weights: FloatArray
     uncertainty: Uncertainty
+    repeatable: Repeatable
     simulations: int
 
     @property
@@ -75,7 +83,7 @@ class BySelf:
 
 
 def by_itself(problem: Problem, values: Mapping[str, float]) -> BySelf:
-    """Fit one record.
+    """Fit one record, all of its rows weighing the same.
 
     Args:
         problem: of the record.
@@ -83,13 +91,31 @@ def by_itself(problem: Problem, values: Mapping[str, float]) -> BySelf:
     """
     lower, upper = bounds(problem)
     end = descended(problem, np.clip(problem.vector(values), lower, upper))
-    size = float(np.sqrt(np.mean(problem.filtered(problem.measured) ** 2)))
     level = float(np.linalg.norm(end.error)) / math.sqrt(max(end.error.size - end.x.size, 1))
-    where = cells(*at_rows(problem, problem.simulate(end.x)))
-    joint = problem.loop.joint
+    judged, level = _judged(problem, end), max(level, _nothing(problem))
+    weights = np.array([1.0 / level])
+    return BySelf(problem, end, end.error, level, weights, judged, judged.repeatable, end.evaluations + 1)
+
+
+def whitened(one: BySelf) -> BySelf:
+    """Fit a record again, its rows weighted by the spectrum of its residual; one that leaves nothing stays as it is."""
+    if one.level <= _nothing(one.problem):
+        return one
+    weights = whitening(one.error, one.level, bandwidth(one.error.size))
+    end = descended(several([one.problem]).weighing([weights]), one.end.x)
+    error, judged, used = one.problem.residual(end.x), _judged(one.problem, end), end.evaluations + 2
+    return replace(one, end=end, error=error, weights=weights, uncertainty=judged, simulations=one.simulations + used)
+
+
+def _nothing(problem: Problem) -> float:
+    """Return the level of a residual that is as good as none."""
+    return _NOTHING_LEFT * float(np.sqrt(np.mean(problem.filtered(problem.measured) ** 2)))
+
+
+def _judged(problem: Problem, end: End) -> Uncertainty:
+    where, joint = cells(*at_rows(problem, problem.simulate(end.x))), problem.loop.joint
     unit = joint.torque_unit or TORQUE_UNIT[joint.kind]
-    judged = uncertainty(end.J, end.J, end.error, where, [p.name for p in problem.free], unit)
-    return BySelf(problem, end, max(level, _NOTHING_LEFT * size), judged, end.evaluations + 1)
+    return uncertainty(end.J, end.J, end.error, where, [p.name for p in problem.free], unit)
 
 
 def starts(estimates: Sequence[Estimate]) -> list[dict[str, float]]:

@@ -2,7 +2,8 @@
 
 A parameter of a record is the one that all records share, or that plus a number that is known (a mass that was added to
 the load, say), or its own. The motor's first state is always its own; so is a number of the controller that the records
-declare differently. The residuals stand one after the other, each weighted by how large its own record's is.
+declare differently. The residuals stand one after the other, each through a filter of a few taps that makes its record
+count for what it is worth: one over its level, or what makes its noise white (`whitening`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from jointid.estimation.surroundings import INITIAL_STATE, of_law
 from jointid.model.parameters import Parameter
 from jointid.simulation.closed_loop import Simulation
 
+_WHITE = 0.01  # of a residual's variance
 _INITIAL = frozenset(p.name for p in INITIAL_STATE)
 
 
@@ -34,14 +36,14 @@ class Several:
             ``name@number`` with the number of the record, from 1.
         places: for each record, where each of its free parameters stands among those, (its free,).
         added: for each record, what is known to come on top of each, (its free,).
-        weights: of the residuals.
+        weights: for each record, the taps of the filter its rows go through, (taps,).
     """
 
     problems: tuple[Problem, ...]
     free: tuple[Parameter, ...]
     places: tuple[NDArray[np.intp], ...]
     added: tuple[FloatArray, ...]
-    weights: tuple[float, ...]
+    weights: tuple[FloatArray, ...]
 
     def of_record(self, x: FloatArray, number: int) -> FloatArray:
         """Return the free parameters of one record, numbered from 0, in its own problem's order."""
@@ -56,31 +58,31 @@ class Several:
         lower, upper = (np.array([getattr(p, side) for p in self.free]) for side in ("lower", "upper"))
         return np.clip(total / count, lower, upper)
 
-    def weighing(self, levels: Sequence[float]) -> Several:
-        """Return the same criterion with the residual of each record divided by its level.
+    def weighing(self, weights: Sequence[FloatArray]) -> Several:
+        """Return the same criterion with other weights, see `whitening`; they are made relative to their mean.
 
-        The weights are relative to the levels' mean, so that the residual keeps the unit of the torque.
+        The residual keeps the unit of the torque that way.
         """
-        mean = math.sqrt(sum(level**2 for level in levels) / len(levels))
-        return replace(self, weights=tuple(mean / level for level in levels))
+        mean = math.sqrt(sum(float(taps[0]) ** -2 for taps in weights) / len(weights))
+        return replace(self, weights=tuple(mean * taps for taps in weights))
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the weighted residuals, one record after the other, (rows,)."""
-        each = [w * p.residual(self.of_record(x, k)) for k, (p, w) in enumerate(self._weighted)]
+        each = [through(taps, p.residual(self.of_record(x, k))) for k, (p, taps) in enumerate(self._weighted)]
         return np.concatenate(each)
 
     def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
         errors, slopes = [], []
-        for k, (problem, weight) in enumerate(self._weighted):
+        for k, (problem, taps) in enumerate(self._weighted):
             error, J = problem.linearised(self.of_record(x, k))
-            errors.append(weight * error)
+            errors.append(through(taps, error))
             slopes.append(np.zeros((error.size, len(self.free))))
-            slopes[-1][:, self.places[k]] = weight * J
+            slopes[-1][:, self.places[k]] = through(taps, J)
         return np.concatenate(errors), np.concatenate(slopes)
 
     @property
-    def _weighted(self) -> list[tuple[Problem, float]]:
+    def _weighted(self) -> list[tuple[Problem, FloatArray]]:
         return list(zip(self.problems, self.weights, strict=True))
 
 
@@ -122,7 +124,7 @@ def several(
         tuple(_common(label, members[label]) for label in order),
         tuple(np.array([order.index(label) for label in each], dtype=np.intp) for each in labels),
         tuple(np.array([more.get(p.name, 0.0) for p in q.free]) for q, more in zip(problems, added, strict=True)),
-        (1.0,) * len(problems),
+        (np.ones(1),) * len(problems),
     )
 
 
@@ -186,6 +188,36 @@ def _common(label: str, members: Sequence[Parameter]) -> Parameter:
     return replace(
         first, name=label, symbol=f"{first.symbol}@{number}" if number else first.symbol, lower=lower, upper=upper
     )
+
+
+def whitening(error: FloatArray, level: float, order: int) -> FloatArray:
+    """Return the taps that make a residual white and of level 1, (order + 1,).
+
+    The prediction error of an autoregression (Yule-Walker): what is seen at frequencies where the noise is small counts
+    for more (Cochrane and Orcutt 1949). A hundredth of the variance is taken to be white, so that nothing is made of
+    what a low-pass took out.
+
+    Args:
+        error: (rows,) the residual of the record by itself, in the order of time.
+        level: its level.
+        order: of the autoregression; 0 for a mere weight.
+    """
+    lags = np.array([error[lag:] @ error[: error.size - lag] for lag in range(order + 1)])
+    lags[0] *= 1.0 + _WHITE
+    if not order or lags[0] <= 0.0:
+        return np.array([1.0 / level])
+    toeplitz = lags[np.abs(np.subtract.outer(np.arange(order), np.arange(order)))]
+    told = np.linalg.solve(toeplitz, lags[1:])
+    left = math.sqrt(max(1.0 - float(told @ lags[1:]) / lags[0], _WHITE))  # of the level, when the past is known
+    return np.concatenate([[1.0], -told]) / (level * left)
+
+
+def through(taps: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return signals, (rows,) or (rows, columns), through a filter; before the first row there was nothing."""
+    found = taps[0] * columns
+    for lag, tap in enumerate(taps[1:], 1):
+        found[lag:] += tap * columns[:-lag]
+    return np.asarray(found)
 
 
 def at_rows(problem: Problem, run: Simulation) -> tuple[FloatArray, FloatArray]:
