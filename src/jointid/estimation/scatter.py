@@ -153,7 +153,10 @@ def _one(name: str, unit: str, records: Sequence[Alone], level: float) -> Scatte
     total, squares = float(weights.sum()), float(weights @ weights)
     statistic = float(weights @ (values - weights @ values / total) ** 2)
     degrees = values.size - 1
-    between = math.sqrt(max(statistic - degrees, 0.0) / (total - squares / total))
+    apart = (
+        2.0 * float(np.sum(np.triu(np.outer(weights, weights), 1))) / total
+    )  # sum w - sum w^2 / sum w, to all digits
+    between = math.sqrt(max(statistic - degrees, 0.0) / apart)
     p_value = _beyond(statistic, degrees)
     return Scatter(name, unit, values.size, statistic, p_value, between, p_value <= level, squares / total**2)
 

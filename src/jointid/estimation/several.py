@@ -207,9 +207,8 @@ def whitening(error: FloatArray, level: float, order: int) -> FloatArray:
     if not order or lags[0] <= 0.0:
         return np.array([1.0 / level])
     toeplitz = lags[np.abs(np.subtract.outer(np.arange(order), np.arange(order)))]
-    told = np.linalg.solve(toeplitz, lags[1:])
-    left = math.sqrt(max(1.0 - float(told @ lags[1:]) / lags[0], _WHITE))  # of the level, when the past is known
-    return np.concatenate([[1.0], -told]) / (level * left)
+    taps = np.concatenate([[1.0], -np.linalg.solve(toeplitz, lags[1:])])
+    return np.asarray(taps * np.linalg.norm(error) / (level * np.linalg.norm(through(taps, error))))
 
 
 def through(taps: FloatArray, columns: FloatArray) -> FloatArray:

@@ -30,10 +30,9 @@ from jointid.data.signals import Filtering
 from jointid.estimation.arrangement import Arrangement
 from jointid.estimation.common_estimate import CommonEstimate
 from jointid.estimation.conclusion import concluded
-from jointid.estimation.didim import DIDIM
-from jointid.estimation.estimate import Estimate
-from jointid.estimation.flexible import FlexibleDIDIM
-from jointid.estimation.identify import identify
+from jointid.estimation.estimate import Estimate, fingerprint
+from jointid.estimation.identify import Method, identify
+from jointid.estimation.idim import IDIM
 from jointid.estimation.problem import Problem, torque_problem
 from jointid.estimation.separate import BySelf, by_itself, descended, starts, whitened
 from jointid.estimation.several import several
@@ -51,7 +50,7 @@ def identify_together(
     added_inertia: Sequence[float] | None = None,
     own: Sequence[Sequence[str]] | None = None,
     free: Sequence[str] = (),
-    method: DIDIM | FlexibleDIDIM | None = None,
+    method: Method | None = None,
     filtering: Filtering | None = None,
     weighting: Weighting = "spectrum",
     parameters: Mapping[str, Parameter] | None = None,
@@ -75,9 +74,9 @@ def identify_together(
         progress: is told each step in a sentence.
 
     Raises:
-        RecordError: a record lacks a channel, or two of them are the same.
-        MethodError: there is one record only; lists are not as long as the records; a name is not known; nothing
-            tells the gain of the drive; or a record cannot be identified by itself.
+        RecordError: a record lacks a channel.
+        MethodError: there is one record only, or one twice; the method is IDIM; lists are not as long as the records;
+            a name is not known; nothing tells the gain of the drive; or a record cannot be identified by itself.
 
     Example:
         >>> import jointid as ji
@@ -92,7 +91,10 @@ def identify_together(
     """
     if weighting not in ("spectrum", "level"):
         raise MethodError(f'The weighting is one of spectrum, level; received "{weighting}".')
+    if isinstance(method, IDIM):
+        raise MethodError("Records are identified together by simulating their loops; IDIM does not, so use DIDIM.")
     chosen = Arrangement.of(len(records), loops, added_inertia, own, free)
+    _require_different(records)
     estimates = []
     for k, record in enumerate(records):
         progress(f"record {k + 1}, {record.name}, by itself")
@@ -117,6 +119,17 @@ def identify_together(
     progress(end.stop)
     simulations = sum(estimate.simulations for estimate in estimates) + sum(one.simulations for one in alone)
     return concluded(records, chosen, criterion, end, alone, simulations, how)
+
+
+def _require_different(records: Sequence[Record]) -> None:
+    seen: dict[str, int] = {}
+    for number, record in enumerate(records, 1):
+        mark = fingerprint(record.torque.values) if record.torque is not None else str(number)
+        if mark in seen:
+            raise MethodError(
+                f"Records {seen[mark]} and {number} are the same record, which is no second one: name another file."
+            )
+        seen[mark] = number
 
 
 def _problem(
