@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from jointid.answers import estimate_answer, simulation_answer, validation_answer
+    from jointid.answers import estimate_answer, simulation_answer, together_answer, validation_answer
     from jointid.assessment.validation import Validation, validate
     from jointid.common.errors import (
         ExtraError,
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from jointid.simulation.synthesis import simulated_record
 
 _HOMES = {
-    "answers": ("estimate_answer", "simulation_answer", "validation_answer"),
+    "answers": ("estimate_answer", "simulation_answer", "together_answer", "validation_answer"),
     "assessment.validation": ("Validation", "validate"),
     "common.errors": ("ExtraError", "JointFileError", "JointidError", "MethodError", "RecordError"),
     "data.checks": ("check_record",),
@@ -128,6 +128,7 @@ __all__ = [
     "simulate_many",
     "simulated_record",
     "simulation_answer",
+    "together_answer",
     "torque_figure",
     "trapezoids",
     "twin",

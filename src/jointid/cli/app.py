@@ -15,6 +15,7 @@ from jointid.cli.demo import demo
 from jointid.cli.identify import identify
 from jointid.cli.reproduce import reproduce
 from jointid.cli.simulate import simulate
+from jointid.cli.together import together
 from jointid.cli.validate import validate
 from jointid.common.errors import JointidError
 
@@ -27,7 +28,7 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (demo, identify, validate, simulate, reproduce):
+for command in (demo, identify, together, validate, simulate, reproduce):
     app.command(command)
 
 
