@@ -18,7 +18,7 @@ from jointid.estimation.flexible import FlexibleDIDIM
 from jointid.estimation.identify import identify
 from jointid.estimation.idim import IDIM
 from jointid.estimation.problem import Problem, torque_problem
-from jointid.estimation.separate import by_itself, descended, whitened
+from jointid.estimation.separate import by_itself, descended, starts, whitened
 from jointid.estimation.several import several
 from jointid.estimation.surroundings import INITIAL_STATE
 from jointid.estimation.together import identify_together
@@ -76,7 +76,7 @@ def test_two_records_under_different_gains() -> None:
     axis = twins("none")
     slower = ClosedLoop(axis.loop.joint, replace(axis.loop.controller, kp=120.0, kv=200.0))  # type: ignore[type-var]
     records = [logged(axis.loop, axis.truth), logged(slower, axis.truth)]
-    found = identify_together(records, [axis.loop, slower])
+    found = identify_together(records, [axis.loop, slower], method=QUICK)
     for name, value in found.values.items():
         assert value == pytest.approx(axis.truth[name], rel=1e-4), name
     assert found.converged
@@ -164,6 +164,34 @@ def test_a_second_record_narrows_the_intervals(noisy: CommonEstimate) -> None:
     assert not noisy.agreement.differs
 
 
+def test_a_record_that_is_much_noisier_does_no_harm() -> None:
+    """It counts for what it is worth: nearly nothing."""
+    axis = twins("white")
+    quiet, loud = (logged(axis.loop, axis.truth, "white", seed) for seed in (50, 51))
+    assert loud.torque is not None
+    more = 100.0 * np.random.default_rng(52).standard_normal(len(loud.torque))
+    loud = replace(loud, torque=replace(loud.torque, values=loud.torque.values + more))
+    found = identify_together([quiet, loud], axis.loop, method=QUICK)
+    assert found.records[1].level > 5 * found.records[0].level
+    for p in found.records[0].alone:
+        if p.of_joint:
+            assert float(found[p.name].std or 0.0) <= 1.02 * float(p.std or 0.0), p.name
+            assert abs(float(found[p.name].value or 0.0) - float(p.value or 0.0)) <= 0.5 * float(p.std or 0.0), p.name
+
+
+def test_what_one_record_refuses_another_may_tell() -> None:
+    truth = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.0}
+    estimate = identify(logged(RIGID, truth), RIGID)
+    refusing = replace(
+        estimate,
+        parameters=tuple(replace(p, value=None) if p.name == "coulomb" else p for p in estimate.parameters),
+    )
+    first, second = starts([refusing, estimate])
+    assert first == second
+    with pytest.raises(MethodError, match="No record by itself tells coulomb"):
+        starts([refusing, refusing])
+
+
 def test_the_answer_prints(noisy: CommonEstimate) -> None:
     text = str(noisy)
     assert "2 records together" in text
@@ -214,14 +242,14 @@ def differences(noise: Noise, seed: int) -> tuple[float, float]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("noise", "apart", "both"), [("white", 0.15, 0.07), ("disturbance", 0.25, 0.07)])
-def test_ten_kilograms_more_by_records_apart_and_together(noise: Noise, apart: float, both: float) -> None:
+@pytest.mark.parametrize(("noise", "apart"), [("white", 0.161), ("disturbance", 0.22)])
+def test_ten_kilograms_more_by_records_apart_and_together(noise: Noise, apart: float) -> None:
+    """Apart: what the sensitivities foretell, which for white noise no estimator betters. Together: 0.07 kg."""
     found = np.array(in_threads(lambda seed: differences(noise, seed), range(7000, 7000 + RUNS)))
     assert np.all(np.abs(found.mean(axis=0) - KILOGRAMS) <= 0.05)
-    spread = found.std(axis=0, ddof=1)
-    print(noise, found.mean(axis=0), spread)
-    assert spread[0] <= apart
-    assert spread[1] <= both
+    spread, chance = found.std(axis=0, ddof=1), 2 / np.sqrt(2 * RUNS)  # two deviations of a deviation
+    assert spread[0] == pytest.approx(apart, rel=chance)
+    assert spread[1] <= 0.07 * (1 + chance)
 
 
 def gain_of(noise: Noise, seed: int) -> tuple[float, float, bool]:
@@ -246,7 +274,6 @@ def test_the_gain_of_a_drive_by_a_known_mass(noise: Noise) -> None:
     """A drive whose torque is 3 % more than its log says, two records, 10 kg on the load, friction free in each."""
     found = np.array(in_threads(lambda seed: gain_of(noise, seed), range(8000, 8200)))
     error, std, differs = found.T
-    print(noise, error.mean(), error.std(ddof=1), std.mean(), np.mean(np.abs(error) <= 2 * std), differs.mean())
     assert abs(error.mean()) <= 0.002
     assert error.std(ddof=1) <= 0.007
     assert 0.92 <= np.mean(np.abs(error) <= 2 * std) <= 0.98
@@ -272,6 +299,7 @@ def test_the_two_emps_records_disagree_on_the_inertia_and_it_is_said(
     inertia = found.agreement["inertia"]
     assert inertia.differs
     assert inertia.between == pytest.approx(0.85, abs=0.1)
+    assert float(found["inertia"].std or 0.0) > 0.7 * inertia.between  # widened by it
     assert any("disagree by more than their intervals allow" in warning for warning in found.warnings)
     assert abs(values - found["inertia"].value) == pytest.approx(0.0, abs=2 * float(found["inertia"].std or 0.0))
     for name in found.values:
