@@ -332,6 +332,7 @@ def test_what_cannot_be_is_refused_in_a_sentence() -> None:
         ({"added_inertia": [10.0]}, "added_inertia has one entry for each of the 2 records"),
         ({"own": ["offset", "offset"]}, "own has one entry for each of the 2 records"),
         ({"added_inertia": [0.0, -1.0]}, "An added inertia is 0 or more"),
+        ({"own": [("drive_gain",), ()]}, "The gain of the drive is one for all records"),
         ({"weighting": "none"}, "The weighting is one of spectrum, level"),
         ({"method": IDIM()}, "IDIM"),
         ({}, "are the same record"),

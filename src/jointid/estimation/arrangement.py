@@ -50,6 +50,8 @@ class Arrangement:
                     f"{name} has one entry for each of the {count} records (a list of names, of what is a record's "
                     f"own); received {given!r}."
                 )
+        if any("drive_gain" in mine for mine in own or ()):
+            raise MethodError("The gain of the drive is one for all records; leave drive_gain out of own.")
         if not all(math.isfinite(m) and m >= 0.0 for m in more):
             raise MethodError(f"An added inertia is 0 or more; received {more}: subtract the smallest from all.")
         joint = each[0].joint

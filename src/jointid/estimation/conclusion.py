@@ -102,7 +102,10 @@ class _Ended:
         return uncertainty(J, J, error, where, self.names, unit, [at.size for at, _ in seen])
 
     def agreement(self) -> Agreement:
-        """Return whether the records, each by itself, agree in what they share."""
+        """Return whether the records, each by itself, agree in what they share.
+
+        Per torque that acts, by the gain that was found. The inertia that tells the gain is not compared.
+        """
         told = {name for more in self.arranged.added for name in more} if "drive_gain" in self.arranged.free else set()
         shared = {p.name: self.arranged.unit(p) for p in self.criterion.free if "@" not in p.name}
         units = {name: unit for name, unit in shared.items() if name not in told | {"drive_gain"}}
