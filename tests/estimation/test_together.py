@@ -275,7 +275,8 @@ def test_the_gain_of_a_drive_by_a_known_mass(noise: Noise) -> None:
     found = np.array(in_threads(lambda seed: gain_of(noise, seed), range(8000, 8200)))
     error, std, differs = found.T
     assert abs(error.mean()) <= 0.002
-    assert error.std(ddof=1) <= 0.007
+    # Under white noise, where no weights help, 0.68 % is foretold: two deviations of a deviation are more than 0.7 %.
+    assert error.std(ddof=1) <= (0.007 if noise == "disturbance" else 0.007 * (1 + 2 / np.sqrt(2 * error.size)))
     assert 0.92 <= np.mean(np.abs(error) <= 2 * std) <= 0.98
     assert differs.mean() <= 0.15  # records that agree are seldom said not to
 
