@@ -27,8 +27,9 @@ from jointid.estimation.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.estimation.identify import identify
 from jointid.estimation.idim import IDIM
 from jointid.jointfile import JointFile, Run, Source, dumps, json_schema, load, loads, save
-from jointid.jointfile.schema import DIDIMS, FILTERINGS
+from jointid.jointfile.schema import DIDIMS, FILTERINGS, OF_IDIM
 from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
+from jointid.model.effects import Drift, PositionHarmonics
 from jointid.model.friction import AsymmetricFriction, SymmetricFriction
 from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.model.parameters import Parameter
@@ -156,8 +157,9 @@ def test_every_word_of_the_objects_is_a_word_of_the_file() -> None:
     assert table("FilteringTable")["preset"]["enum"] == list(FILTERINGS)
     assert table("JointTable")["model"]["enum"] == list(DIDIMS)
     settings = [field.name for method in (DIDIM, FlexibleDIDIM) for field in dataclasses.fields(method)]
-    assert list(dict.fromkeys(settings)) == list(table("MethodTable"))[2:]
-    for method in (DIDIM, FlexibleDIDIM):
+    assert [*dict.fromkeys(settings), *OF_IDIM] == list(table("MethodTable"))[2:]
+    assert table("MethodTable")["drift"]["enum"] == list(get_args(get_type_hints(Drift)["of"]))
+    for method in (DIDIM, FlexibleDIDIM, IDIM):
         for name, hint in get_type_hints(method).items():
             if get_origin(hint) is Literal:
                 assert table("MethodTable")[name]["enum"] == list(get_args(hint)), name
@@ -297,6 +299,12 @@ def test_a_state_space_law() -> None:
         (CHANNELS, IDIM()),
         (CHANNELS.replace("reference", "load_position") + CASCADE, IDIM()),
         (CHANNELS + CASCADE + '[method]\nname = "idim"', IDIM()),
+        (CHANNELS + CASCADE + '[method]\nname = "idim"\nestimator = "iv"', IDIM("iv")),
+        (
+            CHANNELS + '[method]\nharmonics = 2\ndrift = "both"',
+            IDIM("ols", (PositionHarmonics(None, 2), Drift("both"))),
+        ),
+        (CHANNELS + "[method]\nharmonics = 1\nperiod = 0.005", IDIM("ols", (PositionHarmonics(0.005),))),
         (CHANNELS + CASCADE + '[method]\npreset = "paper"', DIDIM.paper()),
         (CHANNELS + CASCADE + "[method]\niterations = 3", DIDIM(iterations=3)),
     ],
@@ -683,6 +691,18 @@ FAULTS = [
         'method.minimiser is for DIDIM, but the method is IDIM: leave it out, or use method.name = "didim".',
     ),
     (
+        JOINT + CHANNELS + '[method]\nname = "idim"\nestimator = "iv"',
+        'controller is missing, but method.estimator = "iv" simulates the loop: add it, or use another.',
+    ),
+    (
+        JOINT + CHANNELS + CASCADE + '[method]\nname = "didim"\ndrift = "force"',
+        'method.drift is for IDIM, but the method is DIDIM: leave it out, or use method.name = "idim".',
+    ),
+    (
+        JOINT + CHANNELS + "[method]\nperiod = 0.005",
+        "method.period is 0.005, but there are no harmonics; add harmonics = 1, or leave it out.",
+    ),
+    (
         FLEXIBLE + "[method]\nfrequency = -30",
         "method.frequency is -30; expected a positive number: correct it, or leave it out.",
     ),
@@ -995,10 +1015,14 @@ def joint_files(draw: st.DrawFn) -> JointFile:
         restarts=whole,
         statistics=st.sampled_from(("sensitivities", "inverse-model")),
     )
+    estimators = st.sampled_from(("ols", "weighted", "robust", "iv"))
+    ripple = st.builds(PositionHarmonics, st.none() | positive, st.integers(1, 9))
+    drift = st.builds(Drift, st.sampled_from(("force", "viscous", "both")))
+    effects = st.just(()) | st.tuples(ripple) | st.tuples(drift) | st.tuples(ripple, drift)
     return JointFile(
         joint=joint,
         columns={name: draw(columns(name)) for name in names},
-        method=draw(st.just(IDIM()) | (flexible if joint.model == "flexible" else rigid)),
+        method=draw(st.builds(IDIM, estimators, effects) | (flexible if joint.model == "flexible" else rigid)),
         controller=draw(
             st.builds(Cascade, kv=positive, **law)
             | st.builds(PD, kd=positive, reference_velocity=st.sampled_from(("none", "channel")), **law)
@@ -1078,6 +1102,9 @@ def test_what_a_joint_file_cannot_say_is_not_written() -> None:
 
     with pytest.raises(JointFileError, match="no word for the controller Other; give a StateSpaceController"):
         dumps(dataclasses.replace(file, controller=Other(kp=1.0, kv=1.0)))
+    loads_only = IDIM(effects=(PositionHarmonics(0.1, side="load"),))
+    with pytest.raises(JointFileError, match="has words for one PositionHarmonics, then one Drift, both on the motor"):
+        dumps(dataclasses.replace(file, method=loads_only))
     with pytest.raises(JointFileError, match="no word for the friction OtherFriction; use symmetric or asymmetric"):
         dumps(dataclasses.replace(file, joint=RigidJoint(friction=OtherFriction())))
     with pytest.raises(JointFileError, match="The joint's torque is in A, but its channel's in N; give"):

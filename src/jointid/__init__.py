@@ -9,7 +9,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from jointid.answers import estimate_answer, simulation_answer, together_answer, validation_answer
+    from jointid.answers import (
+        comparison_answer,
+        estimate_answer,
+        simulation_answer,
+        together_answer,
+        validation_answer,
+    )
+    from jointid.assessment.comparison import Comparison, compare
+    from jointid.assessment.intervals import Intervals, intervals
     from jointid.assessment.validation import Validation, validate
     from jointid.common.errors import (
         ExtraError,
@@ -33,6 +41,7 @@ if TYPE_CHECKING:
     from jointid.estimation.together import identify_together
     from jointid.jointfile import JointFile, load
     from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
+    from jointid.model.effects import Drift, PositionHarmonics
     from jointid.model.friction import AsymmetricFriction, SymmetricFriction
     from jointid.model.joints import FlexibleJoint, RigidJoint, frequencies, rigid_sums
     from jointid.model.parameters import Parameter
@@ -43,7 +52,9 @@ if TYPE_CHECKING:
     from jointid.simulation.synthesis import simulated_record
 
 _HOMES = {
-    "answers": ("estimate_answer", "simulation_answer", "together_answer", "validation_answer"),
+    "answers": ("comparison_answer", "estimate_answer", "simulation_answer", "together_answer", "validation_answer"),
+    "assessment.comparison": ("Comparison", "compare"),
+    "assessment.intervals": ("Intervals", "intervals"),
     "assessment.validation": ("Validation", "validate"),
     "common.errors": ("ExtraError", "JointFileError", "JointidError", "MethodError", "RecordError"),
     "data.checks": ("check_record",),
@@ -61,6 +72,7 @@ _HOMES = {
     "estimation.together": ("identify_together",),
     "jointfile": ("JointFile", "load"),
     "model.controllers": ("PD", "Cascade", "DigitalFilter", "StateSpaceController"),
+    "model.effects": ("Drift", "PositionHarmonics"),
     "model.friction": ("AsymmetricFriction", "SymmetricFriction"),
     "model.joints": ("FlexibleJoint", "RigidJoint", "frequencies", "rigid_sums"),
     "model.parameters": ("Parameter",),
@@ -83,7 +95,9 @@ __all__ = [
     "ClosedLoop",
     "Column",
     "CommonEstimate",
+    "Comparison",
     "DigitalFilter",
+    "Drift",
     "Estimate",
     "EstimatedParameter",
     "ExtraError",
@@ -94,12 +108,14 @@ __all__ = [
     "Initial",
     "Injection",
     "InjectionPoint",
+    "Intervals",
     "JointFile",
     "JointFileError",
     "JointidError",
     "MethodError",
     "Outcome",
     "Parameter",
+    "PositionHarmonics",
     "Record",
     "RecordError",
     "RecordShare",
@@ -112,10 +128,13 @@ __all__ = [
     "Twin",
     "Validation",
     "check_record",
+    "compare",
+    "comparison_answer",
     "estimate_answer",
     "frequencies",
     "identify",
     "identify_together",
+    "intervals",
     "load",
     "prepare",
     "pulses",

@@ -7,14 +7,27 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
+from jointid.assessment.comparison import Comparison
 from jointid.assessment.validation import Validation
-from jointid.common.errors import RecordError
+from jointid.common.errors import MethodError, RecordError
 from jointid.data.signals import Filtering
 from jointid.estimation.common_estimate import CommonEstimate, RecordShare
-from jointid.estimation.estimate import Estimate, EstimatedParameter, IdentifiedJoint, Iteration, MethodName
+from jointid.estimation.estimate import (
+    Estimate,
+    EstimatedParameter,
+    IdentifiedJoint,
+    Iteration,
+    MethodName,
+    law_fingerprint,
+)
+from jointid.estimation.identifiability import Identifiability
+from jointid.estimation.residuals import ResidualReport
+from jointid.model.effects import Drift, Effect, PositionHarmonics, effect_parameters
 from jointid.model.joints import Joint
 from jointid.simulation.closed_loop import Initial, Simulation
 from jointid.simulation.experiment import ClosedLoop
@@ -22,9 +35,12 @@ from jointid.simulation.experiment import ClosedLoop
 ESTIMATE_SCHEMA = "jointid.estimate/1"
 TOGETHER_SCHEMA = "jointid.together/1"
 VALIDATION_SCHEMA = "jointid.validation/1"
+COMPARISON_SCHEMA = "jointid.comparison/1"
 SIMULATION_SCHEMA = "jointid.simulation/1"
 
 Json = dict[str, Any]
+
+_EFFECTS: Mapping[str, type[PositionHarmonics] | type[Drift]] = {"harmonics": PositionHarmonics, "drift": Drift}
 
 
 def estimate_answer(estimate: Estimate) -> Json:
@@ -55,14 +71,63 @@ def estimate_answer(estimate: Estimate) -> Json:
         else {"raw": conditioning.raw, "normalised": conditioning.normalised, "scaled": conditioning.scaled},
         "filtering": _filtering(estimate.filtering),
         "delay": estimate.delay,
-        "controller_sha256": estimate.identified.controller or None,
+        "controller_sha256": None if estimate.loop is None else law_fingerprint(estimate.loop),
         "iterations": estimate.iterations,
         "simulations": estimate.simulations,
         "converged": estimate.converged,
         "stop": estimate.stop,
         "intervals": estimate.intervals,
         "trace": [_iteration(line) for line in estimate.trace],
+        "tests": [asdict(test) for test in estimate.tests],
+        "effects": [_effect(effect) for effect in estimate.effects],
         "warnings": list(estimate.warnings),
+        "verdicts": [{"subject": v.subject, "good": v.good, "said": v.said} for v in estimate.verdicts],
+        "combinations": None if estimate.known is None else _combinations(estimate.known),
+        "residuals": None if estimate.residuals is None else _residuals(estimate.residuals),
+        "stiffness_bounds": [
+            {"load_share": bound.share, "stiffness": bound.stiffness, "free_free_hz": bound.frequency}
+            for bound in estimate.bounds
+        ],
+    }
+
+
+def _combinations(known: Identifiability) -> list[Json]:
+    return [
+        {
+            "name": one.combination.name,
+            "formula": one.combination.formula,
+            "weights": dict(one.combination.weights),
+            "value": one.value,
+            "std": one.std,
+            "unit": one.combination.unit,
+            "known": one.verdict,
+        }
+        for one in (*known.physical, *known.directions)
+    ]
+
+
+def _residuals(report: ResidualReport) -> Json:
+    repeats = report.repeatable
+    return {
+        "relative_percent": 100 * report.relative,
+        "mean_removed_percent": 100 * report.centred,
+        "rms": report.rms,
+        "mean": report.mean,
+        "unit": report.unit,
+        "bands": [
+            {
+                "low_hz": band.low,
+                "high_hz": band.high,
+                "error_percent": None if band.error is None else 100 * band.error,
+                "share_percent": 100 * band.share,
+            }
+            for band in report.bands
+        ],
+        "against_rigid_percent": None if report.against_rigid is None else 100 * report.against_rigid,
+        "whiteness_p": None if report.whiteness is None else report.whiteness.p_value,
+        "repeatable": None
+        if repeats is None
+        else {"rms": repeats.rms, "share_percent": 100 * repeats.share, "p": repeats.p_value},
     }
 
 
@@ -129,6 +194,25 @@ def validation_answer(validation: Validation) -> Json:
     }
 
 
+def comparison_answer(comparison: Comparison) -> Json:
+    """Return a comparison as it is written to JSON: the whole answer of each method that ran."""
+    return {
+        "schema": COMPARISON_SCHEMA,
+        "record": comparison.record,
+        "model": comparison.model,
+        "methods": [
+            {
+                "name": method.name,
+                "estimate": None if method.estimate is None else estimate_answer(method.estimate),
+                "refusal": method.refusal,
+                "seconds": method.seconds,
+            }
+            for method in comparison.methods
+        ],
+        "disagreements": list(comparison.disagreements),
+    }
+
+
 def simulation_answer(simulation: Simulation, joint: Joint, values: dict[str, float], record: str) -> Json:
     """Return what a simulation was and how it ended as it is written to JSON; the signals go into a record."""
     units = {p.name: joint.unit(p) for p in joint.parameters}
@@ -180,7 +264,7 @@ def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> 
     answer = _read(path)
     try:
         return _identified(answer, joint, loop)
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, MethodError):
         raise RecordError(
             f"{path} is no estimate of schema {ESTIMATE_SCHEMA} for a {joint.kind} {joint.model} joint with these "
             "parameters in these units; identify with this joint file first."
@@ -219,7 +303,9 @@ def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identifi
     same = answer["schema"] == ESTIMATE_SCHEMA and (answer["model"], answer["kind"]) == (joint.model, joint.kind)
     if not same or any(found[p.name]["unit"] != joint.unit(p) for p in joint.parameters):
         raise ValueError
-    values = {p.name: float(found[p.name]["value"]) for p in joint.parameters}
+    effects = tuple(_read_effect(effect) for effect in answer.get("effects", []))
+    every = (*joint.parameters, *effect_parameters(effects))
+    values = {p.name: float(found[p.name]["value"]) for p in every}
     given = answer["filtering"]
     filtering = Filtering(
         given["position_cutoff"],
@@ -241,7 +327,22 @@ def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identifi
         str(record["name"]),
         str(record["torque_sha256"]),
         str(answer["controller_sha256"] or ""),
+        effects,
     )
+
+
+def _effect(effect: Effect) -> Json:
+    kinds = [kind for kind, made in _EFFECTS.items() if type(effect) is made]
+    if not kinds:
+        raise MethodError(
+            f"An answer has no word for the effect {type(effect).__name__}; it has PositionHarmonics and Drift."
+        )
+    assert isinstance(effect, PositionHarmonics | Drift)
+    return {"kind": kinds[0], **asdict(effect)}
+
+
+def _read_effect(answer: Json) -> Effect:
+    return _EFFECTS[answer["kind"]](**{key: value for key, value in answer.items() if key != "kind"})
 
 
 def _parameter(p: EstimatedParameter) -> Json:

@@ -288,6 +288,32 @@ def test_an_interruption_is_said(
     assert "Interrupted" in capsys.readouterr().err
 
 
+def test_compare_sets_every_method_of_the_real_axis_side_by_side(
+    emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.json"
+    assert run("compare", EMPS, "--record", emps_path, "--json", out) == 0
+    said = capsys.readouterr()
+    assert "trying IDIM-IV" in said.err
+    assert "IDIM-IV reads torque, reference, motor_position" in said.out
+    answer = json.loads(out.read_text(encoding="utf-8"))
+    assert [method["name"] for method in answer["methods"]][:4] == ["DIDIM", "IDIM-LS", "IDIM-IRLS", "IDIM-IV"]
+    assert {method["estimate"]["schema"] for method in answer["methods"]} == {"jointid.estimate/1"}
+
+
+def test_an_estimate_with_ripple_is_validated_and_simulated(
+    emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.json"
+    settings = ("--method", "idim", "--estimator", "robust", "--harmonics", 1, "--period", 0.0025, "--drift", "force")
+    assert run("identify", EMPS, "--record", emps_path, *settings, "--json", out, "-q") == 0
+    assert run("validate", EMPS, "--record", emps_path, "--estimate", out, "-q") == 0
+    fitted = json.loads(out.read_text(encoding="utf-8"))["filtered_error_percent"]
+    assert f"{fitted:.4f} % filtered" in capsys.readouterr().out.split("Direct test")[1]
+    assert run("simulate", EMPS, "--record", emps_path, "--estimate", out) == 0
+    assert "ripple and drift are left out" in capsys.readouterr().err
+
+
 def test_every_command_and_option_is_documented() -> None:
     page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     documented = {}

@@ -22,11 +22,12 @@ from jointid.estimation.estimate import (
     law_fingerprint,
     relative_error,
 )
-from jointid.estimation.idim import idim_channels, motion_of
+from jointid.estimation.inverse_model import idim_channels, motion_of
 from jointid.estimation.problem import Problem, initial_of
 from jointid.estimation.regression import least_squares
 from jointid.estimation.starts import initial_state, reconstructed_position
 from jointid.estimation.surroundings import INITIAL_STATE
+from jointid.model.effects import effect_parameters
 from jointid.model.joints import Motion
 from jointid.model.parameters import POSITION_UNIT
 from jointid.simulation.closed_loop import Initial, Simulation, require_finished
@@ -137,8 +138,8 @@ def _test(identified: IdentifiedJoint, record: Record) -> Literal["direct", "cro
 def _inverse(identified: IdentifiedJoint, record: Record) -> Validation:
     assert record.torque is not None
     joint, filtering, sample_time = identified.joint, identified.filtering, record.torque.sample_time
-    model = motion_of(record, identified.delay, filtering, joint)
-    values = np.array([identified.values[p.name] for p in joint.parameters])
+    model = motion_of(record, identified.delay, filtering, joint, identified.effects)
+    values = np.array([identified.values[p.name] for p in (*joint.parameters, *effect_parameters(identified.effects))])
     measured, predicted = model.torque[0], model.columns[0] @ values
     error, _ = model.decimated(filtering, sample_time, values)
     whole, _ = model.decimated(filtering, sample_time, np.zeros_like(values))

@@ -18,6 +18,10 @@ def identify(
     friction: Literal["symmetric", "asymmetric"] | None = None,
     minimiser: Literal["least-squares", "nelder-mead"] | None = None,
     frequency: float | None = None,
+    estimator: Literal["ols", "weighted", "robust", "iv"] | None = None,
+    harmonics: int | None = None,
+    period: float | None = None,
+    drift: Literal["force", "viscous", "both"] | None = None,
     json: Path | None = None,
     figure: Path | None = None,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
@@ -34,6 +38,11 @@ def identify(
         friction: the same in both directions, or not.
         minimiser: of didim for a flexible joint; nelder-mead is the paper's.
         frequency: in Hz, free-free, from which didim for a flexible joint starts its stiffness.
+        estimator: of idim; weighted, each equation of a flexible joint by the size of its error; robust, rows that do
+            not fit weigh less; iv, instruments from the simulated loop.
+        harmonics: of idim, so many of the force over the motor position.
+        period: of the first harmonic, in m or rad; without it the period is searched for.
+        drift: of idim, what changes linearly in time.
         json: also write the answer as JSON to this file.
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         quiet: say nothing of the progress.
@@ -46,7 +55,15 @@ def identify(
     listener = progress(quiet)
     check_outputs(figure, json)
     file = load(joint).overridden(
-        method=method, filtering=filtering, friction=friction, minimiser=minimiser, frequency=frequency
+        method=method,
+        filtering=filtering,
+        friction=friction,
+        minimiser=minimiser,
+        frequency=frequency,
+        estimator=estimator,
+        harmonics=harmonics,
+        period=period,
+        drift=drift,
     )
     logged = file.record(record)
     ready(listener)

@@ -71,8 +71,15 @@ def _joint(
     if file.loop is None:
         raise MethodError("A simulation needs the controller; add a [controller] table to the joint file.")
     logged = file.record(record)
-    values = file.values() if estimate is None else answers.read_identified(estimate, file.joint, file.loop).values
-    ready(progress(quiet))
+    listener = progress(quiet)
+    if estimate is None:
+        values = file.values()
+    else:
+        identified = answers.read_identified(estimate, file.joint, file.loop)
+        values = identified.values
+        if identified.effects:
+            listener("the estimate's ripple and drift are left out, which the simulated loop does not have")
+    ready(listener)
     simulation = require_finished(simulate(file.loop, prepare(file.loop, logged), values))
     peak = float(abs(simulation.torque).max())
     show(

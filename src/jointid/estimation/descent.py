@@ -69,30 +69,42 @@ def reason(end: OptimizeResult, tolerance: float) -> tuple[str, bool]:
 
 
 def refined(descent: Descent, x: FloatArray, tolerance: float, evaluations: int = _EVALUATIONS) -> OptimizeResult:
-    """Return SciPy's result of one least-squares descent within the bounds."""
+    """Return SciPy's result of one least-squares descent within the bounds.
+
+    Each parameter is searched in units of its start, and the residual in units of the torque, so that the search is
+    the same in any units. From where nothing can be simulated there is no way down: the start comes back.
+    """
     from scipy.optimize import least_squares
 
-    def residual(x: FloatArray) -> FloatArray:
-        return descent.linearised(x)[0]
+    error, J = descent.linearised(x)
+    norms = np.linalg.norm(J, axis=0)
+    sizes = float(np.linalg.norm(error)) / np.where(norms > 0, norms, np.inf)
+    unit, size = np.where(x != 0.0, np.abs(x), np.where(sizes > 0, sizes, 1.0)), descent.size or 1.0
 
-    def jacobian(x: FloatArray) -> FloatArray:
-        return descent.linearised(x)[1]
+    def residual(y: FloatArray) -> FloatArray:
+        return descent.linearised(y * unit)[0] / size
+
+    def jacobian(y: FloatArray) -> FloatArray:
+        return descent.linearised(y * unit)[1] * (unit / size)
 
     free = descent.problem.free
-    return least_squares(
+    found = least_squares(
         residual,
-        x,
+        x / unit,
         jacobian,
-        (np.array([p.lower for p in free]), np.array([p.upper for p in free])),
+        (np.array([p.lower for p in free]) / unit, np.array([p.upper for p in free]) / unit),
         x_scale="jac",
         xtol=tolerance,
         ftol=tolerance,
         gtol=None,
-        max_nfev=evaluations,
+        max_nfev=evaluations if J.any() else 1,
         callback=lambda intermediate_result: descent.note(
-            intermediate_result.x, math.sqrt(2 * float(intermediate_result.cost))
+            intermediate_result.x * unit, size * math.sqrt(2 * float(intermediate_result.cost))
         ),
     )
+    found.x, found.fun, found.cost = found.x * unit, found.fun * size, float(found.cost) * size**2
+    found.jac = np.asarray(found.jac) * (size / unit)
+    return found
 
 
 def by_simplex(

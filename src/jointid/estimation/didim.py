@@ -22,11 +22,20 @@ from jointid.common.progress import Progress, silent
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering
 from jointid.estimation.estimate import Estimate, EstimatedParameter, fingerprint, poor_fit, relative_error
+from jointid.estimation.identifiability import identifiability
 from jointid.estimation.problem import Problem, initial_of, torque_problem
 from jointid.estimation.regression import least_squares
+from jointid.estimation.repeatable import Uncertainty, uncertainty
+from jointid.estimation.residuals import residual_report
 from jointid.estimation.search import End, Search, State, require_simulated
 from jointid.estimation.starts import Start, given_start, inversion_start, regular_start
-from jointid.estimation.uncertainty import Covariance, sandwich, words
+from jointid.estimation.verdict import (
+    Verdict,
+    bounds_verdict,
+    fit_verdict,
+    identifiability_verdict,
+    residual_verdicts,
+)
 from jointid.model.controllers import REFERENCE
 from jointid.model.parameters import Parameter
 from jointid.simulation.closed_loop import Simulation
@@ -34,7 +43,6 @@ from jointid.simulation.experiment import ClosedLoop
 
 _MOVING = 9.0  # times the residual's variance: what a velocity at the first sample must explain to be believed
 _AT_LIMIT = 0.01  # of the periods: more is said
-_INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
 _WORSE = 2.0  # times the residual: with an approximate Jacobian, a little worse is no reason to turn back
 
 
@@ -152,13 +160,14 @@ def _solve(search: Search, settings: DIDIM, start: Start) -> End:
     return search.repeat(end.state, steps.exact, settings.iterations, 1.0 + settings.tolerance)
 
 
-def _covariance(search: Search, state: State) -> Covariance:
-    """Return the covariance of the free parameters (see the module)."""
+def _known(search: Search, state: State) -> tuple[Uncertainty, FloatArray]:
+    """Return what is known of the free parameters (see the module), and the output sensitivities, filtered."""
     problem = search.problem
     W = problem.regressor(state.simulation)
     J = search.sensitivities(state)
-    Z = np.hstack([W, J[:, W.shape[1] :]])
-    return sandwich(problem.filtered(Z), problem.filtered(J), state.error)
+    Z, J = problem.filtered(np.hstack([W, J[:, W.shape[1] :]])), problem.filtered(J)
+    names = [p.name for p in problem.free]
+    return uncertainty(Z, J, state.error, problem.cells(state.simulation), names, problem.torque_unit), J
 
 
 def identify_didim(
@@ -199,10 +208,8 @@ def identify_didim(
     end = _solve(search, settings, start)
     if settings.initial_state == "free" and not end.reproduced:
         end = _or_moving(problem, search, settings, end, start)
-    covariance = _covariance(search, end.state)
-    found = answer(
-        record, search.problem, end.state.x, end.state.simulation, end.state.error, covariance, end.stop, end.converged
-    )
+    known, J = _known(search, end.state)
+    found = answer(record, search.problem, end.state.x, end.state.simulation, (end.stop, end.converged), known, J)
     form = "the paper's form (11)" if settings.form == "paper" else "residual form"
     return replace(
         found,
@@ -246,10 +253,10 @@ def answer(
     problem: Problem,
     x: FloatArray,
     run: Simulation,
-    error: FloatArray,
-    covariance: Covariance,
-    stop: str,
-    converged: bool,
+    end: tuple[str, bool],
+    known: Uncertainty,
+    J: FloatArray,
+    rigid_error: FloatArray | None = None,
 ) -> Estimate:
     """Return the estimate that ends a simulation of the loop; how it was found is for the caller to add.
 
@@ -258,14 +265,15 @@ def answer(
         problem: what was solved.
         x: free parameters.
         run: simulation with them.
-        error: filtered torque error.
-        covariance: of the free parameters, or of the joint's alone.
-        stop: why the search ended.
-        converged: whether that is a good end.
+        end: why the search ended, and whether that is a good end.
+        known: of the errors of the free parameters.
+        J: (rows, free) sensitivities, filtered.
+        rigid_error: (rows,) what a rigid joint leaves, for a flexible one.
     """
     assert record.torque is not None
+    assert problem.filtering.cutoff is not None
     values, joint, borders = problem.values(x), problem.loop.joint, problem.filtering.borders
-    spread = dict(zip((p.name for p in problem.free), map(float, covariance.std), strict=False))
+    spread = dict(zip((p.name for p in problem.free), map(float, known.covariance.std), strict=True))
     of_joint = {p.name for p in joint.parameters}
     rows = tuple(
         EstimatedParameter(
@@ -274,6 +282,20 @@ def answer(
         )
         for p in problem.parameters
     )  # fmt: skip
+    error, whole = problem.error(run), problem.filtered(problem.measured)
+    step = problem.experiment.sample_time * (problem.filtering.decimation or 1)
+    report = residual_report(
+        error, whole, step, problem.filtering.cutoff, record.torque.unit, rigid_error=rigid_error,
+        repeatable=known.repeatable,
+    )  # fmt: skip
+    told = identifiability(problem.free, problem.units, x, J, known.covariance)
+    verdicts = (
+        Verdict("solver", end[1], end[0]),
+        fit_verdict(report),
+        *residual_verdicts(report),
+        identifiability_verdict(told),
+        bounds_verdict(_touched(problem, x)),
+    )
     return Estimate(
         method="didim",
         variant="DIDIM",
@@ -288,39 +310,43 @@ def answer(
         predicted=run.torque,
         borders=borders,
         relative_error=relative_error(problem.measured, run.torque, borders),
-        filtered_error=float(np.linalg.norm(error) / np.linalg.norm(problem.filtered(problem.measured))),
+        filtered_error=float(np.linalg.norm(error) / np.linalg.norm(whole)),
         rows=error.size,
         conditioning=None,
         initial=initial_of(values),
         filtering=problem.filtering,
         trace=(),
         simulations=0,
-        stop=stop,
-        converged=converged,
-        intervals=f"from the output sensitivities, {words(covariance)}",
-        warnings=_warnings(problem, x, run, covariance.correlation, converged),
+        stop=end[0],
+        converged=end[1],
+        intervals=f"from the output sensitivities, {known.sentences[0]}",
+        warnings=_warnings(problem, run, known, end[1]),
         fingerprint=fingerprint(record.torque.values),
         delay=problem.experiment.law.delay,
-        correlation=covariance.correlation,
+        correlation=known.covariance.correlation,
+        verdicts=verdicts,
+        known=told,
+        residuals=report,
     )
 
 
-def _warnings(
-    problem: Problem, x: FloatArray, run: Simulation, correlation: FloatArray, converged: bool
-) -> tuple[str, ...]:
+def _touched(problem: Problem, x: FloatArray) -> tuple[str, ...]:
+    """Return the names of the parameters that a bound holds."""
+    scale = np.where(x != 0.0, np.abs(x), np.max(np.abs(x)) * 1e-6)
+    return tuple(
+        p.name
+        for p, value, gap in zip(problem.free, x, 1e-6 * scale, strict=True)
+        if value <= p.lower + gap or value >= p.upper - gap
+    )
+
+
+def _warnings(problem: Problem, run: Simulation, known: Uncertainty, converged: bool) -> tuple[str, ...]:
     found = [] if converged else ["the search did not converge; the values are where it stopped"]
     if run.at_limit > _AT_LIMIT:
         found.append(
             f"the controller is at its limit in {100 * run.at_limit:.1f} % of the periods, where the "
             "torque says nothing of the joint"
         )
-    names = [p.name for p in problem.free]
-    pairs = [
-        f"{names[i]} and {names[j]} are hard to tell apart in this record (correlation {correlation[i, j]:+.3f})"
-        for i in range(len(problem.free_joint))  # the initial state is no part of the answer
-        for j in range(i)
-        if abs(correlation[i, j]) > _INSEPARABLE
-    ]
     error = float(np.linalg.norm(problem.error(run)) / np.linalg.norm(problem.filtered(problem.measured)))
     aliased = problem.filtering.warnings(problem.experiment.sample_time)
-    return (*found, *pairs, *aliased, *poor_fit(error))
+    return (*found, *known.sentences[2:], *aliased, *poor_fit(error))

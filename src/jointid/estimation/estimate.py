@@ -10,11 +10,16 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from jointid.common.errors import RecordError
+from jointid.common.errors import MethodError, RecordError
 from jointid.common.text import aligned, number
 from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
+from jointid.estimation.endogeneity import ChiSquareTest
+from jointid.estimation.identifiability import Identifiability, Known
 from jointid.estimation.regression import Conditioning
+from jointid.estimation.residuals import ResidualReport
+from jointid.estimation.verdict import StiffnessBound, Verdict
+from jointid.model.effects import Effect
 from jointid.model.joints import Joint
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.experiment import ClosedLoop
@@ -81,12 +86,13 @@ class IdentifiedJoint:
         method: "didim" or "idim".
         joint: the model.
         loop: the closed loop, for DIDIM.
-        values: every parameter of the joint by name.
+        values: every parameter of the joint, and of its effects, by name.
         filtering: resolved, as it was identified with.
         delay: seconds from the logged torque to the torque that acts.
         record: name of the record it was identified from.
         fingerprint: of that record's torque, see `fingerprint`.
         controller: fingerprint of the loop's controller, for DIDIM; see `law_fingerprint`.
+        effects: what the torque holds beside the joint's own model; `values` has their parameters too.
     """
 
     method: MethodName
@@ -98,6 +104,7 @@ class IdentifiedJoint:
     record: str
     fingerprint: str
     controller: str = ""
+    effects: tuple[Effect, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,6 +136,12 @@ class Estimate:
         delay: seconds from the logged torque to the torque that acts, as declared.
         correlation: of the errors of the free parameters, in their order: all of them, or the joint's, which come
             first; empty where it is not known.
+        tests: of what the method takes for granted.
+        verdicts: on the solver, the fit, what remains, and what the record tells, one question each.
+        known: which parameters and combinations the record tells, and how well.
+        residuals: what the model leaves of the torque.
+        bounds: how soft the spring may be where its stiffness is refused, by the load's share of the inertia.
+        effects: what the torque holds beside the joint's own model; their parameters follow the joint's.
     """
 
     method: MethodName
@@ -158,6 +171,12 @@ class Estimate:
     fingerprint: str = ""
     delay: float = 0.0
     correlation: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    tests: tuple[ChiSquareTest, ...] = ()
+    verdicts: tuple[Verdict, ...] = ()
+    known: Identifiability | None = None
+    residuals: ResidualReport | None = None
+    bounds: tuple[StiffnessBound, ...] = ()
+    effects: tuple[Effect, ...] = ()
 
     def total(self, names: Sequence[str]) -> tuple[float, float]:
         """Return a sum of parameters, by name or symbol, and its standard deviation, with their correlation."""
@@ -173,16 +192,27 @@ class Estimate:
 
     @property
     def identified(self) -> IdentifiedJoint:
-        """What of it is needed to predict a torque."""
+        """What of it is needed to predict a torque.
+
+        Raises:
+            MethodError: a value is refused, without which no torque can be predicted.
+        """
+        refused = [p.name for p in self.parameters if p.of_joint and p.value is None]
+        if refused:
+            raise MethodError(
+                f"{', '.join(refused)} cannot be told from this record, so this estimate predicts no torque; identify "
+                "the joint as rigid."
+            )
         law = "" if self.loop is None else law_fingerprint(self.loop)
         found, filtering = self.values, self.filtering
         return IdentifiedJoint(
-            self.method, self.joint, self.loop, found, filtering, self.delay, self.record, self.fingerprint, law
-        )
+            self.method, self.joint, self.loop, found, filtering, self.delay, self.record, self.fingerprint, law,
+            self.effects,
+        )  # fmt: skip
 
     @property
     def values(self) -> dict[str, float]:
-        """The joint's parameters by name, fixed ones included; a refused one is missing."""
+        """The parameters of joint and effects by name, fixed ones included; a refused one is missing."""
         return {p.name: p.value for p in self.parameters if p.of_joint and p.value is not None}
 
     @property
@@ -218,9 +248,17 @@ class Estimate:
             lines.append(
                 f"conditioning  {c.raw:.6g} raw, {c.normalised:.4g} normalised, {c.scaled:.4g} scaled by the parameters"
             )
-        if self.loop is not None:
+        if self.simulations:
             lines.append(f"effort        {self.iterations} iterations, {self.simulations} simulations")
         lines += [f"stopped       {self.stop}", f"intervals     {self.intervals}"]
+        if self.known is not None and self.known.physical:
+            lines += ["", "known together", *(_together(known) for known in self.known.physical)]
+        if self.bounds:
+            lines += ["", "K12 is at least, by the load's share of the inertia (95 %, lightly damped mode)"]
+            lines += [_bound(bound, self["stiffness"].unit) for bound in self.bounds]
+        if self.verdicts:
+            lines += ["", "verdicts", *map(str, self.verdicts), ""]
+        lines += [f"test          {test.name}: {test.sentence}" for test in self.tests]
         lines += [f"warning       {warning}" for warning in self.warnings]
         return "\n".join(lines)
 
@@ -242,6 +280,17 @@ def _row(p: EstimatedParameter) -> tuple[str, ...]:
         f"{percent:.2f}" if percent < _LOST else "-",
         p.unit,
     )
+
+
+def _together(known: Known) -> str:
+    c = known.combination
+    return f"{c.formula:14} {number(known.value):>11} +- {number(2 * known.std, 2)} {c.unit}"
+
+
+def _bound(bound: StiffnessBound, unit: str) -> str:
+    if bound.stiffness is None:
+        return f"share {bound.share:4.2f}  not bounded by this record"
+    return f"share {bound.share:4.2f}  {number(bound.stiffness, 2):>8} {unit}, a mode at {bound.frequency:.0f} Hz"
 
 
 def _words(p: EstimatedParameter) -> str:

@@ -28,15 +28,16 @@ from jointid.estimation.starts import pseudo_regular
 from jointid.estimation.surroundings import INITIAL_STATE
 from jointid.model.controllers import SampledLaw
 from jointid.model.joints import FlexibleJoint, RigidJoint, frequencies
+from jointid.model.parameters import Quantity
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.experiment import ClosedLoop
 
 RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
+FASTEST = 0.22  # of the sampling frequency: a mode faster than about a fifth is not followed by the log
 WIDE = 0.4  # of the sampling frequency: the widest band whose edge a filter can still make
 
 _RIGID_BELOW = 0.28  # of the crossover frequency; both are the paper's for its axis
 _LOWEST, _HIGHEST = 0.5, 12.0  # times the crossover: the modes that are looked for
-_TOP = 0.22  # of the sampling frequency: a mode faster than a fifth is not followed by the log
 _LOWER = (4.0, 4.0)  # times lower cut-offs are tried where a rigid joint cannot be identified
 _RATIO = 1.25  # of neighbouring frequencies of the grid
 _HALF, _SHARES = 0.5, (0.25, 0.75)  # of the load in the inertia: first the halves of (13), then at the best frequencies
@@ -94,7 +95,7 @@ def crossover(law: SampledLaw, inertia: float) -> float:
 def frequencies_to_try(law: SampledLaw, inertia: float, sample_time: float) -> list[float]:
     """Return free-free frequencies in Hz, from below the crossover to where a log cannot follow, slow ones first."""
     middle = crossover(law, inertia)
-    low, high = _LOWEST * middle, min(_HIGHEST * middle, _TOP / sample_time)
+    low, high = _LOWEST * middle, min(_HIGHEST * middle, FASTEST / sample_time)
     count = max(math.ceil(math.log(max(high / low, 1.0)) / math.log(_RATIO)) + 1, 2)
     return [float(f) for f in np.geomspace(min(low, high), high, count)]
 
@@ -151,9 +152,14 @@ def frequency_of(values: Mapping[str, float]) -> float:
 
 
 def _inside(problem: Problem, values: dict[str, float]) -> dict[str, float]:
+    """Return the values a little inside their bounds, by a thousandth of their size or of what would be one."""
     found = dict(values)
+    force = float(np.std(problem.measured))
+    rate = 2 * math.pi * frequency_of(values)
+    inertia = values["motor_inertia"] + values["load_inertia"]
+    typical = {Quantity.FORCE: force, Quantity.VISCOUS: inertia * rate, Quantity.STIFFNESS: inertia * rate**2}
     for p in problem.free:
-        inside = 1e-3 * (abs(values[p.name]) or 1.0)
+        inside = 1e-3 * (abs(values[p.name]) or typical.get(p.quantity, inertia))
         low = p.lower + inside if math.isfinite(p.lower) else p.lower
         found[p.name] = min(max(values[p.name], low), max(p.upper - inside, p.lower))
     return found

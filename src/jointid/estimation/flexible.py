@@ -25,20 +25,34 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering
+from jointid.estimation.combination import Combination
 from jointid.estimation.descent import Descent, by_simplex, reason, refined
 from jointid.estimation.didim import answer
 from jointid.estimation.estimate import Estimate
-from jointid.estimation.exploration import WIDE, explored, frequencies_to_try, frequency_of, rigid_estimate, started
-from jointid.estimation.problem import Problem, initial_of, torque_problem
+from jointid.estimation.exploration import (
+    FASTEST,
+    WIDE,
+    explored,
+    frequencies_to_try,
+    frequency_of,
+    rigid_estimate,
+    started,
+)
+from jointid.estimation.identifiability import Known
+from jointid.estimation.problem import Problem, torque_problem
+from jointid.estimation.repeatable import uncertainty
 from jointid.estimation.surroundings import INITIAL_STATE
-from jointid.estimation.uncertainty import Covariance, sandwich, words
+from jointid.estimation.uncertainty import Covariance
+from jointid.estimation.verdict import Verdict
+from jointid.estimation.visibility import Visibility, visible
+from jointid.model.joints import RigidJoint
 from jointid.model.parameters import Parameter
-from jointid.simulation.closed_loop import simulate
 from jointid.simulation.experiment import ClosedLoop
 
 _REFINED = 6  # starts that are refined at most, until two of them end together
 _ROUGHLY, _FEW = 1e-5, 30  # tolerance and evaluations of a refinement that only has to show where it leads
-_TOGETHER = 1e-3  # of a frequency: ends closer than this are one
+_TOGETHER = 1e-3  # of a frequency, and of what remains: ends closer than this are one
+_REST = 1e-4  # of the torque: what remains of a record without noise, and is not compared
 _MODES = 2.0  # the cut-off is that many free-free frequencies, or more
 _TOLERANCE, _SIMPLEX_TOLERANCE = 1e-8, 1e-4  # the latter is that of fminsearch
 _NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
@@ -126,53 +140,92 @@ def identify_flexible(
     problem = torque_problem(record, loop, filtering, parameters, _at_rest(record, settings))
     descent = Descent(problem, progress)
     solved = _by_nelder_mead if paper else _by_least_squares
-    x, stop, converged = solved(descent, filtering, rigid, settings)
+    end = solved(descent, filtering, rigid, settings)
     if rigid["initial_velocity"].free:  # below its resonance the axis seemed to move at the first sample
-        x, stop, converged = _or_moving(descent, x, rigid, settings, (stop, converged))
-    problem = descent.problem
-    error = descent.residual(x)
-    covariance, intervals = _covariance(descent, x, error, settings)
-    values = problem.values(x)
-    run = simulate(loop, problem.experiment, values, initial_of(values))
+        end = _or_moving(descent, end, rigid, settings)
+    problem, x = descent.problem, end.x
+    error, J = descent.linearised(x)
+    run = problem.simulate(x)
     descent.simulations += 1
+    stop, converged = end.stop, end.converged
     if np.linalg.norm(error) > _NOTHING * descent.size:
         stop, converged = f"no answer: the search ended where the model explains little of the torque ({stop})", False
-    estimate = answer(record, problem, x, run, error, covariance, stop, converged)
-    how = "Nelder-Mead" if settings.minimiser == "nelder-mead" else "least squares"
-    unsure = _unsure(estimate)
-    found = tuple(replace(p, identifiable=p.identifiable and p.name not in unsure) for p in estimate.parameters)
-    lost = tuple(f"{name} is not identifiable from this record: its interval holds 0" for name in unsure)
+    names = [p.name for p in problem.free]
+    known = uncertainty(J, J, error, problem.cells(run), names, problem.torque_unit)
+    how = "Nelder-Mead" if paper else "least squares"
+    if settings.statistics == "inverse-model":
+        found = answer(record, problem, x, run, (stop, converged), known, J)
+        descent.simulations += 1
+        found = with_paper_statistics(found, inverse_model_covariance(problem, x, error), len(problem.free_joint))
+    else:
+        spring = visible(problem, x, known, end.led, progress)
+        descent.simulations += spring.simulations
+        found = answer(record, problem, x, run, (stop, converged), known, J, spring.rigid_error)
+        found = replace(found, verdicts=(*found.verdicts, spring.verdict))
+        found = found if spring.shown else refused(found, spring)
     return replace(
-        estimate,
-        parameters=found,
-        warnings=(*lost, *_touched(problem, x), *estimate.warnings),
-        variant=f"DIDIM by {how} from the pseudo-regular start",
-        intervals=intervals,
+        found,
+        variant=f"DIDIM by {how} {'from the pseudo-regular start' if paper else 'from a grid of starts'}",
         trace=tuple(descent.trace),
         simulations=descent.simulations + rigid.simulations,
     )
 
 
-def _unsure(estimate: Estimate) -> tuple[str, ...]:
-    """Return the names of the inertias and the stiffness that the record does not tell from 0."""
-    physical = ("motor_inertia", "load_inertia", "stiffness")
-    return tuple(n for n in physical if estimate[n].free and estimate.values[n] <= 2 * (estimate[n].std or 0.0))
+@dataclass(frozen=True, slots=True, eq=False)
+class _End:
+    """Where a search ended, why, whether that is a good end, and how many of how many starts led there."""
+
+    x: FloatArray
+    stop: str
+    converged: bool
+    led: tuple[int, int] = (1, 1)
 
 
-def _touched(problem: Problem, x: FloatArray) -> tuple[str, ...]:
-    """Return a warning for each parameter that a bound holds."""
-    near = 1e-6 * _scales(x)
-    at = [
-        p
-        for p, value, gap in zip(problem.free, x, near, strict=True)
-        if value <= p.lower + gap or value >= p.upper - gap
-    ]
-    return tuple(f"{p.name} is at its bound, where it does not follow the record" for p in at)
+def refused(estimate: Estimate, spring: Visibility) -> Estimate:
+    """Return the estimate without what the record does not tell: all that parts the motor from the load.
+
+    What a rigid joint tells takes its place: the sums of both sides.
+    """
+    whole = tuple(
+        Known(_sum_of(p, estimate.joint.unit(p)), spring.rigid[p.name], std, std / (abs(spring.rigid[p.name]) or 1.0))
+        for p in RigidJoint(estimate.joint.kind, estimate.joint.friction, estimate.joint.torque_unit).parameters
+        if (std := spring.rigid_std.get(p.name)) is not None and p.name != "offset"
+    )
+    parted = ("motor_", "load_", "stiffness", "damping")
+    lost = tuple(
+        replace(p, value=None, std=None, identifiable=False) if p.name.startswith(parted) and p.free else p
+        for p in estimate.parameters
+    )
+    assert estimate.known is not None
+    known = replace(estimate.known, parameters=(), physical=whole, directions=(), sentences=())
+    only = Verdict("identifiability", False, "only the sums of both sides are told, not how they divide")
+    verdicts = tuple(only if v.subject == only.subject else v for v in estimate.verdicts)
+    return replace(estimate, parameters=lost, known=known, bounds=spring.bounds, verdicts=verdicts)
 
 
-def _by_least_squares(
-    descent: Descent, filtering: Filtering, rigid: Estimate, settings: FlexibleDIDIM
-) -> tuple[FloatArray, str, bool]:
+def _sum_of(p: Parameter, unit: str) -> Combination:
+    """Return the sum of both sides that a rigid joint's parameter is."""
+    formula = f"{p.symbol}1 + {p.symbol}2" if p.symbol[-1] not in "+-" else f"{p.symbol} of both sides"
+    return Combination(f"total {p.name}", formula, unit, {f"motor_{p.name}": 1.0, f"load_{p.name}": 1.0})
+
+
+def with_paper_statistics(estimate: Estimate, covariance: Covariance, joint: int) -> Estimate:
+    """Return the estimate with the deviations of the paper, and none for what surrounds the joint."""
+    found, index = [], 0
+    for p in estimate.parameters:
+        std = None
+        if p.free and index < joint:
+            std, index = float(covariance.std[index]), index + 1
+        found.append(replace(p, std=std))
+    return replace(
+        estimate,
+        parameters=tuple(found),
+        correlation=covariance.correlation,
+        intervals="the paper's: of the inverse model on the simulated motion, which was not solved; far too small",
+    )
+
+
+def _by_least_squares(descent: Descent, filtering: Filtering, rigid: Estimate, settings: FlexibleDIDIM) -> _End:
     """Explore, refine the best starts until two end together, and go down from there to the full tolerance.
 
     Where no cut-off is asked for, it follows the mode: the exploration sees the whole band of the log, a refinement
@@ -181,10 +234,10 @@ def _by_least_squares(
     problem = descent.problem
     wide = problem if filtering.cutoff else _on_band(problem, filtering, math.inf)
     law, sample_time = problem.experiment.law, problem.experiment.sample_time
-    known = [settings.frequency] if settings.frequency else None
-    tried = known or frequencies_to_try(law, rigid.values["inertia"], sample_time)
-    starts, descent_simulations = explored(wide, rigid.values, tried, descent.progress)
-    descent.simulations += descent_simulations
+    frequencies = [settings.frequency] if settings.frequency else None
+    frequencies = frequencies or frequencies_to_try(law, rigid.values["inertia"], sample_time)
+    starts, used = explored(wide, rigid.values, frequencies, descent.progress)
+    descent.simulations += used
     ends: list[tuple[float, float, FloatArray]] = []
     for frequency, values in starts[:_REFINED]:
         descent.problem = problem if filtering.cutoff else _on_band(problem, filtering, frequency)
@@ -192,30 +245,51 @@ def _by_least_squares(
         descent.simulations += 1
         ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(problem.values(x)), x))
         cost, mode, _ = min(ends, key=lambda end: end[0])
-        together = sum(abs(f / mode - 1) < _TOGETHER and c < (1 + _TOGETHER) * cost for c, f, _ in ends)
+        as_good = (1 + _TOGETHER) * cost + _REST * float(np.linalg.norm(wide.filtered(wide.measured)))
+        together = sum(abs(f / mode - 1) < _TOGETHER and c < as_good for c, f, _ in ends)
         if together > 1:
             break
     _, mode, x = min(ends, key=lambda end: end[0])
     descent.problem = problem if filtering.cutoff else _on_band(problem, filtering, mode)
     descent.size = float(np.linalg.norm(descent.problem.filtered(problem.measured)))
-    end = refined(descent, x, stopping_tolerance(settings))
-    stop, converged = reason(end, stopping_tolerance(settings))
-    agreed = f"; {together} of {len(ends)} starts led there" if len(ends) > 1 else ""
-    return np.asarray(end.x), stop + agreed, converged
+    found = refined(descent, x, stopping_tolerance(settings))
+    if together < 2:
+        together += _leads_back(descent, np.asarray(found.x), mode)
+        tried = len(ends) + 1
+    else:
+        tried = len(ends)
+    stop, converged = reason(found, stopping_tolerance(settings))
+    return _End(np.asarray(found.x), f"{stop}; {together} of {tried} starts led there", converged, (together, tried))
+
+
+def _leads_back(descent: Descent, x: FloatArray, mode: float) -> bool:
+    """Return whether a start beside an end leads back to it: softer, and with more of the inertia on the load."""
+    values = descent.problem.values(x)
+    moved = 0.2 * values["load_inertia"] if values["load_inertia"] < values["motor_inertia"] else 0.0
+    aside = {"stiffness": 0.8 * values["stiffness"], "load_inertia": values["load_inertia"] + moved}
+    aside |= {"motor_inertia": values["motor_inertia"] - moved, "damping": 1.5 * values["damping"]}
+    start = descent.problem.vector(values | aside)
+    end = refined(descent, start, _ROUGHLY, _FEW)
+    cost = float(np.linalg.norm(end.fun))
+    same = abs(frequency_of(descent.problem.values(np.asarray(end.x))) / mode - 1) < 10 * _TOGETHER
+    return same and cost < (1 + _TOGETHER) * float(np.linalg.norm(descent.residual(x))) + _REST * descent.size
 
 
 def _on_band(problem: Problem, filtering: Filtering, mode: float) -> Problem:
-    """Return the problem filtered for a mode at that frequency: the default cut-off, or twice the mode."""
+    """Return the problem filtered for a mode at that frequency: the default cut-off, or twice the mode.
+
+    What seems to be a mode too fast for the log is none, and no reason to look at more than by default.
+    """
     sample_time = problem.experiment.sample_time
+    if FASTEST / sample_time < mode < math.inf:
+        mode = 0.0
     default = Filtering().resolved(sample_time, "flexible").cutoff
     assert default is not None
     cutoff = min(max(default, _MODES * mode), WIDE / sample_time)
     return replace(problem, filtering=replace(filtering, cutoff=cutoff).resolved(sample_time, "flexible"))
 
 
-def _by_nelder_mead(
-    descent: Descent, filtering: Filtering, rigid: Estimate, settings: FlexibleDIDIM
-) -> tuple[FloatArray, str, bool]:
+def _by_nelder_mead(descent: Descent, filtering: Filtering, rigid: Estimate, settings: FlexibleDIDIM) -> _End:
     """Search as the paper did: from (13) at its frequency, or where that loop is unstable from the best start."""
     problem = descent.problem
     law, sample_time = problem.experiment.law, problem.experiment.sample_time
@@ -234,7 +308,7 @@ def _by_nelder_mead(
         values = starts[0][1]
     x = problem.vector(values)
     descent.scales = _scales(x)
-    return by_simplex(descent, x, stopping_tolerance(settings), settings.simulations, settings.restarts)
+    return _End(*by_simplex(descent, x, stopping_tolerance(settings), settings.simulations, settings.restarts))
 
 
 def _at_rest(record: Record, settings: FlexibleDIDIM) -> tuple[Parameter, ...]:
@@ -249,45 +323,31 @@ def _at_rest(record: Record, settings: FlexibleDIDIM) -> tuple[Parameter, ...]:
     return known, velocity.fixed(0.0)
 
 
-def _or_moving(
-    descent: Descent, x: FloatArray, rigid: Estimate, settings: FlexibleDIDIM, end: tuple[str, bool]
-) -> tuple[FloatArray, str, bool]:
+def _or_moving(descent: Descent, end: _End, rigid: Estimate, settings: FlexibleDIDIM) -> _End:
     """Return the better of two answers, the motor at rest at the first sample or moving: see `didim`."""
     resting, tolerance = descent.problem, stopping_tolerance(settings)
-    error = descent.residual(x)
+    error = descent.residual(end.x)
     free = settings.minimiser == "least-squares"
-    values = resting.values(x) | {p.name: rigid[p.name].value or 0.0 for p in INITIAL_STATE}
+    values = resting.values(end.x) | {p.name: rigid[p.name].value or 0.0 for p in INITIAL_STATE}
     state = tuple(replace(p, start=values[p.name], free=free) for p in INITIAL_STATE)
     descent.problem = replace(resting, parameters=(*resting.parameters[: -len(INITIAL_STATE)], *state))
     start = descent.problem.vector(values)
     if free:
         found = refined(descent, start, tolerance)
-        moving, (stop, converged) = np.asarray(found.x), reason(found, tolerance)
+        moving = _End(np.asarray(found.x), *reason(found, tolerance), end.led)
     else:
-        moving, stop, converged = by_simplex(descent, start, tolerance, settings.simulations, settings.restarts)
-    gained = float(error @ error) - float(np.sum(descent.residual(moving) ** 2))
+        moving = _End(*by_simplex(descent, start, tolerance, settings.simulations, settings.restarts))
+    gained = float(error @ error) - float(np.sum(descent.residual(moving.x) ** 2))
     if gained > _MOVING * float(error @ error) / error.size:
-        return moving, stop, converged
+        return moving
     descent.problem = resting
-    return x, *end
+    return end
 
 
 def _scales(x: FloatArray) -> FloatArray:
     """Return the size each parameter is searched on; a friction that came out at zero still needs one."""
     sizes = np.abs(x)
     return np.asarray(np.where(sizes > 0, sizes, np.max(sizes) * 1e-6))
-
-
-def _covariance(descent: Descent, x: FloatArray, error: FloatArray, settings: FlexibleDIDIM) -> tuple[Covariance, str]:
-    if settings.statistics == "sensitivities":
-        J = -descent.linearised(x)[1]
-        covariance = sandwich(J, J, error)
-        return covariance, f"from the output sensitivities, {words(covariance)}"
-    descent.simulations += 1
-    return (
-        inverse_model_covariance(descent.problem, x, error),
-        "the paper's: of the inverse model on the simulated motion, which is not what was solved; far too small",
-    )
 
 
 def inverse_model_covariance(problem: Problem, x: FloatArray, error: FloatArray) -> Covariance:

@@ -86,7 +86,7 @@ def _beyond(estimate: Estimate, wanted: tuple[Parameter, ...]) -> tuple[float, P
     Raises:
         MethodError: an inertia is not positive, for which no bound is a remedy.
     """
-    found = [(estimate.values[p.name], p) for p in wanted if p.free]
+    found = [(estimate.values[p.name], p) for p in wanted if p.free and p.name in estimate.values]
     for value, p in found:
         if p.quantity is Quantity.INERTIA and value <= 0:
             raise MethodError(
@@ -116,7 +116,7 @@ def _identified(
 ) -> Estimate:
     if isinstance(method, IDIM):
         delay = loop.controller.law(1.0).delay if loop else 0.0
-        return identify_idim(record, joint, parameters, filtering, delay)
+        return identify_idim(record, joint, parameters, filtering, delay, method, loop)
     if loop is None:
         raise MethodError(
             "DIDIM simulates the closed loop, so it needs the controller; give a ClosedLoop, or use IDIM with a "

@@ -1,181 +1,111 @@
-"""IDIM: the inverse dynamic model regressed on measured positions.
+"""IDIM: the inverse dynamic model regressed on measured positions, by the estimator of choice.
 
-Butterworth low-pass forwards and backwards on the positions, derivatives, borders dropped, the same
-low-pass-and-decimate on torque and every column, ordinary least squares by QR [P section III; EMPS report]. A rigid
-joint needs the motor's position, a flexible one the load's too: both rows of (2) are then stacked.
-
-Torque and columns are seen through one window (`signals.windowed_torque`), so that a held, averaged or delayed torque
-is compared with the motion it made. The published pipeline reads it as sampled and differentiates twice centrally.
+Torque and columns are those of `inverse_model`; ordinary least squares by QR, weighted or robust least squares
+(`linear`), or instruments from a simulated loop (`instruments`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
-from jointid.common.errors import MethodError, RecordError
-from jointid.data.record import Channel, FloatArray, Injection, InjectionPoint, Record, Tap, Timing
-from jointid.data.signals import (
-    Filtering,
-    decimate,
-    derivative,
-    differences,
-    lowpass,
-    windowed,
-    windowed_torque,
-)
+from jointid.common.errors import MethodError
+from jointid.data.record import FloatArray, Record, Timing
+from jointid.data.signals import Filtering
 from jointid.estimation.estimate import Estimate, EstimatedParameter, fingerprint, poor_fit, relative_error
-from jointid.estimation.regression import Fit, least_squares
-from jointid.estimation.uncertainty import Covariance, sandwich, words
-from jointid.model.joints import Joint, Motion, require_units
+from jointid.estimation.instruments import Instrumented, by_instruments, simulated_instruments
+from jointid.estimation.inverse_model import InverseModel, idim_channels, motion_of
+from jointid.estimation.linear import Rows, Solution, ordinary, robust, weighted
+from jointid.estimation.ripple import PeriodColumn, is_searched, moved, with_periods
+from jointid.estimation.uncertainty import words
+from jointid.model.effects import Effect, effect_parameters, require_effects
+from jointid.model.joints import Joint
 from jointid.model.parameters import Parameter
+from jointid.simulation.experiment import ClosedLoop
+
+Estimator: TypeAlias = Literal["ols", "weighted", "robust", "iv"]
+
+_VARIANTS = {
+    "ols": "IDIM by ordinary least squares",
+    "weighted": "IDIM by weighted least squares, each equation by the size of its error",
+    "robust": "IDIM by robust least squares (Tukey's bisquare)",
+    "iv": "IDIM by instrumental variables from the simulated loop",
+}
+_LINEARISATIONS = 10  # of the force by a period, at most
+_SETTLED = 1e-3  # deviations of the period
 
 
 @dataclass(frozen=True, slots=True)
 class IDIM:
-    """Settings of IDIM; all there is to choose is the `Filtering`."""
+    """Settings of IDIM.
 
+    Attributes:
+        estimator: "ols", ordinary least squares; "weighted", each equation of a flexible joint by the size of its
+            error; "robust", rows that do not fit weigh less or nothing; "iv", instrumental variables, right where
+            noise enters the loop too, for which the controller must be known.
+        effects: further columns, `PositionHarmonics` or `Drift`.
+    """
 
-def idim_channels(model: str) -> tuple[str, ...]:
-    """Return the channels that IDIM of a rigid or a flexible joint reads."""
-    return ("torque", "motor_position", *(("load_position",) if model == "flexible" else ()))
+    estimator: Estimator = "ols"
+    effects: tuple[Effect, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.estimator not in get_args(Estimator):
+            raise MethodError(
+                f"An estimator of IDIM is one of {', '.join(get_args(Estimator))}; received {self.estimator!r}."
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class InverseModel:
-    """The torque of one motion, and the columns whose sum with the parameters it is, raw.
+class _Regression:
+    """One record, ready for any estimator.
 
     Attributes:
-        torque: (equations, samples): of the motor, and for a flexible joint 0 for the load.
-        columns: (equations, samples, parameters) all of the joint's.
-        inside: the samples that the position filter's ends do not reach.
-        motor: the motor's motion, filtered.
+        parameters: of joint and effects, in the order of the model's columns.
+        effects: as they are now; their columns, and those of searched periods, follow the joint's.
+        model: torque and columns, raw.
+        rows: of the free parameters, the fixed ones' torque taken off.
     """
 
-    torque: FloatArray
-    columns: FloatArray
-    inside: slice
-    motor: Motion
+    parameters: tuple[Parameter, ...]
+    effects: tuple[Effect, ...]
+    model: InverseModel
+    rows: Rows
 
-    def decimated(self, filtering: Filtering, sample_time: float, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return torque less that of `values` (rows,), and columns (rows, parameters), filtered; equations stacked."""
-        torque = self.torque - self.columns @ values
-        both = np.concatenate([torque[..., np.newaxis], self.columns], axis=2)[:, self.inside]
-        seen = np.concatenate([decimate(equation, filtering, sample_time) for equation in both])
-        return seen[:, 0], seen[:, 1:]
+    @property
+    def free(self) -> list[int]:
+        """Which parameters are estimated."""
+        return [i for i, p in enumerate(self.parameters) if p.free]
 
-
-def inverse_model(
-    joint: Joint,
-    torque: Channel,
-    positions: tuple[FloatArray, ...],
-    filtering: Filtering,
-    delay: float = 0.0,
-) -> InverseModel:
-    """Return torque and regressor of a measured or reconstructed motion.
-
-    Args:
-        joint: whose columns.
-        torque: on the motor.
-        positions: (samples,) each, raw, at the torque's rate: motor, and load for a flexible joint.
-        filtering: resolved.
-        delay: seconds from the logged torque to the torque that acts.
-    """
-    assert filtering.position_cutoff is not None
-    sample_time, size = torque.sample_time, torque.values.size
-    respected = filtering.timing == "respected"
-    motions = []
-    for position in positions:
-        smooth = lowpass(position, filtering.position_cutoff, sample_time)
-        if respected:
-            velocity, acceleration = differences(smooth, sample_time)
-        else:
-            velocity = derivative(smooth, sample_time)
-            acceleration = derivative(velocity, sample_time)
-        motions.append(Motion(smooth, velocity, acceleration))
-    columns = joint.regressor(*motions)
-    acting = torque.values
-    if respected:
-        columns = windowed(columns.transpose(1, 0, 2)).transpose(1, 0, 2)
-        acting = windowed_torque(torque, delay)
-    rows = np.zeros((len(columns), size))
-    rows[0] = acting
-    return InverseModel(rows, columns, slice(filtering.borders[0], size - filtering.borders[1]), motions[0])
+    def whole(self, free: FloatArray) -> FloatArray:
+        """Return the values of all parameters."""
+        values = _kept(self.parameters)
+        values[self.free] = free
+        return values
 
 
-def regress(
-    parameters: tuple[Parameter, ...], model: InverseModel, filtering: Filtering, sample_time: float
-) -> tuple[Fit, Covariance]:
-    """Fit the free parameters to a motion; the fixed ones' torque is taken off first."""
-    free = [i for i, p in enumerate(parameters) if p.free]
-    if not free:
-        raise MethodError("Every parameter of the joint is fixed, so there is nothing to identify; free one of them.")
-    kept = np.array([0.0 if p.free else p.start or 0.0 for p in parameters])
-    Y, W = model.decimated(filtering, sample_time, kept)
-    W = W[:, free]
-    fit = least_squares(W, Y, tuple(parameters[i].name for i in free))
-    return fit, sandwich(W, W, fit.residual, equations=len(model.torque))
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """A regression and its solution; `periods` that were searched for, by the name of their parameter."""
 
-
-def motor_torque(record: Record) -> Channel:
-    """Return the torque on the motor: the log, with what was injected after the limit where the log lacks it."""
-    assert record.torque is not None
-    torque, added = record.torque, record.injected
-    if not isinstance(added, Injection) or added.at is InjectionPoint.BEFORE_LIMIT or added.in_torque:
-        return torque
-    if added.channel.sample_time != torque.sample_time:
-        raise RecordError(
-            "IDIM adds the injected signal to the logged torque, so both need one sample time; "
-            f"they have {added.channel.sample_time:g} s and {torque.sample_time:g} s."
-        )
-    size = min(len(torque), len(added.channel))
-    whole = torque.values[:size] + added.channel.values[:size]
-    return Channel(whole, torque.unit, torque.sample_time, torque.timing, torque.source)
-
-
-def motion_of(record: Record, delay: float, filtering: Filtering, joint: Joint) -> InverseModel:
-    """Return torque and regressor of a record with the positions a joint needs; `filtering` resolved.
-
-    Raises:
-        RecordError: a channel is missing, not sampled, or at another rate.
-    """
-    needed = idim_channels(joint.model)
-    require_units(record, joint)
-    record.require(needed, "IDIM of a flexible joint" if joint.model == "flexible" else "IDIM")
-    torque = motor_torque(record)
-    positions = []
-    for name in needed[1:]:
-        position: Channel = getattr(record, name)
-        if position.timing is not Timing.SAMPLED:
-            raise RecordError(f"IDIM needs a sampled {name}; this one is {position.timing.value}.")
-        if abs(position.sample_time / torque.sample_time - 1.0) > 1e-9:
-            raise RecordError(
-                f"IDIM needs torque and {name} at one rate; they have sample times of {torque.sample_time:g} s "
-                f"and {position.sample_time:g} s. DIDIM needs no position."
-            )
-        positions.append(position.values[: len(torque)])
-    size = min(len(torque), *(len(position) for position in positions))
-    cut = Channel(torque.values[:size], torque.unit, torque.sample_time, torque.timing, torque.source)
-    late = _late(record, delay, torque.sample_time)
-    return inverse_model(joint, cut, tuple(position[:size] for position in positions), filtering, late)
-
-
-def _late(record: Record, delay: float, period: float) -> float:
-    """Return how long after its stamp a logged torque begins to act, in seconds.
-
-    A measured torque is the one that acts; behind a delay of a broken number of periods it began within the period
-    before the sample that shows it, and an average over that period is stamped at its end.
-    """
-    if record.tap is not Tap.MEASURED:
-        return delay
-    fraction = delay / period % 1.0
-    averaged = record.torque is not None and record.torque.timing is Timing.AVERAGED
-    return 0.0 if averaged or min(fraction, 1 - fraction) < 1e-6 else (fraction - 1.0) * period
+    regression: _Regression
+    solution: Solution
+    instrumented: Instrumented | None
+    effects: tuple[Effect, ...]
+    periods: dict[str, float]
 
 
 def identify_idim(
-    record: Record, joint: Joint, parameters: tuple[Parameter, ...], filtering: Filtering, delay: float = 0.0
+    record: Record,
+    joint: Joint,
+    parameters: tuple[Parameter, ...],
+    filtering: Filtering,
+    delay: float = 0.0,
+    settings: IDIM | None = None,
+    loop: ClosedLoop | None = None,
 ) -> Estimate:
     """Identify a joint from torque and motor position, and load position where it is flexible.
 
@@ -185,59 +115,180 @@ def identify_idim(
         parameters: of the joint; free ones are estimated.
         filtering: how the signals are filtered.
         delay: seconds from the logged torque to the torque that acts.
+        settings: which estimator, and further columns.
+        loop: the joint under its controller, for instruments.
 
-    The standard deviations are those of the regression, robust to autocorrelation; noise in the positions, and what
-    repeats with the motion, is not covered.
+    The standard deviations are those of the regression, robust to autocorrelation. What repeats with the motion is not
+    covered, nor, but by instruments, noise in the positions and disturbances that the loop carries into them.
 
     Raises:
         RecordError: a channel is missing or cannot be used.
-        MethodError: the record does not determine the parameters.
+        MethodError: the record does not determine the parameters, or instruments have no loop to come from.
     """
+    settings = settings or IDIM()
     record.require(("torque",), "IDIM")
     assert record.torque is not None
     sample_time = record.torque.sample_time
+    require_effects(settings.effects, joint)
+    if settings.estimator == "iv" and loop is None:
+        raise MethodError(
+            "IDIM-IV simulates the closed loop for its instruments, so it needs the controller; give a ClosedLoop, or "
+            "use another estimator."
+        )
     filtering = filtering.resolved(sample_time, joint.model)
-    model = motion_of(record, delay, filtering, joint)
-    fit, covariance = regress(parameters, model, filtering, sample_time)
-    found = iter(zip(fit.values, covariance.std, strict=True))
-    rows: list[EstimatedParameter] = []
-    for p in parameters:
-        value, std = next(found) if p.free else (p.start or 0.0, None)
-        spread = None if std is None else float(std)
-        rows.append(EstimatedParameter(p.name, p.symbol, joint.unit(p), float(value), spread, p.free, p.free))
-    measured, predicted = model.torque[0], model.columns[0] @ np.array([row.value for row in rows])
+
+    def regression(effects: tuple[Effect, ...]) -> _Regression:
+        model = motion_of(record, delay, filtering, joint, effects)
+        every = (*parameters, *effect_parameters(effects))
+        return _Regression(every, effects, model, _rows(every, model, filtering, sample_time))
+
+    def solved(made: _Regression) -> Instrumented | Solution:
+        if settings.estimator != "iv":
+            return {"ols": ordinary, "weighted": weighted, "robust": robust}[settings.estimator](made.rows)
+        assert loop is not None
+        instruments = simulated_instruments(record, loop, made.model, made.parameters, filtering, made.effects)
+        return by_instruments(made.rows, instruments, _kept(made.parameters), made.free)
+
+    def searched(effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
+        made = regression(tuple(effect for effect in effects if not is_searched(effect)))
+        return with_periods(effects, made.model, made.rows, filtering, sample_time)
+
+    found = _found(settings.effects, searched, regression, solved)
+    driven = loop.controller.channels if loop is not None and found.instrumented is not None else ()
+    return _answer(record, joint, filtering, delay, settings, found, driven)
+
+
+def regress(
+    parameters: tuple[Parameter, ...], model: InverseModel, filtering: Filtering, sample_time: float
+) -> Solution:
+    """Fit the free parameters to a motion by ordinary least squares; the fixed ones' torque is taken off first."""
+    return ordinary(_rows(parameters, model, filtering, sample_time))
+
+
+def _rows(parameters: tuple[Parameter, ...], model: InverseModel, filtering: Filtering, sample_time: float) -> Rows:
+    free = [i for i, p in enumerate(parameters) if p.free]
+    if not free:
+        raise MethodError("Every parameter of the joint is fixed, so there is nothing to identify; free one of them.")
+    Y, W = model.decimated(filtering, sample_time, _kept(parameters))
+    return Rows(Y, W[:, free], tuple(parameters[i].name for i in free), len(model.torque))
+
+
+def _kept(parameters: tuple[Parameter, ...]) -> FloatArray:
+    """Return the values of the fixed parameters, 0 for the free ones, (parameters,)."""
+    return np.array([0.0 if p.free else p.start or 0.0 for p in parameters])
+
+
+def _found(
+    given: tuple[Effect, ...],
+    searched: Callable[[tuple[Effect, ...]], tuple[Effect, ...]],
+    regression: Callable[[tuple[Effect, ...]], _Regression],
+    solved: Callable[[_Regression], Instrumented | Solution],
+) -> _Found:
+    """Return the solution; where periods were searched for, they are estimated with the other parameters."""
+    unknown = [is_searched(effect) for effect in given]
+    effects = searched(given) if any(unknown) else given
+    made = regression(effects)
+    found = solved(made)
+    periods: dict[str, float] = {}
+    for _ in range(_LINEARISATIONS if any(unknown) else 0):
+        values = dict(zip(made.rows.names, _solution(found).fit.values, strict=True))
+        tangents = [PeriodColumn.of(effect, values) for effect, was in zip(effects, unknown, strict=True) if was]
+        made = regression((*effects, *tangents))
+        found = solved(made)
+        change = dict(zip(made.rows.names, _solution(found).fit.values, strict=True))
+        std = dict(zip(made.rows.names, _solution(found).covariance.std, strict=True))
+        effects = moved(effects, tangents, change)
+        periods = {tangent.name: float(tangent.period + change[tangent.name]) for tangent in tangents}
+        if all(abs(change[name]) <= _SETTLED * std[name] for name in periods):
+            break
+    return _Found(made, _solution(found), found if isinstance(found, Instrumented) else None, effects, periods)
+
+
+def _solution(found: Instrumented | Solution) -> Solution:
+    return found.solution if isinstance(found, Instrumented) else found
+
+
+def _answer(
+    record: Record,
+    joint: Joint,
+    filtering: Filtering,
+    delay: float,
+    settings: IDIM,
+    found: _Found,
+    driven: tuple[str, ...],
+) -> Estimate:
+    assert record.torque is not None
+    regression, solution, iv = found.regression, found.solution, found.instrumented
+    model, values = regression.model, regression.whole(found.solution.fit.values)
+    measured, predicted = model.torque[0], model.columns[0] @ values
+    injected = ("injected",) if record.injected is not None else ()
     return Estimate(
         method="idim",
-        variant="IDIM by ordinary least squares",
+        variant=_VARIANTS[settings.estimator],
         joint=joint,
         loop=None,
-        parameters=tuple(rows),
-        channels=(*idim_channels(joint.model), *(("injected",) if record.injected is not None else ())),
+        parameters=_table(joint, regression, solution, values, found.periods),
+        channels=("torque", *driven, *idim_channels(joint.model)[1:], *injected),
         record=record.name,
-        sample_time=sample_time,
+        sample_time=record.torque.sample_time,
         torque_unit=record.torque.unit,
         measured=measured,
         predicted=predicted,
         borders=filtering.borders,
         relative_error=relative_error(measured, predicted, filtering.borders),
-        filtered_error=fit.relative_error,
-        rows=fit.residual.size,
-        conditioning=fit.conditioning,
+        filtered_error=solution.fit.relative_error,
+        rows=solution.fit.residual.size,
+        conditioning=solution.fit.conditioning,
         initial=None,
         filtering=filtering,
-        trace=(),
-        simulations=0,
-        stop="a linear regression has one step",
-        converged=True,
-        intervals=f"of the regression, {words(covariance)}",
-        warnings=_warnings(record, filtering, fit),
+        trace=iv.trace if iv else (),
+        simulations=len(iv.trace) - 1 if iv else 0,
+        stop=_stop(settings, found),
+        converged=iv.converged if iv else True,
+        intervals=f"of the regression, {words(solution.covariance)}",
+        warnings=_warnings(record, filtering, solution.fit.relative_error),
         fingerprint=fingerprint(record.torque.values),
         delay=delay,
-        correlation=covariance.correlation,
+        correlation=solution.covariance.correlation,
+        tests=(iv.test,) if iv else (),
+        effects=found.effects,
     )
 
 
-def _warnings(record: Record, filtering: Filtering, fit: Fit) -> tuple[str, ...]:
+def _table(
+    joint: Joint, regression: _Regression, solution: Solution, values: FloatArray, periods: dict[str, float]
+) -> tuple[EstimatedParameter, ...]:
+    std = dict(zip(regression.rows.names, map(float, solution.covariance.std), strict=True))
+    return tuple(
+        EstimatedParameter(
+            p.name,
+            p.symbol,
+            joint.unit(p),
+            periods.get(p.name, float(value)),
+            std.get(p.name),
+            p.free,
+            p.free,
+            of_joint=p.name not in periods,
+        )
+        for p, value in zip(regression.parameters, values, strict=True)
+    )
+
+
+def _stop(settings: IDIM, found: _Found) -> str:
+    solution, iv = found.solution, found.instrumented
+    if iv is not None:
+        count = len(iv.trace) - 1
+        return (
+            f"{'converged: nothing changes any more' if iv.converged else 'still changing'} after {count} simulations"
+        )
+    if settings.estimator == "ols":
+        return "a linear regression has one step"
+    lost = 100 * float(np.mean(solution.shares == 0.0))
+    without = f"; {lost:.2g} % of the rows do not fit and weigh nothing" if settings.estimator == "robust" else ""
+    return f"{solution.steps} reweightings until nothing changes{without}"
+
+
+def _warnings(record: Record, filtering: Filtering, error: float) -> tuple[str, ...]:
     assert record.torque is not None
     found = list(filtering.warnings(record.torque.sample_time))
     if filtering.timing == "as_sampled" and record.torque.timing is not Timing.SAMPLED:
@@ -245,4 +296,4 @@ def _warnings(record: Record, filtering: Filtering, fit: Fit) -> tuple[str, ...]
             f"the torque is {record.torque.timing.value} but read as sampled, half a period early, as the published "
             'results were; timing = "respected" is right'
         )
-    return (*found, *poor_fit(fit.relative_error))
+    return (*found, *poor_fit(error))

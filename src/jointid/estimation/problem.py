@@ -15,9 +15,10 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering, decimate
+from jointid.estimation.repeatable import Cells, cells
 from jointid.estimation.surroundings import INITIAL_STATE, of_law, surrounding, with_numbers
 from jointid.model.joints import RigidJoint
-from jointid.model.parameters import Parameter
+from jointid.model.parameters import TORQUE_UNIT, Parameter
 from jointid.simulation.closed_loop import Initial, Outcome, Response, Simulation, simulate, simulate_torque
 from jointid.simulation.experiment import ClosedLoop, Experiment, prepare
 from jointid.simulation.sensitivities import Sensitivities, simulate_sensitivities
@@ -61,6 +62,16 @@ class Problem:
     def free(self) -> tuple[Parameter, ...]:
         """The parameters that are identified."""
         return tuple(p for p in self.parameters if p.free)
+
+    @property
+    def torque_unit(self) -> str:
+        """Of the residual."""
+        return self.loop.joint.torque_unit or TORQUE_UNIT[self.loop.joint.kind]
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Of every parameter, by name."""
+        return {p.name: self.loop.joint.unit(p) for p in self.parameters}
 
     @property
     def free_joint(self) -> tuple[Parameter, ...]:
@@ -151,6 +162,12 @@ class Problem:
             size = float(np.sqrt(np.mean(self.measured**2)))
             error = np.full_like(error, _FAILED * size * (2.0 - run.finished))
         return self.filtered(error)
+
+    def cells(self, simulation: Simulation) -> Cells:
+        """Return where and how the motor was, in a simulation, when each row of the residual was taken."""
+        keep = self.filtering.decimation or 1
+        last = (self.measured.size - 1) % keep
+        return cells(simulation.motor_position[last::keep], simulation.motor_velocity[last::keep])
 
     def regressor(self, simulation: Simulation) -> FloatArray:
         """Return the inverse-dynamic columns of the free joint parameters on a run, raw, (samples, parameters)."""

@@ -129,8 +129,8 @@ def starts(estimates: Sequence[Estimate]) -> list[dict[str, float]]:
     lost = [p.name for p in estimates[0].parameters if p.name not in anywhere]
     if lost:
         raise MethodError(
-            f"No record by itself tells {', '.join(lost)}, so nothing is known to start from; give a start under "
-            "parameters, or identify the joint as rigid."
+            f"No record by itself tells {', '.join(lost)}, so nothing is known to start from; "
+            "identify the joint as rigid, or record a motion that shows it."
         )
     return [anywhere | each for each in every]
 

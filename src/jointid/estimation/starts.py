@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from jointid.common.errors import MethodError
 from jointid.data.record import Channel, FloatArray, Tap, Timing
-from jointid.estimation.idim import InverseModel, inverse_model, regress
+from jointid.estimation.idim import regress
+from jointid.estimation.inverse_model import InverseModel, inverse_model
 from jointid.estimation.problem import Problem
 from jointid.model.controllers import POSITION, REFERENCE, REFERENCE_VELOCITY, invert
 from jointid.model.joints import RigidJoint
@@ -166,8 +167,8 @@ def _regressed(
     model = inverse_model(joint, held, (bridged,), filtering, delay)
     masked = InverseModel(model.torque * known, model.columns * known[:, np.newaxis], model.inside, model.motor)
     parameters = problem.parameters[: len(joint.parameters)]
-    fit, _ = regress(parameters, masked, filtering, sample_time)
-    return dict(zip((p.name for p in parameters if p.free), map(float, fit.values), strict=True))
+    found = regress(parameters, masked, filtering, sample_time).fit.values
+    return dict(zip((p.name for p in parameters if p.free), map(float, found), strict=True))
 
 
 def _kept(problem: Problem, values: dict[str, float]) -> dict[str, float]:

@@ -102,7 +102,7 @@ class JointFile:
         ... motor_position = { column = "pos [deg]" }
         ... ''')
         >>> print(file.method, file.joint.torque_unit)
-        IDIM() A
+        IDIM(estimator='ols', effects=()) A
     """
 
     joint: Joint
@@ -237,6 +237,10 @@ class JointFile:
         friction: str | None = None,
         minimiser: str | None = None,
         frequency: float | None = None,
+        estimator: str | None = None,
+        harmonics: int | None = None,
+        period: float | None = None,
+        drift: str | None = None,
     ) -> JointFile:
         """Return this file with some choices replaced, and checked again; None leaves a choice as it is.
 
@@ -246,6 +250,10 @@ class JointFile:
             friction: "symmetric" or "asymmetric".
             minimiser: of DIDIM for a flexible joint, "least-squares" or "nelder-mead".
             frequency: in Hz, that DIDIM for a flexible joint starts from.
+            estimator: of IDIM, "ols", "weighted", "robust" or "iv".
+            harmonics: of IDIM, of the force over the motor position.
+            period: of the first harmonic, in m or rad.
+            drift: of IDIM, "force", "viscous" or "both".
 
         Raises:
             JointFileError: the file does not have what the method needs, a parameter is not one of the law's, or a
@@ -258,7 +266,14 @@ class JointFile:
             tables["filtering"] = {"preset": filtering}
         if friction is not None:
             tables["joint"]["friction"] = friction
-        settings = {"minimiser": minimiser, "frequency": frequency}
+        settings = {
+            "minimiser": minimiser,
+            "frequency": frequency,
+            "estimator": estimator,
+            "harmonics": harmonics,
+            "period": period,
+            "drift": drift,
+        }
         tables["method"] |= {key: value for key, value in settings.items() if value is not None}
         return type(self).of(tables, self.path)
 

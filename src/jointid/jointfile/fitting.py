@@ -11,10 +11,10 @@ from dataclasses import replace
 
 from jointid.common import units
 from jointid.data.columns import known_units
-from jointid.estimation.idim import idim_channels
+from jointid.estimation.inverse_model import idim_channels
 from jointid.estimation.surroundings import numbers_of
 from jointid.jointfile import wording
-from jointid.jointfile.schema import ChannelTable, JointTable, MethodTable, ParameterTable, RunTable
+from jointid.jointfile.schema import OF_IDIM, ChannelTable, JointTable, MethodTable, ParameterTable, RunTable
 from jointid.jointfile.table import refusal
 from jointid.model.controllers import Controller
 from jointid.model.joints import FRICTIONS, Joint
@@ -124,6 +124,9 @@ def method_faults(
                 f"{key} is missing, but {_called(name, of_model)} needs it: add it, "
                 f'or use method.name = "{other}", which needs only {_needs(other, of_model)}.'
             )
+        if name == "idim" and table.estimator == "iv":
+            for key in [key for key in lacking("didim") if key not in lacking(name)]:
+                yield f'{key} is missing, but method.estimator = "iv" simulates the loop: add it, or use another.'
     for key, sentence in _not_its_own(table, name, model):
         yield f"method.{key}{sentence}"
 
@@ -150,7 +153,10 @@ def _not_its_own(table: MethodTable, name: str | None, model: str | None) -> Ite
     """Yield the key and the rest of the sentence on settings of the other model or method, or of a preset."""
     for key, value in table.given("name").items():
         own = table.model_of(key)
-        if None not in (own, model) and own != model:
+        if key in OF_IDIM:
+            if name == "didim":
+                yield key, ' is for IDIM, but the method is DIDIM: leave it out, or use method.name = "idim".'
+        elif None not in (own, model) and own != model:
             remedy = f'leave it out, or set joint.model = "{own}"'
             yield key, f" is for DIDIM of a {own} joint, but the joint is {model}: {remedy}."
         elif name == "idim":

@@ -43,7 +43,11 @@ from jointid.jointfile.values import (
     TimeUnit,
 )
 from jointid.jointfile.wording import Says
+from jointid.model.effects import Drift, Effect, PositionHarmonics
 from jointid.model.joints import FRICTIONS, FlexibleJoint, Joint, RigidJoint, friction_named
+
+OF_IDIM = ("estimator", "harmonics", "period", "drift")
+"""The keys of [method] that are IDIM's."""
 
 OPTIONS = ("delimiter", "decimal", "header")
 """The keys of [record] that are options of the format's reader."""
@@ -192,6 +196,15 @@ class MethodTable(Table):
     simulations: Count = Field(6000, description="simulations of one descent at most")
     restarts: Natural = Field(3, description="restarts of Nelder-Mead at most")
     statistics: Literal["sensitivities", "inverse-model"] = Field("sensitivities", description="of the deviations")
+    estimator: Literal["ols", "weighted", "robust", "iv"] = Field("ols", description="of IDIM")
+    harmonics: Natural = Field(0, description="of the force over the motor position, for IDIM")
+    period: Positive | None = Field(None, description="of the first harmonic [m or rad]")
+    drift: Literal["force", "viscous", "both"] | None = Field(None, description="what changes with time, for IDIM")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield a period of no harmonics."""
+        if self.period is not None and self.harmonics == 0:
+            yield "period", f" is {self.period:g}, but there are no harmonics; add harmonics = 1, or leave it out."
 
     def model_of(self, key: str) -> str | None:
         """Return the joint's model that a key is for, None where it is for both."""
@@ -202,10 +215,15 @@ class MethodTable(Table):
         """Return the values that the preset sets too; the paper knew its frequency, and another joint has another."""
         return {} if self.preset is None else self.given("name", "preset", "frequency")
 
+    def effects(self) -> tuple[Effect, ...]:
+        """Return the further columns of IDIM."""
+        ripple = (PositionHarmonics(self.period, self.harmonics),) if self.harmonics else ()
+        return (*ripple, *(() if self.drift is None else (Drift(self.drift),)))
+
     def method(self, name: str, model: str) -> Method:
         """Return the method of that name with these settings, for a joint of that model."""
         if name == "idim":
-            return IDIM()
+            return IDIM(self.estimator, self.effects())
         made, given = DIDIMS[model], self.given("name", "preset")
         return made.paper(**given) if self.preset == "paper" else made(**given)
 

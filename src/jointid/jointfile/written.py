@@ -14,6 +14,7 @@ from jointid.estimation.identify import Method
 from jointid.estimation.idim import IDIM
 from jointid.jointfile.schema import DIDIMS, FILTERINGS
 from jointid.model.controllers import PD, Cascade, Controller, DigitalFilter, StateSpaceController
+from jointid.model.effects import Drift, Effect, PositionHarmonics
 from jointid.model.joints import FRICTIONS, Joint
 from jointid.model.parameters import Parameter
 
@@ -59,11 +60,28 @@ def filtering_table(filtering: Filtering) -> dict[str, Any]:
 def method_table(method: Method, model: str) -> dict[str, Any]:
     """Return [method] for a joint of that model."""
     if isinstance(method, IDIM):
-        return {"name": "idim"}
+        return {"name": "idim", **settings(method, "effects"), **_effects(method.effects)}
     if type(method) is not DIDIMS[model]:  # it would be read back as the other one
         made = type(method).__name__
         raise JointFileError(f"{made} is not for a {model} joint; use {DIDIMS[model].__name__}.")
     return {"name": "didim", **settings(method)}
+
+
+def _effects(effects: tuple[Effect, ...]) -> dict[str, Any]:
+    """Return the keys of [method] that say the same as IDIM's effects."""
+    found: dict[str, Any] = {}
+    for effect in effects:
+        match effect:
+            case PositionHarmonics(side="motor") if "harmonics" not in found and "drift" not in found:
+                found |= {"harmonics": effect.harmonics} | ({"period": effect.period} if effect.period else {})
+            case Drift(side="motor") if "drift" not in found:
+                found["drift"] = effect.of
+            case _:
+                raise JointFileError(
+                    "A joint file has words for one PositionHarmonics, then one Drift, both on the motor's side; "
+                    f"received {', '.join(map(repr, effects))}."
+                )
+    return found
 
 
 def parameter_table(parameter: Parameter, model: Parameter) -> dict[str, Any] | float:

@@ -21,6 +21,8 @@ class Quantity(StrEnum):
     FORCE = "force"
     STIFFNESS = "stiffness"
     COMPLIANCE = "compliance"
+    FORCE_DRIFT = "force per time"
+    VISCOUS_DRIFT = "viscous friction per time"
     POSITION = "position"
     VELOCITY = "velocity"
     TIME = "time"
@@ -45,6 +47,8 @@ def unit_of(quantity: Quantity, kind: Kind, torque_unit: str) -> str:
         Quantity.FORCE: torque_unit,
         Quantity.STIFFNESS: f"{torque_unit}/{position}",
         Quantity.COMPLIANCE: f"{position}/({torque_unit})" if " " in torque_unit else f"{position}/{torque_unit}",
+        Quantity.FORCE_DRIFT: f"{torque_unit}/s",
+        Quantity.VISCOUS_DRIFT: f"{torque_unit} s/{position} per s",
         Quantity.POSITION: position,
         Quantity.VELOCITY: f"{position}/s",
         Quantity.TIME: "s",

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointid.assessment.residuals import residual_report, whiteness
 from jointid.common.errors import MethodError
 from jointid.data.signals import Filtering, decimate
 from jointid.estimation.repeatable import Repeatable
+from jointid.estimation.residuals import residual_report, whiteness
 
 FILTERING = Filtering(cutoff=60.0).resolved(1e-3)
 STEP = 6e-3

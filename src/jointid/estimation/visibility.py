@@ -1,0 +1,360 @@
+"""Whether a record shows a joint's spring at all; where it does not, how soft the spring could be.
+
+A search always ends somewhere, and its end has a stiffness. That number is reported only when
+
+- the flexible joint explains the torque significantly better than a rigid one, by a test made for a compliance that
+  cannot be negative (`boundary`);
+- what it explains is more than the error that repeats with the motion and remains: a model that lacks more than the
+  spring gives may as well have made the spring up;
+- inertias and stiffness are told from 0, and the mode is one that a log of this rate can follow;
+- starts apart led to the same end;
+- the profile of the compliance 1/K12 is bounded on both sides.
+
+Otherwise the record says only how soft the spring may be. Low frequencies bound ZZ2^2/K12, and a mode in the band would
+ring, so the bound is a function of the load's share of the inertia, which is not known either. For each of some shares
+joints from soft to stiff are tried, with inertia, friction and offset fitted anew, until one is as good as the best but
+for what the noise allows. The bounds are for a lightly damped mode (a heavily damped one would look rigid, too) and for
+friction on the motor's side: friction on the load's, behind a spring, only lags at reversals, as real friction does
+without any spring.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.common.progress import Progress
+from jointid.data.record import FloatArray
+from jointid.data.signals import Filtering
+from jointid.estimation.boundary import BoundaryTest, flexible_against_rigid
+from jointid.estimation.combination import ByCompliance, Combination
+from jointid.estimation.descent import Descent, refined
+from jointid.estimation.exploration import FASTEST, crossover, frequency_of
+from jointid.estimation.problem import Problem
+from jointid.estimation.profile import Profile, profile
+from jointid.estimation.repeatable import Uncertainty, uncertainty
+from jointid.estimation.uncertainty import robust, white
+from jointid.estimation.verdict import StiffnessBound, Verdict
+from jointid.model.joints import RigidJoint
+from jointid.model.parameters import Parameter, Quantity
+from jointid.simulation.closed_loop import in_threads
+from jointid.simulation.experiment import ClosedLoop
+
+SHARES = (0.05, 0.1, 0.2, 0.33, 0.5)
+"""Of the load in the inertia, for which a bound is given."""
+
+_TEST_SHARES = (
+    0.1,
+    0.33,
+    0.6,
+)  # tried in the test, with the modes below: the best counts, in every draw as in the record
+_TEST_MODES = (0.4, 0.7, 1.0, 2.5)  # times the cut-off; the last is a compliance and nothing else
+_DAMPING = 0.02  # ratio, of the mode whose stiffness is bounded
+_TIGHT = 0.2  # of the stiffness: a 2-sigma interval this narrow needs no profile
+_POSITIVE = ("motor_inertia", "load_inertia", "stiffness")
+_BAND = 0.15  # of the sampling frequency, in which a bound is looked for: modes above the fitted band show there
+_SOFTEST, _STIFFEST = 0.5, 6.0  # modes that are tried, times the crossover of the loop and the fitted band
+_STEPS = 10  # between them
+_HALVINGS = 3  # of the last step
+_FEW = 6  # evaluations of one of these fits
+_QUANTILE = 2.706  # of chi-square with one degree of freedom, at 90 %: one side of it is passed by one in twenty
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Visibility:
+    """What a record shows of a joint's spring.
+
+    Attributes:
+        shown: whether its stiffness is reported.
+        test: of the flexible joint against the rigid one.
+        profile: of the compliance, where one was needed.
+        reasons: why the stiffness is refused, a sentence each.
+        rigid: values of the rigid joint on the same band. rigid_std: standard deviations of those that were free.
+        rigid_error: (rows,) what it leaves.
+        bounds: where the stiffness is refused.
+        simulations: that all this took.
+    """
+
+    shown: bool
+    test: BoundaryTest
+    profile: Profile | None
+    reasons: tuple[str, ...]
+    rigid: Mapping[str, float]
+    rigid_std: Mapping[str, float]
+    rigid_error: FloatArray
+    bounds: tuple[StiffnessBound, ...]
+    simulations: int
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the stiffness is reported, and why not."""
+        if self.shown:
+            return Verdict("stiffness", True, str(self.test))
+        return Verdict("stiffness", False, "not identifiable from this record: " + "; ".join(self.reasons))
+
+
+def visible(
+    problem: Problem, x: FloatArray, known: Uncertainty, together: tuple[int, int], progress: Progress
+) -> Visibility:
+    """Return whether a record shows the spring of an estimate, or else how soft it may be.
+
+    Args:
+        problem: of the flexible joint, as it was solved.
+        x: its free parameters.
+        known: how well.
+        together: how many of how many starts led to the estimate.
+        progress: is told.
+    """
+    rigid, at = _rigid(problem, problem.values(x))
+    error, J = rigid.linearised(at.x)
+    where = rigid.cells(rigid.simulate(at.x))
+    test = flexible_against_rigid(error, J, _springs(problem, rigid.values(at.x), error), where)
+    runs = at.simulations + 3 + len(_TEST_SHARES) * len(_TEST_MODES)
+    reasons = [] if test.significant else [str(test)]
+    reasons += _doubts(problem, x, known, error, together)
+    found = None
+    if not reasons:
+        found, reasons = _profiled(problem, x, known)
+        runs += found.evaluations if found else 0
+    judged = uncertainty(J, J, error, where, [p.name for p in rigid.free])
+    bounds: tuple[StiffnessBound, ...] = ()
+    if reasons:
+        progress("the record does not show the spring; looking how soft it may be")
+        each = [_bounded(problem, rigid.values(at.x), share) for share in SHARES]
+        bounds, runs = tuple(bound for bound, _ in each), runs + sum(used for _, used in each)
+    names = [p.name for p in rigid.free]
+    std = dict(zip(names, map(float, judged.covariance.std), strict=True))
+    return Visibility(not reasons, test, found, tuple(reasons), rigid.values(at.x), std, error, bounds, runs)
+
+
+def _doubts(
+    problem: Problem, x: FloatArray, known: Uncertainty, rigid_error: FloatArray, together: tuple[int, int]
+) -> list[str]:
+    """Return why the spring that was found is not to be believed, whatever a test says."""
+    found = []
+    left = float(np.sum(problem.residual(x) ** 2))
+    gained, repeated = float(np.sum(rigid_error**2)) - left, known.repeatable.share * left
+    if known.repeatable.significant and gained < repeated:
+        found.append(
+            f"the spring explains {100 * gained / left:.2g} % of what remains, less than the "
+            f"{100 * repeated / left:.2g} % of it that repeats with the motion and no noise explains: it may stand for "
+            "something else"
+        )
+    values, spread = problem.values(x), dict(zip((p.name for p in problem.free), known.covariance.std, strict=True))
+    for name in _POSITIVE:
+        if name in spread and values[name] <= 2 * float(spread[name]):
+            found.append(f"the interval of {name} holds 0")
+    mode, reach = frequency_of(values), FASTEST / problem.experiment.sample_time
+    if mode > reach:
+        found.append(f"the mode that was found, at {mode:.3g} Hz, is faster than a log of this rate can follow")
+    if together[1] > 1 and together[0] < 2:
+        found.append(f"of {together[1]} starts no two led to the same flexible joint")
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solved:
+    x: FloatArray
+    simulations: int
+
+
+def _solved(problem: Problem, values: Mapping[str, float], progress: Progress) -> _Solved:
+    descent = Descent(problem, progress)
+    found = refined(descent, problem.vector(values), 1e-8)
+    return _Solved(np.asarray(found.x), descent.simulations)
+
+
+def _quietly(_: str) -> None:
+    """Say nothing of a fit that is only a means."""
+
+
+def _rigid(problem: Problem, values: Mapping[str, float]) -> tuple[Problem, _Solved]:
+    """Return the problem of a rigid joint on the same band, solved."""
+    flexible = problem.loop.joint
+    joint = RigidJoint(flexible.kind, flexible.friction, flexible.torque_unit)
+    surroundings = problem.parameters[len(flexible.parameters) :]
+    loop = ClosedLoop(joint, problem.loop.controller)
+    rigid = replace(problem, loop=loop, parameters=(*joint.parameters, *surroundings))
+    start = {p.name: values[p.name] for p in surroundings}
+    start |= {p.name: _total(values, p.name) for p in joint.parameters}
+    return rigid, _solved(rigid, start, _quietly)
+
+
+def _total(values: Mapping[str, float], name: str) -> float:
+    """Return the value of a rigid joint's parameter: the sum of both sides of the flexible one."""
+    return values[name] if name in values else values[f"motor_{name}"] + values[f"load_{name}"]
+
+
+def _split(problem: Problem, rigid: Mapping[str, float], share: float, frequency: float) -> dict[str, float]:
+    """Return a flexible joint of a rigid one: its friction on the motor's side, a spring for a mode there."""
+    values = {p.name: rigid.get(p.name, 0.0) for p in problem.parameters}
+    values |= {f"motor_{name}": value for name, value in rigid.items() if f"motor_{name}" in values}
+    whole = rigid["inertia"]
+    reduced, rate = share * (1 - share) * whole, 2 * math.pi * frequency
+    values |= {"motor_inertia": (1 - share) * whole, "load_inertia": share * whole}
+    return values | {"stiffness": reduced * rate**2, "damping": 2 * _DAMPING * reduced * rate}
+
+
+def _springs(problem: Problem, rigid: Mapping[str, float], error: FloatArray) -> list[FloatArray]:
+    """Return what springs would do to the residual, each (rows, 1), at some load shares and modes."""
+    cutoff = problem.filtering.cutoff
+    assert cutoff is not None
+    free = replace(problem, parameters=tuple(replace(p, free=True) for p in problem.parameters))
+
+    def bent(at: tuple[float, float]) -> FloatArray:
+        values = _split(problem, rigid, at[0], at[1] * cutoff)
+        return free.residual(np.array([values[p.name] for p in free.parameters]))
+
+    tried = in_threads(bent, list(itertools.product(_TEST_SHARES, _TEST_MODES)))
+    size = 10 * float(np.linalg.norm(problem.filtered(problem.measured)))
+    return [(one - error)[:, np.newaxis] for one in tried if np.linalg.norm(one) < size]  # the others are unstable
+
+
+def _profiled(problem: Problem, x: FloatArray, known: Uncertainty) -> tuple[Profile | None, list[str]]:
+    """Return the profile of the compliance, where its interval is not narrow anyway, and what is wrong with it."""
+    names = [p.name for p in problem.free]
+    if "stiffness" not in names:
+        return None, []
+    at = names.index("stiffness")
+    std, value = float(known.covariance.std[at]), float(x[at])
+    if 2 * std <= _TIGHT * value:
+        return None, []
+    by = ByCompliance(problem, 1e-4 / value)
+    unit = problem.loop.joint.unit(by.free[at])
+    scale = np.ones(x.size)
+    scale[at] = 1.0 / value**2
+    spread = replace(known.covariance, std=known.covariance.std * scale, correlation=known.covariance.correlation)
+    sign = np.ones(x.size)
+    sign[at] = -1.0
+    spread = replace(spread, correlation=spread.correlation * np.outer(sign, sign))
+    wanted = Combination("compliance", "1/K12", unit, {"compliance": 1.0})
+    found = profile(by, by.exchanged(x), wanted, spread)
+    if found.bounded:
+        return found, []
+    side = "stiff" if found.interval[0] is None else "soft"
+    return found, [f"the profile of the compliance has no end on its {side} side ({found})"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _AtMode:
+    """A flexible problem with its load share and its mode held, lightly damped, its friction on the motor's side.
+
+    Free are the whole inertia, and what is free beside inertias, spring, damper and the load's friction.
+    """
+
+    problem: Problem
+    share: float
+    mode: float
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The whole inertia, then the others."""
+        whole = Parameter("inertia", "ZZ", Quantity.INERTIA, lower=1e-300)
+        return whole, *(p for p in self.problem.free if not _is_held(p))
+
+    @property
+    def freed(self) -> Problem:
+        """The problem with everything free, so that every derivative is there."""
+        return replace(self.problem, parameters=tuple(replace(p, free=True) for p in self.problem.parameters))
+
+    def values(self, x: FloatArray) -> dict[str, float]:
+        """Return every parameter of the flexible problem."""
+        values = {p.name: (p.start or 0.0) if not p.free else 0.0 for p in self.problem.parameters}
+        values |= dict(zip((p.name for p in self.free[1:]), map(float, x[1:]), strict=True))
+        return values | self._inertial(float(x[0]))
+
+    def _inertial(self, whole: float) -> dict[str, float]:
+        """Return what is proportional to the whole inertia."""
+        reduced, rate = self.share * (1 - self.share) * whole, 2 * math.pi * self.mode
+        inertias = {"motor_inertia": (1 - self.share) * whole, "load_inertia": self.share * whole}
+        return inertias | {"stiffness": reduced * rate**2, "damping": 2 * _DAMPING * reduced * rate}
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the residual, (rows,)."""
+        problem = self.freed
+        return problem.residual(problem.vector(self.values(x)))
+
+    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the residual, (rows,), and its derivatives, (rows, free)."""
+        problem = self.freed
+        error, J = problem.linearised(problem.vector(self.values(x)))
+        by = {p.name: J[:, i] for i, p in enumerate(problem.free)}
+        whole = sum(share * by[name] for name, share in self._inertial(1.0).items())
+        return error, np.column_stack([whole, *(by[p.name] for p in self.free[1:])])
+
+
+def _is_held(p: Parameter) -> bool:
+    return p.name.startswith("load_") or p.name in ("motor_inertia", "stiffness", "damping")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _End:
+    """Where a fit with a held mode ended."""
+
+    x: FloatArray
+    cost: float
+    evaluations: int
+
+
+def _held(held: _AtMode, start: FloatArray) -> _End:
+    """Return the best joint with its mode and share held; of an unstable loop, a cost beyond all others."""
+    from scipy.optimize import least_squares
+
+    lower, upper = (np.array([getattr(p, side) for p in held.free]) for side in ("lower", "upper"))
+    inside = np.clip(start, lower + 1e-6 * np.abs(start), upper - 1e-6 * np.abs(start))
+
+    def jacobian(x: FloatArray) -> FloatArray:
+        return held.linearised(x)[1]
+
+    found = least_squares(
+        held.residual, inside, jacobian, (lower, upper), x_scale="jac", xtol=1e-4, ftol=1e-5, gtol=None, max_nfev=_FEW
+    )
+    return _End(np.asarray(found.x), 2 * float(found.cost), int(found.nfev + (found.njev or 0)))
+
+
+def _bounded(problem: Problem, rigid: Mapping[str, float], share: float) -> tuple[StiffnessBound, int]:
+    """Return the softest spring at a load share, and the simulations it took to find."""
+    sample_time, law, cutoff = problem.experiment.sample_time, problem.experiment.law, problem.filtering.cutoff
+    assert cutoff is not None
+    band = Filtering(cutoff=max(_BAND / sample_time, cutoff)).resolved(sample_time, "flexible")
+    wide = replace(problem, filtering=band)
+    high = _STIFFEST * cutoff
+    low = min(_SOFTEST * crossover(law, rigid["inertia"]), 0.5 * high)
+    modes = [float(mode) for mode in np.geomspace(low, high, _STEPS)]
+    stiff = _AtMode(wide, share, high)
+    named = {f"motor_{name}": value for name, value in rigid.items()} | dict(rigid)
+    ends: dict[float, _End] = {}
+    x = np.array([named[p.name] for p in stiff.free])
+    for mode in reversed(modes):  # from what is nearly rigid, each from the last
+        ends[mode] = _held(_AtMode(wide, share, mode), x)
+        x = ends[mode].x if ends[mode].cost < 2 * ends[high].cost else ends[high].x
+    limit = min(end.cost for end in ends.values()) + _threshold(stiff, ends[high].x)
+    runs = sum(end.evaluations for end in ends.values()) + 2
+    softest = next(mode for mode in modes if ends[mode].cost <= limit)
+    if softest == low:
+        return StiffnessBound(share, None, None), runs
+    rejected = modes[modes.index(softest) - 1]
+    x = ends[softest].x
+    for _ in range(_HALVINGS):
+        middle = math.sqrt(rejected * softest)
+        end = _held(_AtMode(wide, share, middle), x)
+        runs += end.evaluations
+        rejected, softest = (rejected, middle) if end.cost <= limit else (middle, softest)
+    reduced = share * (1 - share) * rigid["inertia"]
+    return StiffnessBound(share, reduced * (2 * math.pi * rejected) ** 2, rejected), runs
+
+
+def _threshold(stiff: _AtMode, x: FloatArray) -> float:
+    """Return how much worse than the best a joint may be: chi-square, times what autocorrelation makes of it.
+
+    The ratio of the compliance's robust deviation to that of a white residual is taken where the spring is stiff.
+    """
+    error, J = stiff.linearised(x)
+    stiffer = _AtMode(stiff.problem, stiff.share, 1.2 * stiff.mode)
+    J = np.column_stack([J, stiffer.residual(x) - error])
+    ratio = float(robust(J, J, error).std[-1] / white(J, error).std[-1])
+    return _QUANTILE * ratio**2 * float(error @ error) / (error.size - x.size)

@@ -1,0 +1,78 @@
+"""Every method side by side."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid import answers
+from jointid.assessment.comparison import Comparison, compare
+from jointid.common.errors import RecordError
+from jointid.data.record import Record
+from jointid.estimation.flexible import FlexibleDIDIM
+from jointid.model.joints import RigidJoint
+from jointid.paper.twin import twin
+from jointid.simulation.experiment import ClosedLoop
+from tests.estimation.conftest import CONTROLLER
+
+
+@pytest.fixture(scope="module")
+def flexible() -> Comparison:
+    axis = twin()
+    return compare(axis.record, axis.loop, didim=FlexibleDIDIM(frequency=30.0))
+
+
+def test_every_method_that_can_run_has_run(flexible: Comparison) -> None:
+    names = ["DIDIM", "IDIM-LS", "IDIM-WLS", "IDIM-IRLS", "IDIM-IV", "DIDIM asymmetric", "IDIM-LS asymmetric"]
+    assert [method.name for method in flexible.methods] == names
+    assert list(flexible.estimates) == names
+    assert flexible.estimates["DIDIM"].channels == ("torque", "reference", "injected")
+    assert all(method.seconds > 0 for method in flexible.methods)
+
+
+def test_a_disagreement_is_pointed_out(flexible: Comparison) -> None:
+    """The disturbance in the loop has moved least squares away from DIDIM and from instruments."""
+    (sentence,) = [line for line in flexible.disagreements if "on motor inertia" in line]
+    assert sentence.startswith("DIDIM and IDIM-")
+    assert "beyond their intervals: 70." in sentence
+    assert not any("on stiffness" in line for line in flexible.disagreements)
+    text = str(flexible)
+    assert "IDIM-IV, Durbin-Wu-Hausman: IDIM's regressors are correlated with its errors" in text
+    row = next(line for line in text.splitlines() if line.startswith("ZZ1"))
+    assert row.count("+-") == 7
+
+
+def test_what_cannot_run_is_listed_with_the_reason(emps: Record) -> None:
+    found = compare(emps.without("motor_position"), ClosedLoop(RigidJoint(), CONTROLLER))
+    assert list(found.estimates) == ["DIDIM", "DIDIM asymmetric"]
+    assert "IDIM-LS cannot run: IDIM needs motor_position; this record has torque, reference" in str(found)
+    assert found.disagreements == ()
+    assert "no two methods differ by more than their intervals allow" in str(found)
+    alone = compare(emps, RigidJoint())
+    assert list(alone.estimates) == ["IDIM-LS", "IDIM-IRLS", "IDIM-LS asymmetric"]
+    assert "DIDIM cannot run: DIDIM simulates the closed loop, so it needs the controller" in str(alone)
+    fixed = compare(emps, RigidJoint(), parameters={"viscous": RigidJoint().parameters[1].fixed(207.0)})
+    assert fixed.estimates["IDIM-LS"].values["viscous"] == 207.0
+    assert fixed.estimates["IDIM-LS asymmetric"].values["viscous_forwards"] == pytest.approx(171, abs=1)
+
+
+def test_a_record_that_cannot_be_is_refused_at_once(emps: Record) -> None:
+    assert emps.torque is not None
+    still = replace(emps, torque=replace(emps.torque, values=np.full(len(emps.torque), 3.0)))
+    with pytest.raises(RecordError, match="The torque is 3 N in every sample"):
+        compare(still, RigidJoint())
+
+
+def test_the_answer_is_written(flexible: Comparison, tmp_path: Path) -> None:
+    answers.write(answers.comparison_answer(flexible), tmp_path / "out.json")
+    answer = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.comparison/1"
+    assert answer["methods"][4]["estimate"]["tests"][0]["rejected"] is True
+    assert answer["methods"][0]["refusal"] == ""
+    assert answer["disagreements"] == list(flexible.disagreements)
+    page = (Path(__file__).resolve().parents[2] / "docs" / "answers.md").read_text(encoding="utf-8")
+    assert all(f"`{key}`" in page for key in answer)

@@ -1,0 +1,185 @@
+"""The estimators of IDIM: what each is for, on the twin and on regressions made for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError, RecordError
+from jointid.data.excitation import trapezoids
+from jointid.data.record import Record
+from jointid.estimation import linear
+from jointid.estimation.endogeneity import durbin_wu_hausman
+from jointid.estimation.estimate import Estimate
+from jointid.estimation.identify import identify
+from jointid.estimation.idim import IDIM
+from jointid.estimation.linear import Rows, instrumental, ordinary, robust
+from jointid.model.controllers import Cascade
+from jointid.model.joints import RigidJoint
+from jointid.paper.twin import Twin, twin
+from jointid.simulation.experiment import ClosedLoop
+from jointid.simulation.synthesis import simulated_record
+from tests.estimation.conftest import CONTROLLER
+
+SEEDS = range(1, 11)
+
+
+def bias(estimates: list[Estimate], truth: dict[str, float], name: str) -> tuple[float, float]:
+    """Return the mean relative error of an estimate, and the same in its own standard deviations."""
+    found = np.array([estimate.values[name] / truth[name] - 1 for estimate in estimates])
+    return float(found.mean()), float(found.mean() / (found.std(ddof=1) / np.sqrt(found.size)))
+
+
+@pytest.mark.parametrize(("loop", "expected"), [("L19", -0.007), ("L30", 0.010)])
+def test_instruments_remove_the_bias_of_a_disturbance_in_the_loop(loop: str, expected: float) -> None:
+    axes = [twin(loop, seed=seed) for seed in SEEDS]  # type: ignore[arg-type]
+    plain = [identify(axis.record, axis.loop, IDIM()) for axis in axes]
+    instrumented = [identify(axis.record, axis.loop, IDIM("iv")) for axis in axes]
+    truth = axes[0].truth
+    off, significance = bias(plain, truth, "motor_inertia")
+    assert off == pytest.approx(expected, abs=0.002)
+    assert abs(significance) > 6
+    for name in truth:
+        assert abs(bias(instrumented, truth, name)[1]) <= 3.5, name  # 3.5 of t with 9 degrees of freedom: 0.7 %
+    assert abs(bias(instrumented, truth, "motor_inertia")[0]) < 0.002
+    assert all(estimate.tests[0].rejected for estimate in instrumented)
+    assert all(estimate.converged and estimate.simulations <= 6 for estimate in instrumented)
+    inside = [
+        abs(estimate.values[p.name] - truth[p.name]) <= 2 * float(p.std or 0.0)
+        for estimate in instrumented
+        for p in estimate.parameters
+    ]
+    assert np.mean(inside) >= 0.85
+
+
+def test_instruments_on_a_rigid_axis() -> None:
+    loop = ClosedLoop(RigidJoint(), CONTROLLER)
+    truth = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.2}
+    motion = trapezoids((0.042, 0.083, 0.125), 0.83, 0.1, 1e-3, duration=8.0)
+    plain, instrumented = [], []
+    for seed in SEEDS:
+        force = 60.0 * np.random.default_rng(seed).standard_normal(motion.size)
+        made = simulated_record(loop, motion, truth, sample_time=1e-3, disturbance=force)
+        plain.append(identify(made, loop, IDIM()))
+        instrumented.append(identify(made, loop, IDIM("iv")))
+    assert abs(bias(plain, truth, "inertia")[1]) > 6
+    assert all(abs(bias(instrumented, truth, name)[1]) <= 3.5 for name in truth)
+    assert all(estimate.tests[0].rejected for estimate in instrumented)
+    assert instrumented[0].channels == ("torque", "reference", "motor_position")
+    assert "its least-squares values are biased; use IV or DIDIM" in str(instrumented[0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("loop", ["L19", "L30"])
+def test_noise_on_the_log_alone_raises_no_alarm(loop: str) -> None:
+    axes = (twin(loop, noise="white", seed=seed) for seed in range(1, 41))  # type: ignore[arg-type]
+    alarms = [identify(axis.record, axis.loop, IDIM("iv")).tests[0].rejected for axis in axes]
+    assert np.mean(alarms) <= 0.1
+
+
+def low_passed(random: np.random.Generator, size: int) -> np.ndarray:
+    return np.convolve(random.standard_normal(size + 4), np.ones(5) / np.sqrt(5.0), "valid")
+
+
+@pytest.mark.parametrize(("share", "lowest", "highest"), [(0.0, 0.0, 0.08), (0.6, 0.95, 1.0)])
+def test_the_test_of_endogeneity_keeps_its_level_and_has_power(share: float, lowest: float, highest: float) -> None:
+    """Errors and columns are correlated from row to row, as the low-pass makes them; `share` also with each other."""
+    random, rejected = np.random.default_rng(5), 0
+    for _ in range(200):
+        Z = np.column_stack([low_passed(random, 800), np.ones(800)])
+        error = low_passed(random, 800)
+        W = Z + np.column_stack([share * error + (1 - share) * low_passed(random, 800), np.zeros(800)])
+        rejected += durbin_wu_hausman(W, W @ [2.0, 1.0] + error, Z).rejected
+    assert lowest <= rejected / 200 <= highest
+
+
+def test_instruments_that_are_the_columns_say_nothing() -> None:
+    random = np.random.default_rng(6)
+    W = random.normal(size=(300, 2))
+    same = durbin_wu_hausman(W, W @ [1.0, 2.0] + random.normal(size=300), 3.0 * W)
+    assert (same.statistic, same.degrees, same.p_value, same.rejected) == (0.0, 0, 1.0, False)
+
+
+def test_the_solution_by_instruments_solves_its_equation() -> None:
+    random = np.random.default_rng(7)
+    Z = random.normal(size=(2000, 2))
+    error = random.normal(size=2000)
+    W = Z + 0.5 * error[:, np.newaxis]
+    rows = Rows(W @ [3.0, -1.0] + error, W, ("a", "b"), 1)
+    found = instrumental(rows, Z, np.zeros(2))
+    assert np.abs(Z.T @ found.fit.residual).max() <= 1e-8
+    assert np.all(np.abs(found.fit.values - [3.0, -1.0]) <= 3 * found.covariance.std)
+    assert np.all(np.abs(ordinary(rows).fit.values - [3.0, -1.0]) > 5 * ordinary(rows).covariance.std)
+
+
+def spiked(record: Record, size: float) -> Record:
+    """Return a record with a spike on the torque of one in 400 samples, all one way."""
+    assert record.torque is not None
+    torque = record.torque.values.copy()
+    torque[200::400] += size
+    return replace(record, torque=replace(record.torque, values=torque))
+
+
+def test_spikes_in_the_torque_do_not_move_the_robust_estimate() -> None:
+    axis = twin(noise="white")
+    wrong = spiked(axis.record, 500.0)
+    before, after = (identify(record, axis.loop, IDIM("robust")) for record in (axis.record, wrong))
+    plain, moved = (identify(record, axis.loop, IDIM()) for record in (axis.record, wrong))
+
+    def change(one: Estimate, two: Estimate) -> float:
+        return max(abs(two.values[p.name] - one.values[p.name]) / float(p.std or 1.0) for p in one.parameters)
+
+    assert change(plain, moved) > 4.0
+    assert change(before, after) < 1.0
+    assert "of the rows do not fit and weigh nothing" in after.stop
+
+
+def test_the_robust_estimate_is_95_percent_efficient_and_knows_its_deviation() -> None:
+    """With normal errors it goes with least squares at a correlation of sqrt(0.95): so the constants are right."""
+    random = np.random.default_rng(8)
+    W = np.column_stack([np.ones(600), np.sin(np.arange(600) / 9.0)])
+    plain, found, said = [], [], []
+    for _ in range(200):
+        rows = Rows(W @ [1.0, 2.0] + 7.0 * random.standard_normal(600), W, ("a", "b"), 1)
+        solution = robust(rows)
+        plain.append(ordinary(rows).fit.values)
+        found.append(solution.fit.values)
+        said.append(solution.covariance.std)
+    assert np.std(found, axis=0) == pytest.approx(np.mean(said, axis=0), rel=0.2)
+    for one, other in zip(np.transpose(plain), np.transpose(found), strict=True):
+        assert np.corrcoef(one, other)[0, 1] == pytest.approx(np.sqrt(0.95), abs=0.012)
+
+
+@pytest.mark.parametrize("loop", ["L19", "L30"])
+def test_weights_tell_the_damping_and_pull_nothing_to_zero(loop: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    axis = twin(loop, noise="white")  # type: ignore[arg-type]
+    plain, balanced = (identify(axis.record, axis.loop, IDIM(e)) for e in ("ols", "weighted"))  # type: ignore[arg-type]
+    assert float(balanced["damping"].std or 0.0) < 0.5 * float(plain["damping"].std or 0.0)
+    assert all(abs(p.value - axis.truth[p.name]) <= 3 * float(p.std or 0.0) for p in balanced.parameters)  # type: ignore[operator]
+    monkeypatch.setattr(linear, "_PULL", 0.0)
+    pulled = identify(axis.record, axis.loop, IDIM("weighted"))
+    assert pulled.values["stiffness"] < 0.975 * axis.truth["stiffness"]
+
+
+def under(axis: Twin, **changed: float) -> ClosedLoop:
+    """Return the twin's joint under another controller."""
+    cascade = axis.loop.controller
+    assert isinstance(cascade, Cascade)
+    return ClosedLoop(axis.loop.joint, replace(cascade, **changed))  # type: ignore[arg-type]
+
+
+def test_what_an_estimator_lacks_is_said() -> None:
+    axis = twin(noise="none")
+    rigid = RigidJoint()
+    with pytest.raises(MethodError, match="a rigid joint has one, whose weight changes nothing"):
+        identify(axis.record, rigid, IDIM("weighted"))
+    with pytest.raises(MethodError, match="IDIM-IV simulates the closed loop for its instruments, so it needs the con"):
+        identify(axis.record, rigid, IDIM("iv"))
+    with pytest.raises(RecordError, match="controller needs reference"):
+        identify(axis.record.without("reference"), axis.loop, IDIM("iv"))
+    with pytest.raises(MethodError, match="An estimator of IDIM is one of ols, weighted, robust, iv; received 'best'"):
+        IDIM("best")  # type: ignore[arg-type]
+    with pytest.raises(MethodError, match="instruments of IV come from a simulation, but with these values the loop"):
+        identify(axis.record, under(axis, kv=1e4, limit=np.inf), IDIM("iv"))

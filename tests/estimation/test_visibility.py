@@ -1,0 +1,84 @@
+"""A stiffness is reported where the record shows it, and refused, with a bound, where it does not."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.answers import dumps, estimate_answer
+from jointid.assessment.validation import validate
+from jointid.common.errors import MethodError
+from jointid.data.record import Record
+from jointid.estimation.estimate import Estimate
+from jointid.estimation.identify import identify
+from jointid.model.joints import FlexibleJoint
+from jointid.model.parameters import Parameter
+from jointid.paper.twin import twin
+from jointid.simulation.experiment import ClosedLoop
+from tests.estimation.conftest import CONTROLLER
+
+LOOP = ClosedLoop(FlexibleJoint(), CONTROLLER)
+
+
+def stiffness_verdict(estimate: Estimate) -> tuple[bool | None, str]:
+    (found,) = (verdict for verdict in estimate.verdicts if verdict.subject == "stiffness")
+    return found.good, found.said
+
+
+def require_refused(estimate: Estimate) -> None:
+    """No mode is seen below 60 Hz, and the motor-side apparent mass is flat within 2 %: the bounds lie between."""
+    good, said = stiffness_verdict(estimate)
+    assert good is False
+    assert "not identifiable from this record" in said
+    for name in ("motor_inertia", "load_inertia", "stiffness", "damping"):
+        assert estimate[name].value is None, name
+    bounds = {bound.share: bound.stiffness for bound in estimate.bounds}
+    assert 0.6e6 <= (bounds[0.05] or 0.0) <= 4e6
+    assert (bounds[0.5] or 0.0) >= 3e6
+    assert (bounds[0.33] or 0.0) <= 1e8
+    found = [bound or 0.0 for bound in bounds.values()]
+    assert found == sorted(found)
+    assert estimate.known is not None
+    whole = {known.combination.name: known for known in estimate.known.physical}
+    assert whole["total inertia"].value == pytest.approx(95.0, abs=1.5)
+
+
+def test_the_emps_axis_shows_no_spring(emps: Record) -> None:
+    estimate = identify(emps.without("motor_position"), LOOP)
+    require_refused(estimate)
+    assert "not identifiable" in str(estimate)
+    assert json.loads(dumps(estimate_answer(estimate)))["parameters"]["stiffness"]["value"] is None
+    with pytest.raises(MethodError, match=r"stiffness, .*cannot be told from this record"):
+        validate(estimate, emps)
+
+
+def test_nor_does_it_with_pulses(emps_pulses: Record) -> None:
+    require_refused(identify(emps_pulses.without("motor_position"), LOOP))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("which", ["emps", "emps_pulses"])
+def test_whatever_the_start(seed: int, which: str, request: pytest.FixtureRequest) -> None:
+    record = request.getfixturevalue(which)
+    rng = np.random.default_rng(seed)
+    typical = {"motor_inertia": 50.0, "load_inertia": 45.0, "stiffness": 1e6, "damping": 200.0, "motor_viscous": 100.0}
+    starts: dict[str, Parameter] = {
+        p.name: replace(p, start=typical[p.name] * 10 ** rng.uniform(-1, 1))
+        for p in LOOP.joint.parameters
+        if p.name in typical
+    }
+    require_refused(identify(record.without("motor_position"), LOOP, parameters=starts))
+
+
+@pytest.mark.parametrize("loop", ["L19", "L30"])
+@pytest.mark.parametrize("noise", ["disturbance", "white"])
+def test_the_twin_shows_its_spring(loop: str, noise: str) -> None:
+    axis = twin(loop, noise=noise, seed=3)  # type: ignore[arg-type]
+    estimate = identify(axis.record.without("motor_position", "load_position"), axis.loop)
+    assert stiffness_verdict(estimate)[0] is True
+    assert not estimate.bounds
+    assert estimate.values["stiffness"] == pytest.approx(8e5, rel=0.02)
