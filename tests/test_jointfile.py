@@ -28,7 +28,7 @@ from jointid.estimation.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.estimation.identify import identify
 from jointid.estimation.idim import IDIM
 from jointid.estimation.open_loop import OpenLoopFit
-from jointid.jointfile import JointFile, Source, dumps, json_schema, load, loads, save
+from jointid.jointfile import JointFile, Run, Source, dumps, json_schema, load, loads, save
 from jointid.jointfile.schema import CLOSINGS, DIDIMS, FILTERINGS, OF_IDIM
 from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
 from jointid.model.effects import Drift, PositionHarmonics
@@ -139,6 +139,7 @@ def test_the_schema_has_the_objects_own_defaults() -> None:
         "FilterTable": DigitalFilter,
         "FilteringTable": Filtering,
         "RecordTable": Source,
+        "RunTable": Run,
     }
     # A key of both methods has two defaults, and so none in the schema.
     for name, home in (*homes.items(), ("MethodTable", DIDIM), ("MethodTable", FlexibleDIDIM)):
@@ -398,8 +399,8 @@ FAULTS = [
     ),
     (
         SMALLEST + "[methods]",
-        "methods is not a known key; expected one of joint, record, controller, filtering, method, parameters: "
-        "did you mean method?",
+        "methods is not a known key; expected one of joint, record, controller, filtering, method, parameters, "
+        "records, together: did you mean method?",
     ),
     (
         SMALLEST.replace("motor_position", "motor_positon"),
@@ -408,8 +409,8 @@ FAULTS = [
     ),
     (
         SMALLEST + '["a.b"]',
-        '"a.b" is not a known key; expected one of joint, record, controller, filtering, method, parameters: '
-        "leave it out.",
+        '"a.b" is not a known key; expected one of joint, record, controller, filtering, method, parameters, '
+        "records, together: leave it out.",
     ),
     (
         SMALLEST.replace("kp = 100.0\n", ""),
@@ -1053,6 +1054,20 @@ def joint_files(draw: st.DrawFn) -> JointFile:
             )
         ),
         name=draw(st.none() | words),
+        runs=draw(
+            st.lists(
+                st.builds(
+                    Run,
+                    st.sampled_from(("run.csv", "runs/run 2.TXT")),
+                    added_inertia=st.just(0.0) | positive,
+                    own=st.lists(st.sampled_from([p.name for p in joint.parameters])).map(tuple),
+                    controller=st.fixed_dictionaries({}, optional={"kp": positive}),
+                ),
+                max_size=2,
+            ).map(tuple)
+        ),
+        free=draw(st.sampled_from(((), ("drive_gain",)))),
+        weighting=draw(st.sampled_from(("spectrum", "level"))),
     )
 
 
@@ -1153,7 +1168,7 @@ def test_any_value_at_any_key_is_read_or_refused(data: st.DataObject) -> None:
         assert JointFile.of(file.tables()) == file or isinstance(file.controller, StateSpaceController)
 
 
-TABLES = ("joint", "record", "controller", "filtering", "method", "parameters", "other")
+TABLES = ("joint", "record", "controller", "filtering", "method", "parameters", "records", "together", "other")
 CHANNELS_NAMED = ("torque", "reference", "motor_position", "injected", "other")
 
 
@@ -1246,6 +1261,68 @@ def test_the_emps_file_serves_both_records(data_dir: Path) -> None:
     assert estimate.relative_error == pytest.approx(0.0456, abs=2e-4)
 
 
+# Several records
+
+SEVERAL = """
+[[records]]
+file = "a.csv"
+
+[[records]]
+file = "b.csv"
+added_inertia = 10.0
+own = ["coulomb"]
+controller = { kp = 80.0, limit = 5.0 }
+
+[together]
+free = ["drive_gain"]
+"""
+
+
+def test_several_records(run: Path) -> None:
+    folder = run.parents[1]
+    file = saved(folder, "[record]\ndelimiter = ';'\n" + SMALLEST + SEVERAL.replace("a.csv", "runs/run.csv"))
+    assert file.runs == (Run("runs/run.csv"), Run("b.csv", 10.0, ("coulomb",), {"kp": 80.0, "limit": 5.0}))
+    assert (file.free, file.weighting) == (("drive_gain",), "spectrum")
+    first, second = file.each()
+    assert first.controller == file.controller == Cascade(kp=100.0, kv=2000.0)
+    assert second.controller == Cascade(kp=80.0, kv=2000.0, limit=5.0)
+    assert first.record().name == "run"
+    with pytest.raises(RecordError, match=r"b\.csv"):
+        second.record()
+    assert first.record() != file.each([folder / "b.csv", run])[1].record  # names on the command line replace both
+    assert file.each([folder / "b.csv", run])[1].source.file == str(run)
+    with pytest.raises(JointFileError, match="lists 2 records and 1 are named"):
+        file.each([run])
+    unlisted = saved(folder, SMALLEST)
+    assert [one.source.file for one in unlisted.each([run, folder / "b.csv"])] == [str(run), str(folder / "b.csv")]
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (SEVERAL.replace('"coulomb"', '"colomb"'), 'records.2.own names "colomb", which is no parameter of this model'),
+        (
+            SEVERAL.replace("kp = 80.0", "kd = 80.0"),
+            "records.2.controller.kd is not a known key; expected one of gain,",
+        ),
+        (SEVERAL.replace("limit = 5.0", "limit = -5.0"), "records.2.controller: "),
+        (SEVERAL.replace('file = "a.csv"', ""), "records.1.file is missing; expected text in quotes"),
+        (SEVERAL.replace("10.0", "-10.0"), "records.2.added_inertia is -10.0; expected a number, 0 or more"),
+        ("records = 3\n", "records is 3; expected one [[records]] table for each record"),
+    ],
+)
+def test_a_fault_of_several_records_is_one_sentence(text: str, sentence: str) -> None:
+    found = faults(text + SMALLEST if text.startswith("records") else SMALLEST + text)
+    assert len(found) == 1
+    assert found[0].startswith(sentence)
+    in_our_words(JointFileError(found))
+
+
+def test_a_controller_that_is_not_there_cannot_be_another() -> None:
+    text = SMALLEST.replace(CASCADE, "") + SEVERAL
+    assert any("changes a controller that the file does not have" in fault for fault in faults(text))
+
+
 # The page and the schema
 
 
@@ -1260,6 +1337,8 @@ def schema_keys() -> dict[str, set[str]]:
             walk(schema["$defs"][described["$ref"].rsplit("/", 1)[1]], path)
         for one in (*described.get("anyOf", ()), *described.get("oneOf", ())):
             walk(one, path)
+        if "$ref" in described.get("items", {}):
+            walk(described["items"], path)
         if described.get("additionalProperties"):
             found[f"{path}.<name>"] = {"—"}
             walk(described["additionalProperties"], f"{path}.<name>")
@@ -1321,8 +1400,9 @@ def test_the_page_has_the_defaults_that_depend_on_the_model() -> None:
 
 def test_the_files_on_the_page_are_right() -> None:
     texts = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    assert len(texts) == 2
-    smallest, whole = map(loads, texts)
+    assert len(texts) == 3
+    smallest, several, whole = map(loads, texts)
+    assert [one.added_inertia for one in several.runs] == [0.0, 10.0]
     assert isinstance(smallest.method, DIDIM)
     assert whole.joint.torque_unit == "A"
 

@@ -9,7 +9,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from jointid.answers import comparison_answer, estimate_answer, simulation_answer, validation_answer
+    from jointid.answers import (
+        comparison_answer,
+        estimate_answer,
+        simulation_answer,
+        together_answer,
+        validation_answer,
+    )
     from jointid.assessment.comparison import Comparison, compare
     from jointid.assessment.intervals import Intervals, intervals
     from jointid.assessment.validation import Validation, validate
@@ -26,6 +32,7 @@ if TYPE_CHECKING:
     from jointid.data.reading import read, write
     from jointid.data.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, record_of
     from jointid.data.signals import Filtering
+    from jointid.estimation.common_estimate import CommonEstimate, RecordShare
     from jointid.estimation.didim import DIDIM
     from jointid.estimation.drive_side import DriveSideFit
     from jointid.estimation.estimate import Estimate, EstimatedParameter, IdentifiedJoint
@@ -33,6 +40,7 @@ if TYPE_CHECKING:
     from jointid.estimation.identify import identify
     from jointid.estimation.idim import IDIM
     from jointid.estimation.open_loop import OpenLoopFit
+    from jointid.estimation.together import identify_together
     from jointid.jointfile import JointFile, load
     from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
     from jointid.model.effects import Drift, PositionHarmonics
@@ -48,7 +56,7 @@ if TYPE_CHECKING:
     from jointid.simulation.synthesis import simulated_record
 
 _HOMES = {
-    "answers": ("comparison_answer", "estimate_answer", "simulation_answer", "validation_answer"),
+    "answers": ("comparison_answer", "estimate_answer", "simulation_answer", "together_answer", "validation_answer"),
     "assessment.comparison": ("Comparison", "compare"),
     "assessment.intervals": ("Intervals", "intervals"),
     "assessment.validation": ("Validation", "validate"),
@@ -59,6 +67,7 @@ _HOMES = {
     "data.reading": ("read", "write"),
     "data.record": ("Channel", "Injection", "InjectionPoint", "Record", "Tap", "Timing", "record_of"),
     "data.signals": ("Filtering",),
+    "estimation.common_estimate": ("CommonEstimate", "RecordShare"),
     "estimation.didim": ("DIDIM",),
     "estimation.drive_side": ("DriveSideFit",),
     "estimation.estimate": ("Estimate", "EstimatedParameter", "IdentifiedJoint"),
@@ -66,6 +75,7 @@ _HOMES = {
     "estimation.idim": ("IDIM",),
     "estimation.identify": ("identify",),
     "estimation.open_loop": ("OpenLoopFit",),
+    "estimation.together": ("identify_together",),
     "jointfile": ("JointFile", "load"),
     "model.controllers": ("PD", "Cascade", "DigitalFilter", "StateSpaceController"),
     "model.effects": ("Drift", "PositionHarmonics"),
@@ -92,6 +102,7 @@ __all__ = [
     "Channel",
     "ClosedLoop",
     "Column",
+    "CommonEstimate",
     "Comparison",
     "DigitalFilter",
     "Drift",
@@ -119,6 +130,7 @@ __all__ = [
     "PositionHarmonics",
     "Record",
     "RecordError",
+    "RecordShare",
     "RigidJoint",
     "Simulation",
     "StateSpaceController",
@@ -133,6 +145,7 @@ __all__ = [
     "estimate_answer",
     "frequencies",
     "identify",
+    "identify_together",
     "intervals",
     "load",
     "prepare",
@@ -146,6 +159,7 @@ __all__ = [
     "simulate_many",
     "simulated_record",
     "simulation_answer",
+    "together_answer",
     "torque_figure",
     "trapezoids",
     "twin",

@@ -17,6 +17,7 @@ from jointid.cli.identify import identify
 from jointid.cli.intervals import intervals
 from jointid.cli.reproduce import reproduce
 from jointid.cli.simulate import simulate
+from jointid.cli.together import together
 from jointid.cli.validate import validate
 from jointid.common.errors import JointidError
 
@@ -29,7 +30,7 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (demo, identify, intervals, compare, validate, simulate, reproduce):
+for command in (demo, identify, together, intervals, compare, validate, simulate, reproduce):
     app.command(command)
 
 

@@ -12,8 +12,18 @@ from dataclasses import replace
 from jointid.common import units
 from jointid.data.columns import known_units
 from jointid.estimation.inverse_model import idim_channels
+from jointid.estimation.surroundings import numbers_of
 from jointid.jointfile import wording
-from jointid.jointfile.schema import CLOSINGS, OF_IDIM, ChannelTable, JointTable, MethodTable, ParameterTable
+from jointid.jointfile.schema import (
+    CLOSINGS,
+    OF_IDIM,
+    ChannelTable,
+    JointTable,
+    MethodTable,
+    ParameterTable,
+    RunTable,
+)
+from jointid.jointfile.table import refusal
 from jointid.model.controllers import Controller
 from jointid.model.joints import FRICTIONS, Joint
 from jointid.model.parameters import TORQUE_UNIT, Kind, Parameter
@@ -171,6 +181,48 @@ def _not_its_own(table: MethodTable, name: str | None, model: str | None) -> Ite
             yield key, ' is for DIDIM, but the method is IDIM: leave it out, or use method.name = "didim".'
         elif key in table.beside_preset():
             yield key, wording.beside_preset(value, str(table.preset))
+
+
+def record_faults(
+    joint: JointTable | None, controller: Controller | None, controlled: bool, runs: Mapping[int, RunTable]
+) -> Iterator[str]:
+    """Yield names of own parameters that the model does not have, and numbers that the controller cannot have.
+
+    Args:
+        joint: whose parameters, if that is known.
+        controller: the law, if it is known and right.
+        controlled: whether there is one, right or not.
+        runs: the records that are right in themselves, by their place.
+    """
+    for place, run in runs.items():
+        path = wording.dotted(["records", place])
+        known = () if joint is None else tuple(p.name for p in joint.joint(None).parameters)
+        for name in run.own:
+            if joint is not None and name not in known:
+                otherwise = "leave it out"
+                yield (
+                    f'{path}.own names "{name}", which is no parameter of this model; expected some of '
+                    f"{', '.join(known)}: {wording.guessed(name, known, otherwise)}"
+                )
+        if run.controller and not controlled:
+            yield f"{path}.controller changes a controller that the file does not have: add [controller]."
+        elif controller is not None and (refused := _no_change(controller, run.controller)):
+            yield f"{path}.controller{refused}"
+
+
+def _no_change(controller: Controller, numbers: Mapping[str, float]) -> str | None:
+    """Return the rest of the sentence on numbers that a controller does not have, or cannot have."""
+    known = (*numbers_of(controller), "period")
+    for name in numbers:
+        if name not in known:
+            return f".{wording.dotted([name])}{wording.unknown(name, known)}"
+    return refusal(lambda: with_other(controller, numbers))
+
+
+def with_other(controller: Controller, numbers: Mapping[str, float]) -> Controller:
+    """Return a controller with other numbers."""
+    changed: Controller = replace(controller, **numbers)  # type: ignore[type-var]
+    return changed
 
 
 def parameter_faults(joint: JointTable, tables: Mapping[str, ParameterTable], bare: Collection[str]) -> Iterator[str]:

@@ -35,6 +35,7 @@ from jointid.jointfile.values import (
     ColumnGain,
     Count,
     Flag,
+    Names,
     Natural,
     NotNegative,
     Number,
@@ -43,6 +44,7 @@ from jointid.jointfile.values import (
     Text,
     TimeUnit,
 )
+from jointid.jointfile.wording import Says
 from jointid.model.effects import Drift, Effect, PositionHarmonics
 from jointid.model.joints import FRICTIONS, FlexibleJoint, Joint, RigidJoint, friction_named
 
@@ -271,6 +273,24 @@ class ParameterTable(Table):
             yield "value", " is missing; a parameter that is not free needs the value that it keeps: add it."
 
 
+class RunTable(Table):
+    """[[records]]: one of several records that are identified together, and what is known to differ in it."""
+
+    file: RecordFile = Field(description="path of the record, from the joint file's folder")
+    added_inertia: NotNegative = Field(0.0, description="known, on the load, beyond what is shared [kg or kg m2]")
+    own: Names = Field([], description="names of parameters that the other records do not share")
+    controller: dict[str, Number] = Field(
+        default_factory=dict, description="numbers of the controller that were others, by key"
+    )
+
+
+class TogetherTable(Table):
+    """[together]: how several records are identified together."""
+
+    free: Names = Field([], description="names of what surrounds the joint and is identified too")
+    weighting: Literal["spectrum", "level"] = Field("spectrum", description="of the rows, by their record's residual")
+
+
 class FileTable(Table):
     """A joint file."""
 
@@ -284,6 +304,10 @@ class FileTable(Table):
     parameters: dict[str, ParameterTable] = Field(
         default_factory=dict, description="what is known of the parameters, by name"
     )
+    records: Annotated[list[RunTable], Says("one [[records]] table for each record")] = Field(
+        default_factory=list, description="records that are identified together"
+    )
+    together: TogetherTable = Field(default_factory=TogetherTable, description="how they are")
 
 
 class _WithoutNull(GenerateJsonSchema):

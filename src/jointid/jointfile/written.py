@@ -99,6 +99,8 @@ def parameter_table(parameter: Parameter, model: Parameter) -> dict[str, Any] | 
 
 
 def _default(field: Field[Any]) -> Any:
+    if field.default_factory is not MISSING:
+        return field.default_factory()
     return None if field.default is MISSING else field.default
 
 
