@@ -7,7 +7,7 @@ which parameters are free: those of the joint, then those of what surrounds it (
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -101,6 +101,16 @@ class Problem:
         """Return the torque the log should show, raw, (samples,)."""
         c = self._candidate(x)
         return self._shown(simulate_torque(c.loop, c.experiment, c.values, c.initial).torque, c)
+
+    def torque_if(self, x: FloatArray, driven: Callable[[Experiment], Experiment]) -> FloatArray:
+        """Return the torque the log should show, raw, (samples,), if the loop were driven otherwise.
+
+        Args:
+            x: free parameters.
+            driven: from what the loop is driven with, to what it might be.
+        """
+        c = self._candidate(x)
+        return self._shown(simulate_torque(c.loop, driven(c.experiment), c.values, c.initial).torque, c)
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the filtered, decimated torque error, (rows,); of a candidate that fails, something large."""
