@@ -9,7 +9,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from jointid.answers import estimate_answer, simulation_answer, validation_answer
+    from jointid.answers import estimate_answer, loop_answer, simulation_answer, validation_answer
+    from jointid.assessment.loop import check_loop
     from jointid.assessment.validation import Validation, validate
     from jointid.common.errors import (
         ExtraError,
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from jointid.estimation.flexible import FlexibleDIDIM
     from jointid.estimation.identify import identify
     from jointid.estimation.idim import IDIM
+    from jointid.estimation.loopcheck import LoopCheck
+    from jointid.estimation.suspects import LoopTests
     from jointid.jointfile import JointFile, load
     from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
     from jointid.model.friction import AsymmetricFriction, SymmetricFriction
@@ -41,7 +44,8 @@ if TYPE_CHECKING:
     from jointid.simulation.synthesis import simulated_record
 
 _HOMES = {
-    "answers": ("estimate_answer", "simulation_answer", "validation_answer"),
+    "answers": ("estimate_answer", "loop_answer", "simulation_answer", "validation_answer"),
+    "assessment.loop": ("check_loop",),
     "assessment.validation": ("Validation", "validate"),
     "common.errors": ("ExtraError", "JointFileError", "JointidError", "MethodError", "RecordError"),
     "data.checks": ("check_record",),
@@ -55,6 +59,8 @@ _HOMES = {
     "estimation.flexible": ("FlexibleDIDIM",),
     "estimation.idim": ("IDIM",),
     "estimation.identify": ("identify",),
+    "estimation.loopcheck": ("LoopCheck",),
+    "estimation.suspects": ("LoopTests",),
     "jointfile": ("JointFile", "load"),
     "model.controllers": ("PD", "Cascade", "DigitalFilter", "StateSpaceController"),
     "model.friction": ("AsymmetricFriction", "SymmetricFriction"),
@@ -92,6 +98,8 @@ __all__ = [
     "JointFile",
     "JointFileError",
     "JointidError",
+    "LoopCheck",
+    "LoopTests",
     "MethodError",
     "Outcome",
     "Parameter",
@@ -105,11 +113,13 @@ __all__ = [
     "Timing",
     "Twin",
     "Validation",
+    "check_loop",
     "check_record",
     "estimate_answer",
     "frequencies",
     "identify",
     "load",
+    "loop_answer",
     "prepare",
     "pulses",
     "read",

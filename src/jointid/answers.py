@@ -14,12 +14,14 @@ from jointid.assessment.validation import Validation
 from jointid.common.errors import RecordError
 from jointid.data.signals import Filtering
 from jointid.estimation.estimate import Estimate, EstimatedParameter, IdentifiedJoint, Iteration, MethodName
+from jointid.estimation.loopcheck import LoopCheck, Suspect
 from jointid.model.joints import Joint
 from jointid.simulation.closed_loop import Initial, Simulation
 from jointid.simulation.experiment import ClosedLoop
 
 ESTIMATE_SCHEMA = "jointid.estimate/1"
 VALIDATION_SCHEMA = "jointid.validation/1"
+LOOP_SCHEMA = "jointid.loop/1"
 SIMULATION_SCHEMA = "jointid.simulation/1"
 
 Json = dict[str, Any]
@@ -84,6 +86,26 @@ def validation_answer(validation: Validation) -> Json:
         "initial": _initial(validation.initial),
         "simulations": validation.simulations,
         "warnings": list(validation.warnings),
+    }
+
+
+def loop_answer(check: LoopCheck) -> Json:
+    """Return the check of a loop as it is written to JSON."""
+    return {
+        "schema": LOOP_SCHEMA,
+        "as_declared": check.as_declared,
+        "level": check.level,
+        "sentences": list(check.sentences),
+        "findings": [
+            {
+                "suspect": _suspect(finding.suspect),
+                "value": finding.value,
+                "rivals": list(finding.rivals),
+                "changes": {name: {"by": c.by, "sigmas": c.sigmas} for name, c in finding.changes.items()},
+            }
+            for finding in check.findings
+        ],
+        "suspects": [_suspect(suspect) for suspect in check.suspects],
     }
 
 
@@ -211,6 +233,19 @@ def _parameter(p: EstimatedParameter) -> Json:
         "free": p.free,
         "identifiable": p.identifiable,
         "lower_bound": p.lower_bound,
+    }
+
+
+def _suspect(s: Suspect) -> Json:
+    return {
+        "name": s.name,
+        "alike": list(s.alike),
+        "declared": s.declared,
+        "more_than_declared": s.size,
+        "std": s.std,
+        "statistic": s.statistic,
+        "p_value": s.p_value,
+        "shape": s.shape,
     }
 
 

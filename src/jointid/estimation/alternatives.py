@@ -8,7 +8,7 @@ joint's parameters held:
 - ``offset``: a constant force, where the joint is declared without one;
 - ``limit``: the law's output is cut off below its declared limit, at some shares of the largest torque it asks for;
 - ``stribeck``: the motor's friction is larger by ``S exp(-(v / vs)^2)`` at low speed, for some vs: a force on the
-  simulated motion, through the loop.
+  simulated motion, through the loop; ``presliding``: it is smaller by that.
 
 A wrong ``drive_gain`` is none of them: where everything in the record is scaled by it, the joint is, too, and nothing
 shows. What shows is a gain that one thing has and another has not: the law's (``gain``, ``kv``), the log's
@@ -27,9 +27,9 @@ from jointid.estimation.problem import Problem
 from jointid.estimation.surroundings import numbers_of
 from jointid.simulation.closed_loop import as_logged
 
-STRIBECK, LIMIT, OFFSET, INJECTED_GAIN = "stribeck", "limit", "offset", "injected_gain"
-ONE_SIDED = (STRIBECK, LIMIT)
-"""Alternatives that can only be positive: friction grows towards standstill, and a limit takes torque away."""
+STRIBECK, PRESLIDING, LIMIT, OFFSET, INJECTED_GAIN = "stribeck", "presliding", "limit", "offset", "injected_gain"
+ONE_SIDED = (STRIBECK, PRESLIDING, LIMIT)
+"""Alternatives that can only be positive: each says in which direction it goes."""
 
 _SPEEDS = (0.02, 0.04, 0.08)  # of the largest speed: the Stribeck speeds that are tried
 _SHARES = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the largest torque the law asks for: the limits that are tried
@@ -91,7 +91,7 @@ def _injected(problem: Problem, x: FloatArray) -> Iterator[Alternative]:
 
 
 def _stribeck(problem: Problem, x: FloatArray) -> Iterator[Alternative]:
-    """Yield the answers of the loop to a friction that is larger at low speed."""
+    """Yield the answers of the loop to a friction that is larger, or smaller, at low speed."""
     velocity = problem.simulate(x).motor_velocity
     if velocity.size != problem.experiment.after_limit.size:
         return  # a force at the controller's instants needs the motion there
@@ -99,19 +99,20 @@ def _stribeck(problem: Problem, x: FloatArray) -> Iterator[Alternative]:
         speed = share * float(np.max(np.abs(velocity), initial=0.0))
         if speed > 0:
             force = -np.exp(-((velocity / speed) ** 2)) * np.sign(velocity)
-            yield Alternative(STRIBECK, problem.filtered(_answer(problem, x, force)), speed)
+            column = problem.filtered(_answer(problem, x, force))
+            yield Alternative(STRIBECK, column, speed)
+            yield Alternative(PRESLIDING, -column, speed)
 
 
 def _limits(problem: Problem, x: FloatArray) -> Iterator[Alternative]:
     """Yield what a limit takes from the torque, as a whole: what is 1 times as large is the limit itself."""
     if not hasattr(problem.loop.controller, LIMIT):
         return
-    experiment, run = problem.experiment, problem.simulate(x)
-    asked = float(np.max(np.abs(run.torque - as_logged(experiment, experiment.shown))))
-    free = problem.torque(x)
+    output = problem.torque_if(x, lambda e: replace(e, tap=Tap.COMMAND, logged=np.zeros_like(e.logged)))
+    asked, free = float(np.max(np.abs(output))), problem.torque(x)
     for share in _SHARES:
         level = share * asked
-        if level < experiment.law.limit:
+        if level < problem.experiment.law.limit:
             cut = problem.torque_if(x, lambda e, level=level: e.with_law(replace(e.law, limit=level)))
             yield Alternative(LIMIT, problem.filtered(cut - free), level)
 

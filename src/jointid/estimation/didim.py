@@ -21,6 +21,7 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering
+from jointid.estimation.descent import Descent, with_free
 from jointid.estimation.estimate import Estimate, EstimatedParameter, fingerprint, poor_fit, relative_error
 from jointid.estimation.problem import Problem, initial_of, torque_problem
 from jointid.estimation.regression import least_squares
@@ -54,6 +55,8 @@ class DIDIM:
         iterations: at most.
         initial_state: "free" estimates where the motor is at the first sample, and whether it is at rest there or
             how fast it moves; "reference" puts it on the reference, at rest.
+        free: what surrounds the joint and is identified with it, by least squares from where DIDIM ends: "kp", "kv",
+            "delay", ...; see `surroundings`.
     """
 
     form: Literal["residual", "paper"] = "residual"
@@ -63,6 +66,7 @@ class DIDIM:
     step_tolerance: float = 1e-7
     iterations: int = 30
     initial_state: Literal["free", "reference"] = "free"
+    free: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         choices = {
@@ -199,7 +203,10 @@ def identify_didim(
     end = _solve(search, settings, start)
     if settings.initial_state == "free" and not end.reproduced:
         end = _or_moving(problem, search, settings, end, start)
-    covariance = _covariance(search, end.state)
+    if settings.free:
+        end, covariance = _with_free(search, end, settings)
+    else:
+        covariance = _covariance(search, end.state)
     found = answer(
         record, search.problem, end.state.x, end.state.simulation, end.state.error, covariance, end.stop, end.converged
     )
@@ -210,6 +217,17 @@ def identify_didim(
         trace=tuple(search.trace),
         simulations=search.simulations,
     )
+
+
+def _with_free(search: Search, end: End, settings: DIDIM) -> tuple[End, Covariance]:
+    """Go on by least squares with more of what surrounds the joint free; the covariance is that of least squares."""
+    descent = Descent(search.problem, search.progress)
+    x, stop, converged = with_free(descent, end.state.x, settings.free, settings.tolerance)
+    search.problem = descent.problem
+    search.simulations += descent.simulations + 1
+    error, slopes = descent.linearised(x)
+    state = State(x, descent.problem.simulate(x), error, 1.0)
+    return End(state, stop, converged), sandwich(slopes, slopes, error)
 
 
 def _at_rest(problem: Problem, settings: DIDIM) -> Problem:
@@ -278,7 +296,7 @@ def answer(
         method="didim",
         variant="DIDIM",
         joint=joint,
-        loop=problem.loop,
+        loop=problem.loop_at(x),
         parameters=rows,
         channels=(*problem.loop.channels, *(("injected",) if record.injected is not None else ())),
         record=record.name,
@@ -300,7 +318,7 @@ def answer(
         intervals=f"from the output sensitivities, {words(covariance)}",
         warnings=_warnings(problem, x, run, covariance.correlation, converged),
         fingerprint=fingerprint(record.torque.values),
-        delay=problem.experiment.law.delay,
+        delay=values.get("delay", problem.experiment.law.delay),
         correlation=covariance.correlation,
     )
 

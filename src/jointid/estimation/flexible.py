@@ -25,15 +25,14 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering
-from jointid.estimation.descent import Descent, by_simplex, reason, refined
+from jointid.estimation.descent import Descent, by_simplex, reason, refined, with_free
 from jointid.estimation.didim import answer
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.exploration import WIDE, explored, frequencies_to_try, frequency_of, rigid_estimate, started
-from jointid.estimation.problem import Problem, initial_of, torque_problem
+from jointid.estimation.problem import Problem, torque_problem
 from jointid.estimation.surroundings import INITIAL_STATE
 from jointid.estimation.uncertainty import Covariance, sandwich, words
 from jointid.model.parameters import Parameter
-from jointid.simulation.closed_loop import simulate
 from jointid.simulation.experiment import ClosedLoop
 
 _REFINED = 6  # starts that are refined at most, until two of them end together
@@ -59,6 +58,8 @@ class FlexibleDIDIM:
         simulations: at most, of one descent.
         restarts: of Nelder-Mead, each from where the last one stopped; it ends when one gains nothing.
         statistics: "sensitivities" for the deviations of the output sensitivities, or the paper's "inverse-model".
+        free: what surrounds the joint and is identified with it, from what is declared: "kp", "kv", "delay", ...; see
+            `surroundings`. The offset is one of the joint's own parameters, and free by default.
     """
 
     minimiser: Literal["least-squares", "nelder-mead"] = "least-squares"
@@ -68,6 +69,7 @@ class FlexibleDIDIM:
     simulations: int = 6000
     restarts: int = 3
     statistics: Literal["sensitivities", "inverse-model"] = "sensitivities"
+    free: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         choices = {
@@ -129,11 +131,12 @@ def identify_flexible(
     x, stop, converged = solved(descent, filtering, rigid, settings)
     if rigid["initial_velocity"].free:  # below its resonance the axis seemed to move at the first sample
         x, stop, converged = _or_moving(descent, x, rigid, settings, (stop, converged))
+    if settings.free:
+        x, stop, converged = with_free(descent, x, settings.free, stopping_tolerance(settings))
     problem = descent.problem
     error = descent.residual(x)
     covariance, intervals = _covariance(descent, x, error, settings)
-    values = problem.values(x)
-    run = simulate(loop, problem.experiment, values, initial_of(values))
+    run = problem.simulate(x)
     descent.simulations += 1
     if np.linalg.norm(error) > _NOTHING * descent.size:
         stop, converged = f"no answer: the search ended where the model explains little of the torque ({stop})", False

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from jointid.common.text import aligned, number
-from jointid.estimation.alternatives import INJECTED_GAIN, LIMIT, OFFSET, STRIBECK
+from jointid.estimation.alternatives import INJECTED_GAIN, LIMIT, OFFSET, PRESLIDING, STRIBECK
 
 _SLIGHT = 0.5  # of a deviation: a smaller change of a parameter is not worth a word
 _TOLD = 3  # parameters whose change is told in a sentence
@@ -129,18 +129,18 @@ class LoopCheck:
         s, torque = finding.suspect, self.units["torque"]
         interval = f"{number(abs(s.size), 3)} +- {number(2 * s.std, 2)}"
         if s.name in ("delay", "log_delay"):
-            late = f"{number(1e3 * abs(s.size), 3)} +- {number(2e3 * s.std, 2)} ms {'later' if s.size > 0 else 'earlier'}"
+            sense = "later" if s.size > 0 else "earlier"
+            late = f"{number(1e3 * abs(s.size), 3)} +- {number(2e3 * s.std, 2)} ms {sense} than"
             return (
-                f"the torque acts {late} than declared"
-                if s.name == "delay"
-                else f"the torque channel is {late} than its stamps"
+                f"the torque reacts {late} declared" if s.name == "delay" else f"the log shows it {late} its stamps say"
             )
         if s.name == LIMIT:
             level = number(finding.value if finding.value is not None else s.shape, 4)
             return f"the controller's output stops at {level} {torque}, which is not declared"
-        if s.name == STRIBECK:
-            speed = number(s.shape, 2)
-            return f"the friction is {interval} {torque} larger towards standstill (below about {speed} {self.units['velocity']})"
+        if s.name in (STRIBECK, PRESLIDING):
+            speed = f"{number(s.shape, 2)} {self.units['velocity']}"
+            sense = "larger" if s.name == STRIBECK else "smaller"
+            return f"towards standstill, below some {speed}, the friction is {interval} {torque} {sense} than Coulomb's"
         if s.name == OFFSET:
             return f"a constant force of {number(s.size, 3)} +- {number(2 * s.std, 2)} {torque} is not declared"
         scale = 1.0 if s.name in _RATIOS else abs(s.declared)

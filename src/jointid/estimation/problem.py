@@ -93,9 +93,14 @@ class Problem:
         return decimate(columns, self.filtering, self.experiment.sample_time)
 
     def simulate(self, x: FloatArray) -> Simulation:
-        """Return the loop's run with these parameters."""
+        """Return the loop's run with these parameters, its torque as the log should show it."""
         c = self._candidate(x)
-        return simulate(c.loop, c.experiment, c.values, c.initial)
+        run = simulate(c.loop, c.experiment, c.values, c.initial)
+        return replace(run, torque=self._shown(run.torque, c))
+
+    def loop_at(self, x: FloatArray) -> ClosedLoop:
+        """Return the loop with the controller's numbers that these parameters say."""
+        return self._candidate(x).loop
 
     def torque(self, x: FloatArray) -> FloatArray:
         """Return the torque the log should show, raw, (samples,)."""

@@ -32,6 +32,7 @@ from jointid.estimation.alternatives import (
     LIMIT,
     OFFSET,
     ONE_SIDED,
+    PRESLIDING,
     STRIBECK,
     Alternative,
     sensitivities,
@@ -39,14 +40,17 @@ from jointid.estimation.alternatives import (
 from jointid.estimation.descent import Descent, refined
 from jointid.estimation.loopcheck import Change, Finding, LoopCheck, Suspect
 from jointid.estimation.problem import Problem
-from jointid.estimation.surroundings import surrounding
-from jointid.estimation.uncertainty import robust
+from jointid.estimation.repeatable import Cells, by_place, cells, repeatable
+from jointid.estimation.surroundings import surrounding, with_numbers
+from jointid.estimation.uncertainty import larger, robust
 from jointid.model.parameters import Quantity, unit_of
 
 _ORDER, _FLOOR = 16, 1e-2  # of the autoregressive model; of its variance, white: a stop band is not to be blown up
 _RANK = 1e-10  # of the largest singular value of columns
 _SAME = 0.999  # the cosine of two columns that are one
+_LAST = ("gain", INJECTED_GAIN)  # whose fault it is called only where it is not also another's
 _NEARLY = 6.0  # twice the logarithm of a likelihood ratio of 20
+_WIDENED = 0.05  # a test with a larger p-value names nothing, however wide its interval
 _TOLERANCE = 1e-6  # of the refinement with a fault taken in: far below a deviation
 
 Filter: TypeAlias = Callable[[FloatArray], FloatArray]
@@ -154,16 +158,15 @@ def _tested(state: _State, settings: LoopTests) -> _Tested:
         )
     asked = [n for n in known if n not in state.named and (settings.suspects is None or n in settings.suspects)]
     whiten = whitener(_noise(state, residual, own, alternatives))
-    columns, error = whiten(_own(state, own)), whiten(residual)
-    steps = [_best([a for a in alternatives if a.name == name], whiten, columns, error) for name in asked]
+    basis, error = _basis(whiten(_own(state, own))), whiten(residual)
+    left = error - basis @ (basis.T @ error)
+    steps = [_best([a for a in alternatives if a.name == name], whiten, basis, left) for name in asked]
     groups = _grouped(steps)
-    suspects = [_judged(state, group, whiten, columns, error, len(groups)) for group in groups]
+    suspects = [_judged(state, group, left, len(groups)) for group in groups]
     return _Tested(residual, own, alternatives, tuple(sorted(suspects, key=lambda s: -_strength(s))))
 
 
-def _noise(
-    state: _State, residual: FloatArray, own: FloatArray, alternatives: Sequence[Alternative]
-) -> FloatArray:
+def _noise(state: _State, residual: FloatArray, own: FloatArray, alternatives: Sequence[Alternative]) -> FloatArray:
     """Return the residual without all that any of the alternatives could explain: a fault is no noise."""
     columns = np.column_stack([_own(state, own), *(a.column for a in alternatives)])
     return _without(columns, residual)
@@ -209,14 +212,15 @@ def _own(state: _State, own: FloatArray) -> FloatArray:
     return np.column_stack([own, *(a.column for a in state.beside)])
 
 
-def _best(shapes: Sequence[Alternative], whiten: Filter, columns: FloatArray, error: FloatArray) -> _Step:
-    """Return the step with the shape of an alternative that takes most from the residual."""
-    kept = _basis(columns)
-    left = error - kept @ (kept.T @ error)
+def _best(shapes: Sequence[Alternative], whiten: Filter, basis: FloatArray, left: FloatArray) -> _Step:
+    """Return the step with the shape of an alternative that takes most from the residual.
+
+    `basis`, (rows, rank), is that of the other columns, `left`, (rows,), what they leave of the residual.
+    """
     steps = []
     for alternative in shapes:
         column = whiten(alternative.column)
-        alone = column - kept @ (kept.T @ column)
+        alone = column - basis @ (basis.T @ column)
         square = float(alone @ alone)
         # What the joint's parameters do as well is no fault that shows.
         size = float(alone @ left) / square if square > 1e-12 * float(column @ column) else 0.0
@@ -228,11 +232,13 @@ def _best(shapes: Sequence[Alternative], whiten: Filter, columns: FloatArray, er
 def _grouped(steps: Sequence[_Step]) -> list[list[_Step]]:
     """Return the steps, those together whose columns are one."""
     groups: list[list[_Step]] = []
-    for step in steps:
+    for step in sorted(steps, key=lambda step: step.alternative.name in _LAST):
         size = float(np.linalg.norm(step.alone))
         for group in groups:
             other = group[0].alone
-            if abs(float(step.alone @ other)) > _SAME * size * float(np.linalg.norm(other)):
+            if step.alternative.name not in ONE_SIDED and abs(float(step.alone @ other)) > _SAME * size * float(
+                np.linalg.norm(other)
+            ):
                 group.append(step)
                 break
         else:
@@ -240,21 +246,38 @@ def _grouped(steps: Sequence[_Step]) -> list[list[_Step]]:
     return groups
 
 
-def _judged(
-    state: _State, group: Sequence[_Step], whiten: Filter, columns: FloatArray, error: FloatArray, family: int
-) -> Suspect:
-    """Return the test of an alternative, by its size and the autocorrelation-robust deviation of that."""
+def _judged(state: _State, group: Sequence[_Step], left: FloatArray, family: int) -> Suspect:
+    """Return the test of an alternative, by its size and the autocorrelation-robust deviation of that.
+
+    A regression of what the other columns leave of both is the regression on all of them (Frisch and Waugh).
+    """
     from scipy.stats import norm
 
     step = group[0]
-    a = step.alternative
-    both = np.column_stack([columns, whiten(a.column)])
-    std = float(robust(both, both, _without(both, error)).std[-1])
-    statistic = step.size / std if std > 0 else 0.0
-    tail = norm.sf(statistic) if a.name in ONE_SIDED else 2 * norm.sf(abs(statistic))
-    p_value = min(float(tail) * step.shapes * family, 1.0)
+    a, alone = step.alternative, step.alone[:, np.newaxis]
+    after = left - step.size * step.alone
+    covariance = robust(alone, alone, after)
+
+    def chance(std: float) -> float:
+        ratio = step.size / std if std > 0 else 0.0
+        tail = norm.sf(ratio) if a.name in ONE_SIDED else 2 * norm.sf(abs(ratio))
+        return min(float(tail) * step.shapes * family, 1.0)
+
+    if chance(covariance.std[0]) <= _WIDENED:
+        where = _cells(state)
+        if repeatable(after, where).significant:
+            covariance = larger(covariance, by_place(alone, alone, after, where))
+    std = float(covariance.std[0])
+    statistic, p_value = step.size / std if std > 0 else 0.0, chance(std)
     alike = tuple(other.alternative.name for other in group[1:])
     return Suspect(a.name, alike, _declared(state, a.name), step.size, std, statistic, p_value, a.shape)
+
+
+def _cells(state: _State) -> Cells:
+    """Return where and how the axis was at each row."""
+    run = state.problem.simulate(state.x)
+    motion = state.problem.filtered(np.column_stack([run.motor_position, run.motor_velocity]))
+    return cells(motion[:, 0], motion[:, 1])
 
 
 def _strength(suspect: Suspect) -> float:
@@ -263,7 +286,7 @@ def _strength(suspect: Suspect) -> float:
 
 
 def _declared(state: _State, name: str) -> float:
-    if name in (STRIBECK, LIMIT, OFFSET):
+    if name in (STRIBECK, PRESLIDING, LIMIT, OFFSET):
         return 0.0
     return 1.0 if name == INJECTED_GAIN else surrounding(name, state.problem.loop.controller).start or 0.0
 
@@ -276,7 +299,7 @@ def _taken_in(state: _State, tested: _Tested) -> _State:
     suspect, problem = tested.suspects[0], state.problem
     named = (*state.named, suspect.name, *suspect.alike)
     beside = Alternative(suspect.name, tested.column(suspect), suspect.shape)
-    if suspect.name not in (STRIBECK, INJECTED_GAIN):
+    if suspect.name not in (STRIBECK, PRESLIDING, INJECTED_GAIN):
         wider, start = _freed(problem, suspect)
         begin = wider.vector(problem.values(state.x) | {suspect.name: start})
         descent = Descent(wider, silent)
@@ -292,8 +315,11 @@ def _freed(problem: Problem, suspect: Suspect) -> tuple[Problem, float]:
     if suspect.name == OFFSET:
         parameters = tuple(replace(p, free=p.free or p.name == OFFSET) for p in problem.parameters)
         return replace(problem, parameters=parameters), start
-    if suspect.name == LIMIT:
+    if suspect.name == LIMIT:  # what is declared may be infinite, where no search can begin
         start = (suspect.shape or 0.0) / getattr(problem.loop.controller, "gain", 1.0)
+        loop = with_numbers(problem.loop, {LIMIT: start})
+        law = loop.controller.law(problem.experiment.sample_time)
+        problem = replace(problem, loop=loop, experiment=problem.experiment.with_law(law))
     wider = problem.freeing(suspect.name)
     p = next(p for p in wider.parameters if p.name == suspect.name)
     return wider, max(start, p.lower)
@@ -302,9 +328,7 @@ def _freed(problem: Problem, suspect: Suspect) -> tuple[Problem, float]:
 def _finding(state: _State, after: _State, tested: _Tested, level: float) -> Finding:
     suspect = tested.suspects[0]
     best = _strength(suspect) ** 2
-    rivals = tuple(
-        s.words for s in tested.suspects[1:] if s.p_value <= level and best - _strength(s) ** 2 < _NEARLY
-    )
+    rivals = tuple(s.words for s in tested.suspects[1:] if s.p_value <= level and best - _strength(s) ** 2 < _NEARLY)
     own = _own(state, tested.own)
     names = [p.name for p in state.problem.free_joint]
     std = robust(own, own, tested.residual).std
@@ -322,8 +346,11 @@ def _finding(state: _State, after: _State, tested: _Tested, level: float) -> Fin
         name: Change(float(by), float(by / s) if s > 0 else 0.0)
         for name, by, s in zip(names, moved, std[: len(names)], strict=True)
     }
-    if value is not None and suspect.name != LIMIT:
-        suspect = replace(suspect, size=value - suspect.declared)
-    if value is not None and suspect.name == LIMIT:
-        value *= getattr(state.problem.loop.controller, "gain", 1.0)
-    return Finding(suspect, value, rivals, changes)
+    if value is None:
+        return Finding(suspect, None, rivals, changes)
+    if suspect.name == LIMIT:
+        return Finding(suspect, value * getattr(state.problem.loop.controller, "gain", 1.0), rivals, changes)
+    slopes = _own(after, after.problem.linearised(after.x)[1])
+    at = [p.name for p in after.problem.free].index(suspect.name)
+    refined_std = float(robust(slopes, slopes, after.problem.residual(after.x)).std[at])
+    return Finding(replace(suspect, size=value - suspect.declared, std=refined_std), value, rivals, changes)
