@@ -39,8 +39,8 @@ def check_loop(estimate: Estimate, record: Record, settings: LoopTests | None = 
     problem = torque_problem(record, estimate.loop, estimate.filtering, estimate.joint.parameters)
     if len(problem.measured) != len(estimate.measured) or (problem.measured != estimate.measured).any():
         raise MethodError(
-            f"The estimate was identified from {estimate.record}, and {record.name} has another torque; give the record "
-            "it was identified from."
+            f"The estimate was identified from {estimate.record}, and {record.name} has another torque; give the "
+            "record it was identified from."
         )
     values = {}
     for p in estimate.parameters:

@@ -1,7 +1,7 @@
 """What a record may have that is not declared: how each alternative would show in the torque.
 
-For a solved problem, each alternative is one column, the derivative of the filtered torque by the size of the fault, the
-joint's parameters held:
+For a solved problem, each alternative is one column, the derivative of the filtered torque by the size of the fault,
+the joint's parameters held:
 
 - numbers of the law (``kp``, ``kv``, ``gain``, ..., ``delay``), ``log_gain`` and ``log_delay``: exact derivatives;
 - ``injected_gain``: the known signal is larger than the record says;
@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from jointid.data.record import FloatArray, Tap
 from jointid.estimation.problem import Problem
 from jointid.estimation.surroundings import numbers_of
 from jointid.simulation.closed_loop import as_logged
+from jointid.simulation.experiment import Experiment
 
 STRIBECK, PRESLIDING, LIMIT, OFFSET, INJECTED_GAIN = "stribeck", "presliding", "limit", "offset", "injected_gain"
 ONE_SIDED = (STRIBECK, PRESLIDING, LIMIT)
@@ -83,11 +85,8 @@ def _exact(problem: Problem) -> tuple[str, ...]:
 def _injected(problem: Problem, x: FloatArray) -> Iterator[Alternative]:
     """Yield the known signal's gain, where it is added after the limit."""
     if np.any(problem.experiment.after_limit):
-        ends = [
-            problem.torque_if(x, lambda e, by=by: replace(e, after_limit=by * e.after_limit, logged=by * e.logged))
-            for by in (1 - _STEP, 1 + _STEP)
-        ]
-        yield Alternative(INJECTED_GAIN, problem.filtered((ends[1] - ends[0]) / (2 * _STEP)))
+        low, high = (problem.torque_if(x, partial(_injecting, by)) for by in (1 - _STEP, 1 + _STEP))
+        yield Alternative(INJECTED_GAIN, problem.filtered((high - low) / (2 * _STEP)))
 
 
 def _stribeck(problem: Problem, x: FloatArray) -> Iterator[Alternative]:
@@ -113,16 +112,26 @@ def _limits(problem: Problem, x: FloatArray) -> Iterator[Alternative]:
     for share in _SHARES:
         level = share * asked
         if level < problem.experiment.law.limit:
-            cut = problem.torque_if(x, lambda e, level=level: e.with_law(replace(e.law, limit=level)))
+            cut = problem.torque_if(x, partial(_limited, level))
             yield Alternative(LIMIT, problem.filtered(cut - free), level)
 
 
 def _answer(problem: Problem, x: FloatArray, force: FloatArray) -> FloatArray:
     """Return what the log shows of a force on the motor, (periods,), that no log contains."""
     size = _FORCE * float(np.max(np.abs(problem.measured)))
-    low, high = (
-        problem.torque_if(x, lambda e, by=by: replace(e, after_limit=e.after_limit + by * force))
-        for by in (-size, size)
-    )
+    low, high = (problem.torque_if(x, partial(_pushed, by * force)) for by in (-size, size))
     seen = (high - low) / (2 * size)
     return seen - as_logged(problem.experiment, force) if problem.experiment.tap is Tap.MEASURED else seen
+
+
+def _injecting(factor: float, experiment: Experiment) -> Experiment:
+    after, logged = factor * experiment.after_limit, factor * experiment.logged
+    return replace(experiment, after_limit=after, logged=logged)
+
+
+def _limited(level: float, experiment: Experiment) -> Experiment:
+    return experiment.with_law(replace(experiment.law, limit=level))
+
+
+def _pushed(force: FloatArray, experiment: Experiment) -> Experiment:
+    return replace(experiment, after_limit=experiment.after_limit + force)

@@ -112,7 +112,7 @@ def with_free(
     """
     if "drive_gain" in names:
         raise MethodError(
-            "One record cannot tell the drive_gain from the scale of the joint; free log_gain, or a gain of the law, or "
+            "One record cannot tell the drive_gain from the scale of the joint; free log_gain or a gain of the law, or "
             "identify from two records with a known mass between them."
         )
     values = descent.problem.values(x)
