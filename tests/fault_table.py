@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from jointid.estimation.suspects import LoopTests, suspected
 from tests.faults import FAULTS, PAIRS, Loop, Noise, on, problem, setting, solved
 
-
 LEVEL = 0.05
 NOTHING = "nothing"
 

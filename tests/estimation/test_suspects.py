@@ -11,6 +11,7 @@ import pytest
 from jointid.answers import LOOP_SCHEMA, dumps, loop_answer
 from jointid.assessment.loop import check_loop
 from jointid.common.errors import MethodError
+from jointid.data.record import Record
 from jointid.estimation.alternatives import sensitivities
 from jointid.estimation.flexible import FlexibleDIDIM
 from jointid.estimation.identify import identify
@@ -18,7 +19,10 @@ from jointid.estimation.idim import IDIM
 from jointid.estimation.loopcheck import Change, Finding, LoopCheck, Suspect
 from jointid.estimation.scores import whitener
 from jointid.estimation.suspects import LoopTests, suspected
+from jointid.model.joints import RigidJoint
 from jointid.paper.twin import twin
+from jointid.simulation.experiment import ClosedLoop
+from tests.estimation.conftest import CONTROLLER
 from tests.fault_table import NOTHING, first_named
 from tests.faults import FAULTS, Fault, Loop, Noise, line_7, on, problem, setting, solved
 
@@ -185,6 +189,19 @@ def test_a_check_is_written_to_json() -> None:
     assert answer["as_declared"] is False
     assert answer["findings"][0]["changes"]["motor_viscous"] == {"by": -59.0, "sigmas": -3.1}
     assert answer["suspects"][0]["name"] == "delay"
+
+
+def test_the_real_axis_is_told_what_it_has(emps: Record, emps_pulses: Record) -> None:
+    """Both records say the same: less friction towards standstill, and a torque that acts 0.15 to 0.25 ms late."""
+    loop = ClosedLoop(RigidJoint(), CONTROLLER)
+    for record in (emps, emps_pulses):
+        check = check_loop(identify(record, loop), record, LoopTests(most=2))
+        friction, late = (f.suspect for f in check.findings)
+        assert (friction.name, late.name) == ("presliding", "delay")
+        assert friction.size == pytest.approx(7.7, abs=0.3)
+        assert friction.std < 1.2
+        assert 0.13e-3 < late.size < 0.25e-3
+        assert 2 * late.std < 0.1e-3
 
 
 @pytest.mark.slow

@@ -47,11 +47,13 @@ class Alternative:
         name: of the suspect.
         column: (rows,) derivative of the filtered torque by its size.
         shape: what the column was made for: the level of a limit, a Stribeck speed; None where there is no choice.
+        raw: (samples,) the same before the filter, where no parameter of a problem stands for the fault.
     """
 
     name: str
     column: FloatArray
     shape: float | None = None
+    raw: FloatArray | None = None
 
 
 def sensitivities(problem: Problem, x: FloatArray) -> tuple[FloatArray, FloatArray, tuple[Alternative, ...]]:
@@ -86,7 +88,8 @@ def _injected(problem: Problem, x: FloatArray) -> Iterator[Alternative]:
     """Yield the known signal's gain, where it is added after the limit."""
     if np.any(problem.experiment.after_limit):
         low, high = (problem.torque_if(x, partial(_injecting, by)) for by in (1 - _STEP, 1 + _STEP))
-        yield Alternative(INJECTED_GAIN, problem.filtered((high - low) / (2 * _STEP)))
+        raw = (high - low) / (2 * _STEP)
+        yield Alternative(INJECTED_GAIN, problem.filtered(raw), raw=raw)
 
 
 def _stribeck(problem: Problem, x: FloatArray) -> Iterator[Alternative]:
@@ -98,9 +101,10 @@ def _stribeck(problem: Problem, x: FloatArray) -> Iterator[Alternative]:
         speed = share * float(np.max(np.abs(velocity), initial=0.0))
         if speed > 0:
             force = -np.exp(-((velocity / speed) ** 2)) * np.sign(velocity)
-            column = problem.filtered(_answer(problem, x, force))
-            yield Alternative(STRIBECK, column, speed)
-            yield Alternative(PRESLIDING, -column, speed)
+            raw = _answer(problem, x, force)
+            column = problem.filtered(raw)
+            yield Alternative(STRIBECK, column, speed, raw)
+            yield Alternative(PRESLIDING, -column, speed, -raw)
 
 
 def _limits(problem: Problem, x: FloatArray) -> Iterator[Alternative]:

@@ -34,6 +34,8 @@ from jointid.estimation.uncertainty import robust
 from jointid.model.parameters import Quantity, unit_of
 
 _NEARLY = 6.0  # twice the logarithm of a likelihood ratio of 20
+_LOW_SPEED = (STRIBECK, PRESLIDING)  # two of a kind: after one, another shape of it is no other fault
+_HALF = 0.5  # of the size by one step must be left when the problem is solved again
 _TOLERANCE = 1e-6  # of the refinement with a fault taken in: far below a deviation
 
 
@@ -81,9 +83,9 @@ class _Tested:
     alternatives: tuple[Alternative, ...]
     suspects: tuple[Suspect, ...]
 
-    def column(self, suspect: Suspect) -> FloatArray:
-        """Return the column a suspect was tested with."""
-        return next(a.column for a in self.alternatives if (a.name, a.shape) == (suspect.name, suspect.shape))
+    def alternative(self, suspect: Suspect) -> Alternative:
+        """Return the alternative a suspect was tested with."""
+        return next(a for a in self.alternatives if (a.name, a.shape) == (suspect.name, suspect.shape))
 
 
 def suspected(problem: Problem, x: FloatArray, settings: LoopTests | None = None) -> LoopCheck:
@@ -106,6 +108,8 @@ def suspected(problem: Problem, x: FloatArray, settings: LoopTests | None = None
         first = found.suspects if first is None else first
         if not found.suspects or found.suspects[0].p_value > settings.level:
             break
+        if not findings:  # a rigid joint's DIDIM ends near the least squares, not on them
+            state = replace(state, x=_solved(problem, state.x))
         after = _taken_in(state, found)
         findings.append(_finding(state, after, found, settings.level))
         state = after
@@ -149,22 +153,31 @@ def _declared(state: _State, name: str) -> float:
     return 1.0 if name == INJECTED_GAIN else surrounding(name, state.problem.loop.controller).start or 0.0
 
 
-def _taken_in(state: _State, tested: _Tested) -> _State:
-    """Return the state with the likeliest fault taken in: its parameter free and the problem solved again.
+def _taken_in(state: _State, found: _Tested) -> _State:
+    """Return the state with the likeliest fault taken in, and the problem solved again.
 
-    Where no parameter stands for it, or its search leads nowhere better, its column is set beside those of the joint.
+    A parameter that stands for the fault is freed. Where none does, what the fault adds is taken off the torque, and
+    its column set beside those of the joint, so that no later test is misled by its size.
     """
-    suspect, problem = tested.suspects[0], state.problem
-    named = (*state.named, suspect.name, *suspect.alike)
-    beside = Alternative(suspect.name, tested.column(suspect), suspect.shape)
-    if suspect.name not in (STRIBECK, PRESLIDING, INJECTED_GAIN):
-        wider, start = _freed(problem, suspect)
-        begin = wider.vector(problem.values(state.x) | {suspect.name: start})
-        descent = Descent(wider, silent)
-        x = np.asarray(refined(descent, begin, _TOLERANCE).x)
-        if np.linalg.norm(wider.residual(x)) < np.linalg.norm(tested.residual):
-            return _State(wider, x, state.beside, named)
-    return _State(problem, state.x, (*state.beside, beside), named)
+    suspect, problem = found.suspects[0], state.problem
+    alternative = found.alternative(suspect)
+    named = (*state.named, suspect.name, *suspect.alike, *(_LOW_SPEED if suspect.name in _LOW_SPEED else ()))
+    if alternative.raw is not None:
+        problem = replace(problem, measured=problem.measured - suspect.size * alternative.raw)
+        return _State(problem, _solved(problem, state.x), (*state.beside, alternative), named)
+    wider, start = _freed(problem, suspect)
+    x = _solved(wider, wider.vector(problem.values(state.x) | {suspect.name: start}))
+    reached = wider.values(x)[suspect.name] - suspect.declared
+    if suspect.name != LIMIT and reached * suspect.size < _HALF * suspect.size**2:
+        # A bound is in the way, or what else is wrong leads elsewhere: the test stands, the joint stays as it is.
+        return _State(problem, state.x, (*state.beside, alternative), named)
+    return _State(wider, x, state.beside, named)
+
+
+def _solved(problem: Problem, start: FloatArray) -> FloatArray:
+    """Return the least-squares parameters near a start."""
+    inside = np.clip(start, [p.lower for p in problem.free], [p.upper for p in problem.free])
+    return np.asarray(refined(Descent(problem, silent), inside, _TOLERANCE).x)
 
 
 def _freed(problem: Problem, suspect: Suspect) -> tuple[Problem, float]:
@@ -183,32 +196,25 @@ def _freed(problem: Problem, suspect: Suspect) -> tuple[Problem, float]:
     return wider, max(start, p.lower)
 
 
-def _finding(state: _State, after: _State, tested: _Tested, level: float) -> Finding:
-    suspect = tested.suspects[0]
+def _finding(state: _State, after: _State, found: _Tested, level: float) -> Finding:
+    suspect = found.suspects[0]
     best = strength(suspect) ** 2
-    rivals = tuple(s.words for s in tested.suspects[1:] if s.p_value <= level and best - strength(s) ** 2 < _NEARLY)
-    own = _own(state, tested.own)
+    rivals = tuple(s.words for s in found.suspects[1:] if s.p_value <= level and best - strength(s) ** 2 < _NEARLY)
+    own = _own(state, found.own)
     names = [p.name for p in state.problem.free_joint]
-    std = robust(own, own, tested.residual).std
-    if after.beside == state.beside:
-        found = after.problem.values(after.x)
-        value: float | None = found[suspect.name]
-        moved = np.array([found[name] for name in names]) - state.x[: len(names)]
-    else:
-        value = None
-        both = np.column_stack([own, tested.column(suspect)])
-        norms = np.where((sizes := np.linalg.norm(both, axis=0)) > 0, sizes, 1.0)
-        steps = [np.linalg.lstsq(J, tested.residual, rcond=1e-10)[0] for J in (both / norms, own / norms[:-1])]
-        moved = ((steps[0][:-1] - steps[1]) / norms[:-1])[: len(names)]
+    std = robust(own, own, found.residual).std[: len(names)]
+    values = after.problem.values(after.x)
+    moved = np.array([values[name] for name in names]) - state.x[: len(names)]
     changes = {
-        name: Change(float(by), float(by / s) if s > 0 else 0.0)
-        for name, by, s in zip(names, moved, std[: len(names)], strict=True)
+        name: Change(float(by), float(by / s) if s > 0 else 0.0) for name, by, s in zip(names, moved, std, strict=True)
     }
-    if value is None:
+    free = [p.name for p in after.problem.free]
+    if len(after.beside) > len(state.beside) or suspect.name not in free:
         return Finding(suspect, None, rivals, changes)
+    value = values[suspect.name]
     if suspect.name == LIMIT:
         return Finding(suspect, value * getattr(state.problem.loop.controller, "gain", 1.0), rivals, changes)
-    slopes = _own(after, after.problem.linearised(after.x)[1])
-    at = [p.name for p in after.problem.free].index(suspect.name)
-    refined_std = float(robust(slopes, slopes, after.problem.residual(after.x)).std[at])
+    residual, slopes = after.problem.linearised(after.x)
+    columns = _own(after, -slopes)
+    refined_std = float(robust(columns, columns, residual).std[free.index(suspect.name)])
     return Finding(replace(suspect, size=value - suspect.declared, std=refined_std), value, rivals, changes)
