@@ -110,6 +110,8 @@ def with_free(
     Raises:
         MethodError: nothing around the joint has such a name, or one record cannot tell it.
     """
+    if isinstance(names, str):
+        raise MethodError(f'What is freed is a list of names; received "{names}": write free=("{names}",).')
     if "drive_gain" in names:
         raise MethodError(
             "One record cannot tell the drive_gain from the scale of the joint; free log_gain or a gain of the law, or "
