@@ -11,7 +11,7 @@ import pytest
 from jointid.answers import LOOP_SCHEMA, dumps, loop_answer
 from jointid.assessment.loop import check_loop
 from jointid.common.errors import MethodError
-from jointid.data.record import Record
+from jointid.data.record import Record, Tap
 from jointid.estimation.alternatives import sensitivities
 from jointid.estimation.flexible import FlexibleDIDIM
 from jointid.estimation.identify import identify
@@ -93,6 +93,24 @@ def test_the_gain_of_a_known_signal_is_a_column() -> None:
     other = problem(replace(where, record=replace(where.record, injected=stronger)), None, None)
     shown = clean.filtered(other.torque(x) - clean.torque(x))
     assert np.linalg.norm(shown - 0.01 * column) < 0.01 * np.linalg.norm(shown)
+
+
+def test_a_measured_torque_that_holds_its_disturbance_does_not_hold_a_friction() -> None:
+    """The log of a measured torque shows what is added to it; a friction's force acts on the mass, and is not added."""
+    where = setting("L19")
+    columns = {}
+    for tap in (Tap.COMMAND, Tap.MEASURED):
+        made = problem(replace(where, record=replace(where.record, tap=tap)), None, None)
+        alternatives = sensitivities(made, made.vector(where.truth))[2]
+        columns[tap] = next(a.column for a in alternatives if a.name == "stribeck")
+    apart = np.linalg.norm(columns[Tap.MEASURED] - columns[Tap.COMMAND])
+    assert apart < 1e-3 * np.linalg.norm(columns[Tap.COMMAND])
+
+
+def test_a_record_without_noise_has_no_statistics() -> None:
+    where = setting("L19")
+    made = problem(where, None, None)
+    assert suspected(made, made.vector(where.truth)).as_declared
 
 
 def test_what_is_free_is_not_suspected() -> None:

@@ -36,6 +36,7 @@ from jointid.model.parameters import Quantity, unit_of
 _NEARLY = 6.0  # twice the logarithm of a likelihood ratio of 20
 _LOW_SPEED = (STRIBECK, PRESLIDING)  # two of a kind: after one, another shape of it is no other fault
 _HALF = 0.5  # of the size by one step must be left when the problem is solved again
+_ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
 _TOLERANCE = 1e-6  # of the refinement with a fault taken in: far below a deviation
 
 
@@ -106,7 +107,8 @@ def suspected(problem: Problem, x: FloatArray, settings: LoopTests | None = None
     while len(findings) < settings.most:
         found = _tested(state, settings)
         first = found.suspects if first is None else first
-        if not found.suspects or found.suspects[0].p_value > settings.level:
+        rounding = np.linalg.norm(found.residual) <= _ROUNDING * np.linalg.norm(problem.filtered(problem.measured))
+        if rounding or not found.suspects or found.suspects[0].p_value > settings.level:
             break
         if not findings:  # a rigid joint's DIDIM ends near the least squares, not on them
             state = replace(state, x=_solved(problem, state.x))
@@ -168,7 +170,8 @@ def _taken_in(state: _State, found: _Tested) -> _State:
     wider, start = _freed(problem, suspect)
     x = _solved(wider, wider.vector(problem.values(state.x) | {suspect.name: start}))
     reached = wider.values(x)[suspect.name] - suspect.declared
-    if suspect.name != LIMIT and reached * suspect.size < _HALF * suspect.size**2:
+    astray = suspect.name != LIMIT and reached * suspect.size < _HALF * suspect.size**2
+    if astray or np.linalg.norm(wider.residual(x)) > np.linalg.norm(found.residual):
         # A bound is in the way, or what else is wrong leads elsewhere: the test stands, the joint stays as it is.
         return _State(problem, state.x, (*state.beside, alternative), named)
     return _State(wider, x, state.beside, named)
