@@ -27,10 +27,10 @@ from jointid.estimation.alternatives import (
 from jointid.estimation.descent import Descent, refined
 from jointid.estimation.loopcheck import Change, Finding, LoopCheck, Suspect
 from jointid.estimation.problem import Problem
-from jointid.estimation.repeatable import Cells, cells
+from jointid.estimation.repeatable import Cells, by_place, cells, repeatable
 from jointid.estimation.scores import strength, tested
 from jointid.estimation.surroundings import surrounding, with_numbers
-from jointid.estimation.uncertainty import robust
+from jointid.estimation.uncertainty import larger, robust
 from jointid.model.parameters import Quantity, unit_of
 
 _NEARLY = 6.0  # twice the logarithm of a likelihood ratio of 20
@@ -219,5 +219,8 @@ def _finding(state: _State, after: _State, found: _Tested, level: float) -> Find
         return Finding(suspect, value * getattr(state.problem.loop.controller, "gain", 1.0), rivals, changes)
     residual, slopes = after.problem.linearised(after.x)
     columns = _own(after, -slopes)
-    refined_std = float(robust(columns, columns, residual).std[free.index(suspect.name)])
+    covariance, where = robust(columns, columns, residual), _cells(after)
+    if repeatable(residual, where).significant:
+        covariance = larger(covariance, by_place(columns, columns, residual, where))
+    refined_std = float(covariance.std[free.index(suspect.name)])
     return Finding(replace(suspect, size=value - suspect.declared, std=refined_std), value, rivals, changes)
