@@ -113,6 +113,7 @@ def test_every_key_that_is_written_at_its_default_changes_nothing() -> None:
         step_tolerance = 1e-7
         iterations = 30
         initial_state = "free"
+        free = []
         """
     )
     assert file == loads(SMALLEST)
@@ -216,6 +217,7 @@ def test_all_of_a_file() -> None:
         simulations = 500
         restarts = 0
         statistics = "inverse-model"
+        free = ["kp", "delay"]
         [parameters]
         stiffness = { start = 8e5, lower = 1e3, upper = 1e7 }
         damping = 126
@@ -235,7 +237,7 @@ def test_all_of_a_file() -> None:
             "load_position": Column("p", optional=True, sample_time=0.002),
             "injected": Column("x", "A", in_torque=False),
         },
-        method=FlexibleDIDIM("nelder-mead", 25.0, 4.0, 1e-3, 500, 0, "inverse-model"),
+        method=FlexibleDIDIM("nelder-mead", 25.0, 4.0, 1e-3, 500, 0, "inverse-model", ("kp", "delay")),
         controller=PD(
             kp=3.0,
             kd=0.1,
@@ -1016,6 +1018,7 @@ def joint_files(draw: st.DrawFn) -> JointFile:
         simulations=whole,
         restarts=whole,
         statistics=st.sampled_from(("sensitivities", "inverse-model")),
+        free=st.sampled_from(((), ("kp",), ("kp", "delay"))),
     )
     estimators = st.sampled_from(("ols", "weighted", "robust", "iv"))
     ripple = st.builds(PositionHarmonics, st.none() | positive, st.integers(1, 9))

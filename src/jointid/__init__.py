@@ -12,12 +12,14 @@ if TYPE_CHECKING:
     from jointid.answers import (
         comparison_answer,
         estimate_answer,
+        loop_answer,
         simulation_answer,
         together_answer,
         validation_answer,
     )
     from jointid.assessment.comparison import Comparison, compare
     from jointid.assessment.intervals import Intervals, intervals
+    from jointid.assessment.loop import check_loop
     from jointid.assessment.validation import Validation, validate
     from jointid.common.errors import (
         ExtraError,
@@ -39,7 +41,9 @@ if TYPE_CHECKING:
     from jointid.estimation.flexible import FlexibleDIDIM
     from jointid.estimation.identify import identify
     from jointid.estimation.idim import IDIM
+    from jointid.estimation.loopcheck import LoopCheck
     from jointid.estimation.open_loop import OpenLoopFit
+    from jointid.estimation.suspects import LoopTests
     from jointid.estimation.together import identify_together
     from jointid.jointfile import JointFile, load
     from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
@@ -56,9 +60,17 @@ if TYPE_CHECKING:
     from jointid.simulation.synthesis import simulated_record
 
 _HOMES = {
-    "answers": ("comparison_answer", "estimate_answer", "simulation_answer", "together_answer", "validation_answer"),
+    "answers": (
+        "comparison_answer",
+        "estimate_answer",
+        "loop_answer",
+        "simulation_answer",
+        "together_answer",
+        "validation_answer",
+    ),
     "assessment.comparison": ("Comparison", "compare"),
     "assessment.intervals": ("Intervals", "intervals"),
+    "assessment.loop": ("check_loop",),
     "assessment.validation": ("Validation", "validate"),
     "common.errors": ("ExtraError", "JointFileError", "JointidError", "MethodError", "RecordError"),
     "data.checks": ("check_record",),
@@ -76,6 +88,8 @@ _HOMES = {
     "estimation.identify": ("identify",),
     "estimation.open_loop": ("OpenLoopFit",),
     "estimation.together": ("identify_together",),
+    "estimation.loopcheck": ("LoopCheck",),
+    "estimation.suspects": ("LoopTests",),
     "jointfile": ("JointFile", "load"),
     "model.controllers": ("PD", "Cascade", "DigitalFilter", "StateSpaceController"),
     "model.effects": ("Drift", "PositionHarmonics"),
@@ -122,6 +136,8 @@ __all__ = [
     "JointFile",
     "JointFileError",
     "JointidError",
+    "LoopCheck",
+    "LoopTests",
     "MethodError",
     "OpenLoop",
     "OpenLoopFit",
@@ -139,6 +155,7 @@ __all__ = [
     "Timing",
     "Twin",
     "Validation",
+    "check_loop",
     "check_record",
     "compare",
     "comparison_answer",
@@ -148,6 +165,7 @@ __all__ = [
     "identify_together",
     "intervals",
     "load",
+    "loop_answer",
     "prepare",
     "pulses",
     "read",

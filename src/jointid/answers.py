@@ -25,6 +25,7 @@ from jointid.estimation.estimate import (
     MethodName,
     law_fingerprint,
 )
+from jointid.estimation.loopcheck import LoopCheck, Suspect
 from jointid.inference.identifiability import Identifiability
 from jointid.inference.residuals import ResidualReport
 from jointid.model.effects import Drift, Effect, PositionHarmonics, effect_parameters
@@ -36,6 +37,7 @@ ESTIMATE_SCHEMA = "jointid.estimate/1"
 TOGETHER_SCHEMA = "jointid.together/1"
 VALIDATION_SCHEMA = "jointid.validation/1"
 COMPARISON_SCHEMA = "jointid.comparison/1"
+LOOP_SCHEMA = "jointid.loop/1"
 SIMULATION_SCHEMA = "jointid.simulation/1"
 
 Json = dict[str, Any]
@@ -214,6 +216,26 @@ def comparison_answer(comparison: Comparison) -> Json:
     }
 
 
+def loop_answer(check: LoopCheck) -> Json:
+    """Return the check of a loop as it is written to JSON."""
+    return {
+        "schema": LOOP_SCHEMA,
+        "as_declared": check.as_declared,
+        "level": check.level,
+        "sentences": list(check.sentences),
+        "findings": [
+            {
+                "suspect": _suspect(finding.suspect),
+                "value": finding.value,
+                "rivals": list(finding.rivals),
+                "changes": {name: {"by": c.by, "sigmas": c.sigmas} for name, c in finding.changes.items()},
+            }
+            for finding in check.findings
+        ],
+        "suspects": [_suspect(suspect) for suspect in check.suspects],
+    }
+
+
 def simulation_answer(simulation: Simulation, joint: Joint, values: dict[str, float], record: str) -> Json:
     """Return what a simulation was and how it ended as it is written to JSON; the signals go into a record."""
     units = {p.name: joint.unit(p) for p in joint.parameters}
@@ -383,6 +405,19 @@ def _share(record: RecordShare) -> Json:
         "relative_error_percent": 100 * record.relative_error,
         "filtered_error_percent": 100 * record.filtered_error,
         "filtered_error_alone_percent": 100 * record.alone_error,
+    }
+
+
+def _suspect(s: Suspect) -> Json:
+    return {
+        "name": s.name,
+        "alike": list(s.alike),
+        "declared": s.declared,
+        "more_than_declared": s.size,
+        "std": s.std,
+        "statistic": s.statistic,
+        "p_value": s.p_value,
+        "shape": s.shape,
     }
 
 

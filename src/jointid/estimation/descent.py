@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jointid.common.errors import MethodError
 from jointid.common.progress import Progress
 from jointid.data.record import FloatArray
 from jointid.estimation.estimate import Iteration
@@ -105,6 +106,33 @@ def refined(descent: Descent, x: FloatArray, tolerance: float, evaluations: int 
     found.x, found.fun, found.cost = found.x * unit, found.fun * size, float(found.cost) * size**2
     found.jac = np.asarray(found.jac) * (size / unit)
     return found
+
+
+def with_free(
+    descent: Descent, x: FloatArray, names: tuple[str, ...], tolerance: float
+) -> tuple[FloatArray, str, bool]:
+    """Go on by least squares with more of what surrounds the joint free, and return where, why there, and how well.
+
+    Args:
+        descent: at the end of its descent; its problem is exchanged for the wider one.
+        x: where it ended.
+        names: of what is freed, see `surroundings`.
+        tolerance: of the parameters and the criterion.
+
+    Raises:
+        MethodError: nothing around the joint has such a name, or one record cannot tell it.
+    """
+    if isinstance(names, str):
+        raise MethodError(f'What is freed is a list of names; received "{names}": write free=("{names}",).')
+    if "drive_gain" in names:
+        raise MethodError(
+            "One record cannot tell the drive_gain from the scale of the joint; free log_gain or a gain of the law, or "
+            "identify from two records with a known mass between them."
+        )
+    values = descent.problem.values(x)
+    descent.problem = descent.problem.freeing(*names)
+    end = refined(descent, descent.problem.vector(values), tolerance)
+    return np.asarray(end.x), *reason(end, tolerance)
 
 
 def by_simplex(

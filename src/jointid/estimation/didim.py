@@ -21,6 +21,7 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering
+from jointid.estimation.descent import Descent, with_free
 from jointid.estimation.estimate import Estimate, EstimatedParameter, fingerprint, poor_fit, relative_error
 from jointid.estimation.problem import Problem, initial_of, torque_problem
 from jointid.estimation.regression import least_squares
@@ -62,6 +63,8 @@ class DIDIM:
         iterations: at most.
         initial_state: "free" estimates where the motor is at the first sample, and whether it is at rest there or
             how fast it moves; "reference" puts it on the reference, at rest.
+        free: what surrounds the joint and is identified with it, by least squares from where DIDIM ends: "kp", "kv",
+            "delay", ...; see `surroundings`.
     """
 
     form: Literal["residual", "paper"] = "residual"
@@ -71,6 +74,7 @@ class DIDIM:
     step_tolerance: float = 1e-7
     iterations: int = 30
     initial_state: Literal["free", "reference"] = "free"
+    free: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         choices = {
@@ -208,7 +212,10 @@ def identify_didim(
     end = _solve(search, settings, start)
     if settings.initial_state == "free" and not end.reproduced:
         end = _or_moving(problem, search, settings, end, start)
-    known, J = _known(search, end.state)
+    if settings.free:
+        end, known, J = _with_free(search, end, settings)
+    else:
+        known, J = _known(search, end.state)
     found = answer(record, search.problem, end.state.x, end.state.simulation, (end.stop, end.converged), known, J)
     form = "the paper's form (11)" if settings.form == "paper" else "residual form"
     return replace(
@@ -217,6 +224,19 @@ def identify_didim(
         trace=tuple(search.trace),
         simulations=search.simulations,
     )
+
+
+def _with_free(search: Search, end: End, settings: DIDIM) -> tuple[End, Uncertainty, FloatArray]:
+    """Go on by least squares with more of what surrounds the joint free; what is known is that of least squares."""
+    descent = Descent(search.problem, search.progress)
+    x, stop, converged = with_free(descent, end.state.x, settings.free, settings.tolerance)
+    search.problem = problem = descent.problem
+    search.simulations += descent.simulations + 1
+    error, slopes = descent.linearised(x)
+    state = State(x, problem.simulate(x), error, 1.0)
+    names = [p.name for p in problem.free]
+    known = uncertainty(slopes, slopes, error, problem.cells(state.simulation), names, problem.torque_unit)
+    return End(state, stop, converged), known, slopes
 
 
 def _at_rest(problem: Problem, settings: DIDIM) -> Problem:
@@ -300,7 +320,7 @@ def answer(
         method="didim",
         variant="DIDIM",
         joint=joint,
-        loop=problem.loop,
+        loop=problem.loop_at(x),
         parameters=rows,
         channels=(*problem.loop.channels, *(("injected",) if record.injected is not None else ())),
         record=record.name,
@@ -322,7 +342,7 @@ def answer(
         intervals=f"from the output sensitivities, {known.sentences[0]}",
         warnings=_warnings(problem, run, known, end[1]),
         fingerprint=fingerprint(record.torque.values),
-        delay=problem.experiment.law.delay,
+        delay=values.get("delay", problem.experiment.law.delay),
         correlation=known.covariance.correlation,
         verdicts=verdicts,
         known=told,

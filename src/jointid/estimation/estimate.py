@@ -133,7 +133,7 @@ class Estimate:
         intervals: what the standard deviations are, in a sentence.
         warnings: what the reader must know, one sentence each.
         fingerprint: of the record's torque, so that it is known again.
-        delay: seconds from the logged torque to the torque that acts, as declared.
+        delay: seconds from the logged torque to the torque that acts, as declared, or as found where it was free.
         correlation: of the errors of the free parameters, in their order: all of them, or the joint's, which come
             first; empty where it is not known.
         tests: of what the method takes for granted.

@@ -25,7 +25,7 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering
-from jointid.estimation.descent import Descent, by_simplex, reason, refined
+from jointid.estimation.descent import Descent, by_simplex, reason, refined, with_free
 from jointid.estimation.didim import answer
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.exploration import (
@@ -73,6 +73,8 @@ class FlexibleDIDIM:
         simulations: at most, of one descent.
         restarts: of Nelder-Mead, each from where the last one stopped; it ends when one gains nothing.
         statistics: "sensitivities" for the deviations of the output sensitivities, or the paper's "inverse-model".
+        free: what surrounds the joint and is identified with it, from what is declared: "kp", "kv", "delay", ...; see
+            `surroundings`. The offset is one of the joint's own parameters, and free by default.
     """
 
     minimiser: Literal["least-squares", "nelder-mead"] = "least-squares"
@@ -82,6 +84,7 @@ class FlexibleDIDIM:
     simulations: int = 6000
     restarts: int = 3
     statistics: Literal["sensitivities", "inverse-model"] = "sensitivities"
+    free: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         choices = {
@@ -143,6 +146,8 @@ def identify_flexible(
     end = solved(descent, filtering, rigid, settings)
     if rigid["initial_velocity"].free:  # below its resonance the axis seemed to move at the first sample
         end = _or_moving(descent, end, rigid, settings)
+    if settings.free:
+        end = _End(*with_free(descent, end.x, settings.free, stopping_tolerance(settings)), end.led)
     problem, x = descent.problem, end.x
     error, J = descent.linearised(x)
     run = problem.simulate(x)

@@ -7,7 +7,7 @@ which parameters are free: those of the joint, then those of what surrounds it (
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -104,14 +104,29 @@ class Problem:
         return decimate(columns, self.filtering, self.experiment.sample_time)
 
     def simulate(self, x: FloatArray) -> Simulation:
-        """Return the loop's run with these parameters."""
+        """Return the loop's run with these parameters, its torque as the log should show it."""
         c = self._candidate(x)
-        return simulate(c.loop, c.experiment, c.values, c.initial)
+        run = simulate(c.loop, c.experiment, c.values, c.initial)
+        return replace(run, torque=self._shown(run.torque, c))
+
+    def loop_at(self, x: FloatArray) -> ClosedLoop:
+        """Return the loop with the controller's numbers that these parameters say."""
+        return self._candidate(x).loop
 
     def torque(self, x: FloatArray) -> FloatArray:
         """Return the torque the log should show, raw, (samples,)."""
         c = self._candidate(x)
         return self._shown(simulate_torque(c.loop, c.experiment, c.values, c.initial).torque, c)
+
+    def torque_if(self, x: FloatArray, driven: Callable[[Experiment], Experiment]) -> FloatArray:
+        """Return the torque the log should show, raw, (samples,), if the loop were driven otherwise.
+
+        Args:
+            x: free parameters.
+            driven: from what the loop is driven with, to what it might be.
+        """
+        c = self._candidate(x)
+        return self._shown(simulate_torque(c.loop, driven(c.experiment), c.values, c.initial).torque, c)
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the filtered, decimated torque error, (rows,); of a candidate that fails, something large."""

@@ -13,6 +13,7 @@ stands beside those of the joint:
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from jointid.common.errors import MethodError
@@ -48,6 +49,8 @@ def surrounding(name: str, controller: Controller) -> Parameter:
     if name == "period" or isinstance(value, bool) or not isinstance(value, float | int):
         known = ", ".join((*_INITIAL, *_DRIVE_AND_LOG, *numbers_of(controller)))
         raise MethodError(f'Nothing around this joint is called "{name}"; what can be freed is {known}.')
+    if not math.isfinite(value):
+        raise MethodError(f"The {name} of this controller is {value}, where no search can begin; declare a finite one.")
     quantity = Quantity.TIME if name == "delay" else Quantity.GAIN
     return Parameter(name, name, quantity, start=float(value), lower=0.0)
 

@@ -194,6 +194,7 @@ class MethodTable(Table):
     step_tolerance: Positive = Field(1e-7, description="change of the parameters to stop at, relative")
     iterations: Count = Field(30, description="iterations at most")
     initial_state: Literal["free", "reference"] = Field("free", description="the motor at the first sample")
+    free: Names = Field([], description="what surrounds the joint and is identified with it")
     minimiser: Literal["least-squares", "nelder-mead"] = Field(
         "least-squares", description="the way down the criterion"
     )
@@ -247,6 +248,7 @@ class MethodTable(Table):
             lag = {"current_lag": None} if self.current_lag == "estimated" else {}
             return CLOSINGS[name](**self.given("name") | lag)
         made, given = DIDIMS[model], self.given("name", "preset")
+        given |= {"free": tuple(given["free"])} if "free" in given else {}
         return made.paper(**given) if self.preset == "paper" else made(**given)
 
 

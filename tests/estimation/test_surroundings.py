@@ -1,0 +1,123 @@
+"""What surrounds a joint, identified with it; seeds are fixed once and never retuned."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError
+from jointid.data.excitation import trapezoids
+from jointid.data.record import Record
+from jointid.estimation.didim import DIDIM
+from jointid.estimation.flexible import FlexibleDIDIM, refined_least_squares
+from jointid.estimation.identify import identify
+from jointid.estimation.suspects import suspected
+from jointid.inference.uncertainty import sandwich
+from jointid.model.controllers import Cascade
+from jointid.model.joints import RigidJoint
+from jointid.simulation.closed_loop import in_threads
+from jointid.simulation.experiment import ClosedLoop
+from jointid.simulation.synthesis import simulated_record
+from tests.estimation.conftest import CONTROLLER
+from tests.faults import Fault, Noise, line_7, problem, setting, solved
+
+RIGID = {"inertia": 95.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
+
+
+def rigid_record(loop: ClosedLoop) -> Record:
+    reference = trapezoids((0.05, 0.1, 0.2), 1.0, 0.2, 1e-3, duration=12.0)
+    return simulated_record(loop, reference, RIGID, sample_time=1e-3)
+
+
+def test_a_rigid_joint_is_identified_with_the_delay_of_its_loop() -> None:
+    declared = ClosedLoop(RigidJoint(), replace(CONTROLLER, limit=1e3))
+    actual = replace(declared, controller=replace(declared.controller, delay=0.3e-3))  # type: ignore[type-var]
+    estimate = identify(rigid_record(actual), declared, DIDIM(free=("delay",)))
+    assert estimate["delay"].value == pytest.approx(0.3e-3, rel=1e-4)
+    assert estimate["delay"].unit == "s"
+    assert not estimate["delay"].of_joint
+    assert "delay" not in estimate.values
+    assert estimate.delay == estimate["delay"].value
+    assert estimate.loop is not None
+    assert estimate.loop.controller.law(1e-3).delay == estimate["delay"].value
+    for name, value in RIGID.items():
+        assert estimate.values[name] == pytest.approx(value, rel=1e-5)
+    assert "delay" in str(estimate)
+
+
+def test_a_flexible_joint_is_identified_with_gains_and_delay() -> None:
+    where = setting("L19")
+    made = problem(where, Fault(line_7), None)
+    assert where.record.torque is not None
+    record = replace(where.record, torque=replace(where.record.torque, values=made.measured))
+    estimate = identify(record, where.loop, FlexibleDIDIM(frequency=30.0, free=("kp", "kv", "delay")))
+    for name, value in (where.truth | line_7(where.loop)).items():
+        assert estimate[name].value == pytest.approx(value, rel=1e-4), name
+    assert estimate.relative_error < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("drive_gain", "One record cannot tell the drive_gain from the scale of the joint"),
+        ("ki", 'Nothing around this joint is called "ki"; what can be freed is initial_position'),
+        ("limit", "The limit of this controller is inf, where no search can begin; declare a finite one"),
+    ],
+)
+def test_what_cannot_be_freed_is_refused(name: str, sentence: str) -> None:
+    loop = ClosedLoop(RigidJoint(), Cascade(kp=100.0, kv=5000.0))
+    with pytest.raises(MethodError, match=sentence):
+        identify(rigid_record(loop), loop, DIDIM(free=(name,)))
+
+
+def test_a_name_alone_is_no_list_of_names() -> None:
+    loop = ClosedLoop(RigidJoint(), Cascade(kp=100.0, kv=5000.0))
+    with pytest.raises(MethodError, match='What is freed is a list of names; received "kp"'):
+        identify(rigid_record(loop), loop, DIDIM(free="kp"))  # type: ignore[arg-type]
+
+
+def test_the_log_s_own_gain_and_delay_are_found() -> None:
+    where = setting("L19")
+    wrong = Fault(log_gain=1.03, log_shift=1)
+    made = problem(where, wrong, None).freeing("log_gain", "log_delay")
+    found = dict(zip((p.name for p in made.free), solved(made, where), strict=True))
+    assert found["log_gain"] == pytest.approx(1.03, rel=1e-5)
+    assert found["log_delay"] == pytest.approx(1e-3, rel=1e-3)
+
+
+def test_torque_alone_finds_the_delay_of_the_real_axis(emps: Record, emps_pulses: Record) -> None:
+    """Its motor answers 0.2 to 0.3 ms after the log; from torque alone that takes the pulses, and the gains free."""
+    loop = ClosedLoop(RigidJoint(), CONTROLLER)
+    pulsed = identify(emps_pulses, loop, DIDIM(free=("kp", "kv", "delay")))["delay"]
+    assert pulsed.value == pytest.approx(0.31e-3, abs=0.02e-3)
+    assert pulsed.std == pytest.approx(0.08e-3, rel=0.2)
+    plain = identify(emps, loop, DIDIM(free=("delay",)))["delay"]
+    assert float(plain.value or 0.0) < 2 * float(plain.std or 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", ["white", "disturbance"])
+def test_a_wrong_loop_biases_nothing_where_it_is_free_and_is_flagged_where_it_is_not(noise: Noise) -> None:
+    """kp +3 %, kv -4 %, 0.4 ms and no offset declared, over 200 runs of the twin."""
+    where, runs = setting("L19"), range(10_000, 10_200)
+    truth = where.truth | line_7(where.loop)
+
+    def one(seed: int) -> tuple[np.ndarray, np.ndarray]:
+        made = problem(where, Fault(line_7), noise, seed).freeing("kp", "kv", "delay")
+        x, J = refined_least_squares(made, made.vector(where.truth), 1e-6)
+        return x, sandwich(J, J, made.residual(x)).std
+
+    names = [p.name for p in problem(where, None, None).freeing("kp", "kv", "delay").free]
+    kept = [i for i, name in enumerate(names) if name in truth]
+    estimates, stds = (np.array(part)[:, kept] for part in zip(*in_threads(one, runs), strict=True))
+    errors = estimates - np.array([truth[names[i]] for i in kept])
+    for i, name in enumerate(names[k] for k in kept):
+        assert abs(errors[:, i].mean()) <= 0.2 * errors[:, i].std(), name
+        assert 0.92 <= np.mean(np.abs(errors[:, i]) <= 2 * stds[:, i]) <= 0.98, name
+        if name in ("motor_inertia", "load_inertia", "stiffness"):
+            assert errors[:, i].std() <= 0.005 * truth[name], name
+    for seed in runs[:20]:
+        made = problem(where, Fault(line_7, offset=True), noise, seed)
+        assert not suspected(made, solved(made, where)).as_declared
