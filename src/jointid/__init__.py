@@ -9,8 +9,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from jointid.answers import comparison_answer, estimate_answer, simulation_answer, validation_answer
+    from jointid.answers import (
+        advice_answer,
+        comparison_answer,
+        estimate_answer,
+        revealing_answer,
+        simulation_answer,
+        validation_answer,
+    )
+    from jointid.assessment.advice import Advice, advise
     from jointid.assessment.comparison import Comparison, compare
+    from jointid.assessment.revealing import Revealing, revealing, what_would_tell_more
     from jointid.assessment.validation import Validation, validate
     from jointid.common.errors import (
         ExtraError,
@@ -43,8 +52,17 @@ if TYPE_CHECKING:
     from jointid.simulation.synthesis import simulated_record
 
 _HOMES = {
-    "answers": ("comparison_answer", "estimate_answer", "simulation_answer", "validation_answer"),
+    "answers": (
+        "advice_answer",
+        "comparison_answer",
+        "estimate_answer",
+        "revealing_answer",
+        "simulation_answer",
+        "validation_answer",
+    ),
+    "assessment.advice": ("Advice", "advise"),
     "assessment.comparison": ("Comparison", "compare"),
+    "assessment.revealing": ("Revealing", "revealing", "what_would_tell_more"),
     "assessment.validation": ("Validation", "validate"),
     "common.errors": ("ExtraError", "JointFileError", "JointidError", "MethodError", "RecordError"),
     "data.checks": ("check_record",),
@@ -77,6 +95,7 @@ __all__ = [
     "DIDIM",
     "IDIM",
     "PD",
+    "Advice",
     "AsymmetricFriction",
     "Cascade",
     "Channel",
@@ -104,6 +123,7 @@ __all__ = [
     "PositionHarmonics",
     "Record",
     "RecordError",
+    "Revealing",
     "RigidJoint",
     "Simulation",
     "StateSpaceController",
@@ -112,6 +132,8 @@ __all__ = [
     "Timing",
     "Twin",
     "Validation",
+    "advice_answer",
+    "advise",
     "check_record",
     "compare",
     "comparison_answer",
@@ -124,6 +146,8 @@ __all__ = [
     "read",
     "record_of",
     "residual_figure",
+    "revealing",
+    "revealing_answer",
     "rigid_sums",
     "save",
     "simulate",
@@ -135,6 +159,7 @@ __all__ = [
     "twin",
     "validate",
     "validation_answer",
+    "what_would_tell_more",
     "write",
 ]
 

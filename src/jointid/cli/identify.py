@@ -48,6 +48,7 @@ def identify(
         quiet: say nothing of the progress.
     """
     from jointid import answers
+    from jointid.assessment.revealing import what_would_tell_more
     from jointid.cli.console import check_outputs, progress, ready, show
     from jointid.estimation.identify import identify as run
     from jointid.jointfile import load
@@ -76,6 +77,8 @@ def identify(
         progress=listener,
     )
     show(estimate)
+    if estimate.bounds:
+        show(f"\n{what_would_tell_more(estimate, logged)}")
     if json is not None:
         answers.write(answers.estimate_answer(estimate), json)
     if figure is not None:
