@@ -42,6 +42,7 @@ Noise: TypeAlias = Literal["loop", "log"]
 _OF_TRAVEL = 1e-6  # of the commanded travel: an encoder's step where nothing is known of it
 _WHOLE = 0.05  # of a step: how far a position may be from a multiple of it
 _MOSTLY = 0.95  # of the positions that are such multiples
+_PARTS = 5  # steps that the smallest gap may be: an axis that never rests may skip some
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,18 +59,22 @@ class Informations:
 
 
 def step_of(channel: Channel | None) -> float | None:
-    """Return the step of the encoder that a position was read from, in its unit; None where none is to be seen."""
+    """Return the step of the encoder that a position was read from, in its unit; None where none is to be seen.
+
+    The smallest gap between two positions is a small whole number of steps, of which all other positions are multiples.
+    """
     if channel is None:
         return None
-    moves = np.abs(np.diff(channel.values))
-    moves = moves[moves > 1e-12 * (float(np.ptp(channel.values)) or 1.0)]
-    if not moves.size:
+    values = np.sort(channel.values) - channel.values.min()
+    gaps = np.diff(values)
+    gaps = gaps[gaps > 1e-12 * values[-1]]
+    if not gaps.size:
         return None
-    step = float(moves.min())
-    steps = (channel.values - channel.values[0]) / step
-    near = np.abs(steps - np.round(steps)) < _WHOLE
-    # Positions that were never rounded have a smallest move too, but are no multiples of it.
-    return step if np.mean(near) >= _MOSTLY else None
+    for parts in range(1, _PARTS + 1):
+        step = float(gaps.min()) / parts
+        if np.mean(np.abs(values / step - np.round(values / step)) < _WHOLE) >= _MOSTLY:
+            return step
+    return None
 
 
 def usual_step(reference: FloatArray) -> float:
