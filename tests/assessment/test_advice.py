@@ -10,7 +10,7 @@ import pytest
 
 from jointid.answers import advice_answer, dumps, revealing_answer
 from jointid.assessment.advice import Advice, advise, at_estimate
-from jointid.assessment.encoders import informations, step_of, with_information
+from jointid.assessment.encoders import informations, load_alone, step_of, with_information
 from jointid.assessment.revealing import TOLD, revealing, what_would_tell_more
 from jointid.assessment.variations import faster, pulsed
 from jointid.common.errors import MethodError
@@ -19,6 +19,8 @@ from jointid.data.record import Channel, FloatArray, Record, Tap
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.identify import identify
 from jointid.estimation.idim import IDIM
+from jointid.model.controllers import invert
+from jointid.model.friction import AsymmetricFriction
 from jointid.model.joints import FlexibleJoint, RigidJoint
 from jointid.paper.twin import CONTROLLERS, SAMPLE_TIME, TABLE_2, Twin, twin
 from jointid.simulation.experiment import ClosedLoop
@@ -55,6 +57,32 @@ def test_a_motor_encoder_adds_nothing_to_an_exact_command(advice: Advice) -> Non
     for name in advice.std:
         assert advice.ratio("motor encoder", name) == pytest.approx(1.0, abs=1e-9), name
         assert advice.ratio("both", name) == advice.ratio("load encoder", name)
+
+
+def test_the_law_makes_of_the_torque_what_the_encoder_would_tell(disturbed: tuple[Twin, Estimate]) -> None:
+    """Why it adds nothing: turned round, the law gives the position's sensitivity back from the torque's.
+
+    And why a load encoder tells nothing of the motor's side: its motion explains the load's but for the reversals.
+    """
+    axis, estimate = disturbed
+    problem, x = at_estimate(estimate, axis.record)
+    law, seen = problem.experiment.law, problem.positions(x)
+    motor, load = seen.motor_position, seen.load_position
+    alone = load_alone(problem, x, motor, load)
+    for j, p in enumerate(problem.free_joint):
+        nothing = np.zeros_like(problem.experiment.inputs)
+        back = invert(law, seen.torque[:, j].copy(), nothing, np.zeros(law.C.size))
+        assert np.linalg.norm(back - motor[:, j]) <= 1e-6 * np.linalg.norm(motor[:, j]), p.name
+        if p.name.startswith("motor_") or p.name == "offset":
+            assert np.linalg.norm(alone[:, j]) <= 0.05 * np.linalg.norm(load[:, j]), p.name
+
+
+def test_friction_that_differs_by_direction(disturbed: tuple[Twin, Estimate]) -> None:
+    axis, _ = disturbed
+    loop = ClosedLoop(FlexibleJoint(friction=AsymmetricFriction()), axis.loop.controller)
+    advice = advise(identify(axis.record, loop), axis.record)
+    for name in ("motor_viscous_forwards", "motor_viscous_backwards"):
+        assert advice.ratio("load encoder", name) < 0.5
 
 
 def test_a_load_encoder_separates_the_viscous_frictions(advice: Advice) -> None:
@@ -215,6 +243,15 @@ def test_a_refused_stiffness_is_answered_with_what_would_show_it(refused: tuple[
     assert json.loads(dumps(revealing_answer(answer)))["schema"] == "jointid.revealing/1"
     with pytest.raises(MethodError, match="refuses the stiffness"):
         advise(estimate, record)
+
+
+def test_what_was_kept_fixed_is_no_reason_not_to_answer(refused: tuple[Record, Estimate]) -> None:
+    record, _ = refused
+    loop = ClosedLoop(FlexibleJoint(), CONTROLLERS["L19"])
+    stiffness = next(p for p in loop.joint.parameters if p.name == "stiffness")
+    estimate = identify(record, loop, parameters={"stiffness": stiffness.fixed(1e9)})
+    assert estimate.bounds
+    assert "would" in what_would_tell_more(estimate, record)
 
 
 def test_the_tap_says_where_the_noise_is(refused: tuple[Record, Estimate]) -> None:

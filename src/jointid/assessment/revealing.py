@@ -139,7 +139,7 @@ def revealing(
     """
     if not estimate.bounds:
         raise MethodError("This estimate refuses no stiffness, so there is nothing to reveal; advise says what helps.")
-    problem, _ = at_estimate(estimate, record)
+    problem = _all_free(at_estimate(estimate, record)[0])
     sample_time, cutoff = problem.experiment.sample_time, problem.filtering.cutoff
     assert cutoff is not None
     band = Filtering(cutoff=max(_BAND / sample_time, cutoff)).resolved(sample_time, "flexible")
@@ -184,6 +184,13 @@ def revealing(
         tuple(told(wide, bound, True) for bound in bounds),
         height, width, step, unit, POSITION_UNIT[kind],
     )  # fmt: skip
+
+
+def _all_free(problem: Problem) -> Problem:
+    """Return the problem with everything free that parts the motor from the load, also what was kept fixed."""
+    parted = ("motor_", "load_", "stiffness", "damping")
+    freed = tuple(replace(p, free=True) if p.name.startswith(parted) else p for p in problem.parameters)
+    return replace(problem, parameters=freed)
 
 
 def _told(share: float, softest: float, deviation: Callable[[float], float], fastest: float) -> Told:

@@ -77,11 +77,11 @@ def identify(
         progress=listener,
     )
     show(estimate)
-    if estimate.bounds:
-        show(f"\n{what_would_tell_more(estimate, logged)}")
     if json is not None:
         answers.write(answers.estimate_answer(estimate), json)
     if figure is not None:
         from jointid.report.figures import save, torque_figure
 
         save(torque_figure(estimate), figure)
+    if estimate.bounds:
+        show(f"\n{what_would_tell_more(estimate, logged)}")
