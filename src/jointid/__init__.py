@@ -10,16 +10,20 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jointid.answers import (
+        advice_answer,
         comparison_answer,
         estimate_answer,
         loop_answer,
+        revealing_answer,
         simulation_answer,
         together_answer,
         validation_answer,
     )
+    from jointid.assessment.advice import Advice, advise
     from jointid.assessment.comparison import Comparison, compare
     from jointid.assessment.intervals import Intervals, intervals
     from jointid.assessment.loop import check_loop
+    from jointid.assessment.revealing import Revealing, revealing, what_would_tell_more
     from jointid.assessment.validation import Validation, validate
     from jointid.common.errors import (
         ExtraError,
@@ -61,16 +65,20 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "answers": (
+        "advice_answer",
         "comparison_answer",
         "estimate_answer",
         "loop_answer",
+        "revealing_answer",
         "simulation_answer",
         "together_answer",
         "validation_answer",
     ),
+    "assessment.advice": ("Advice", "advise"),
     "assessment.comparison": ("Comparison", "compare"),
     "assessment.intervals": ("Intervals", "intervals"),
     "assessment.loop": ("check_loop",),
+    "assessment.revealing": ("Revealing", "revealing", "what_would_tell_more"),
     "assessment.validation": ("Validation", "validate"),
     "common.errors": ("ExtraError", "JointFileError", "JointidError", "MethodError", "RecordError"),
     "data.checks": ("check_record",),
@@ -111,6 +119,7 @@ __all__ = [
     "DIDIM",
     "IDIM",
     "PD",
+    "Advice",
     "AsymmetricFriction",
     "Cascade",
     "Channel",
@@ -147,6 +156,7 @@ __all__ = [
     "Record",
     "RecordError",
     "RecordShare",
+    "Revealing",
     "RigidJoint",
     "Simulation",
     "StateSpaceController",
@@ -155,6 +165,8 @@ __all__ = [
     "Timing",
     "Twin",
     "Validation",
+    "advice_answer",
+    "advise",
     "check_loop",
     "check_record",
     "compare",
@@ -171,6 +183,8 @@ __all__ = [
     "read",
     "record_of",
     "residual_figure",
+    "revealing",
+    "revealing_answer",
     "rigid_sums",
     "save",
     "simulate",
@@ -183,6 +197,7 @@ __all__ = [
     "twin",
     "validate",
     "validation_answer",
+    "what_would_tell_more",
     "write",
 ]
 

@@ -12,7 +12,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from jointid.assessment.advice import Advice, Prediction
 from jointid.assessment.comparison import Comparison
+from jointid.assessment.revealing import Revealing, Told
 from jointid.assessment.validation import Validation
 from jointid.common.errors import MethodError, RecordError
 from jointid.data.signals import Filtering
@@ -39,6 +41,8 @@ VALIDATION_SCHEMA = "jointid.validation/1"
 COMPARISON_SCHEMA = "jointid.comparison/1"
 LOOP_SCHEMA = "jointid.loop/1"
 SIMULATION_SCHEMA = "jointid.simulation/1"
+ADVICE_SCHEMA = "jointid.advice/1"
+REVEALING_SCHEMA = "jointid.revealing/1"
 
 Json = dict[str, Any]
 
@@ -92,6 +96,49 @@ def estimate_answer(estimate: Estimate) -> Json:
             for bound in estimate.bounds
         ],
     }
+
+
+def advice_answer(advice: Advice) -> Json:
+    """Return what sensors and motions would do to an estimate as it is written to JSON."""
+    return {
+        "schema": ADVICE_SCHEMA,
+        "record": advice.record,
+        "noise": advice.noise,
+        "parameters": {
+            name: {"symbol": advice.symbols[name], "unit": advice.units[name], "std": std}
+            for name, std in advice.std.items()
+        },
+        "sensors": [_prediction(one) for one in advice.sensors],
+        "tests": [_prediction(one) for one in advice.tests],
+        "sentences": list(advice.sentences),
+    }
+
+
+def revealing_answer(found: Revealing) -> Json:
+    """Return which tests would show a refused stiffness as it is written to JSON."""
+
+    def told(test: tuple[Told, ...]) -> list[Json]:
+        return [
+            {
+                "load_share": one.share,
+                "excluded_below_hz": one.softest,
+                "relative_std": one.deviation if math.isfinite(one.deviation) else None,
+                "told_below_hz": one.mode,
+            }
+            for one in test
+        ]
+
+    return {
+        "schema": REVEALING_SCHEMA,
+        "record": found.record,
+        "pulses": {"height": found.height, "width": found.width, "told": told(found.pulses)},
+        "load_encoder": {"step": found.step, "told": told(found.encoder)},
+        "sentence": str(found),
+    }
+
+
+def _prediction(one: Prediction) -> Json:
+    return {"name": one.name, "described": one.described, "std": dict(one.std) or None}
 
 
 def _combinations(known: Identifiability) -> list[Json]:

@@ -10,8 +10,12 @@ import numpy as np
 import pytest
 
 from jointid.cli.app import app, main
-from jointid.data.reading import read
-from jointid.paper.twin import JOINT_FILE, TABLE_2, twin
+from jointid.data.excitation import trapezoids
+from jointid.data.reading import read, write
+from jointid.model.joints import FlexibleJoint
+from jointid.paper.twin import CONTROLLERS, JOINT_FILE, TABLE_2, twin
+from jointid.simulation.experiment import ClosedLoop
+from jointid.simulation.synthesis import simulated_record
 
 ROOT = Path(__file__).resolve().parents[2]
 EMPS = ROOT / "examples" / "emps" / "joint.toml"
@@ -46,6 +50,35 @@ def test_the_demo_writes_a_folder_to_play_with(demo: Path, capsys: pytest.Captur
     said = capsys.readouterr()
     assert "K12" in said.out
     assert "iteration 0" in said.err
+
+
+def test_advise_says_what_a_load_encoder_would_do(
+    tmp_path: Path, demo: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "advice.json"
+    (tmp_path / "joint.toml").write_text(JOINT_FILE, encoding="utf-8")
+    words = ("--record", demo / "record.csv", "--encoder-step", "1e-6", "--json", out, "-q")
+    assert run("advise", tmp_path / "joint.toml", *words) == 0
+    assert "load encoder: steps of 1e-06 m; narrows" in capsys.readouterr().out
+    answer = json.loads(out.read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.advice/1"
+    assert answer["noise"] == "loop"
+
+
+def test_a_refused_stiffness_ends_with_what_would_show_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    loop = ClosedLoop(FlexibleJoint(), CONTROLLERS["L19"])
+    reference = trapezoids((0.042, 0.125), 0.83, 0.2, 1e-3, duration=8.0)
+    force = 30.0 * np.random.default_rng(1).standard_normal(reference.size)
+    stiff = {**TABLE_2, "stiffness": 1e9, "damping": 1e4}
+    write(simulated_record(loop, reference, stiff, sample_time=1e-3, disturbance=force), tmp_path / "record.csv")
+    text = JOINT_FILE.replace("frequency = 30.0", "# frequency = 30.0")
+    (tmp_path / "joint.toml").write_text(text, encoding="utf-8")
+    assert run("identify", tmp_path / "joint.toml", "-q") == 0
+    said = capsys.readouterr().out
+    assert "K12 is at least" in said
+    assert "would" in said.strip().splitlines()[-1]
+    assert run("advise", tmp_path / "joint.toml", "-q", "--json", tmp_path / "out.json") == 0
+    assert json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["sentence"] in capsys.readouterr().out
 
 
 def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:

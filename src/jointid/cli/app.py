@@ -11,6 +11,7 @@ import sys
 from cyclopts import App, CycloptsError
 
 from jointid import __version__
+from jointid.cli.advise import advise
 from jointid.cli.compare import compare
 from jointid.cli.demo import demo
 from jointid.cli.identify import identify
@@ -30,7 +31,7 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (demo, identify, together, intervals, compare, validate, simulate, reproduce):
+for command in (demo, identify, together, intervals, compare, validate, advise, simulate, reproduce):
     app.command(command)
 
 

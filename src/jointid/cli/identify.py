@@ -48,6 +48,7 @@ def identify(
         quiet: say nothing of the progress.
     """
     from jointid import answers
+    from jointid.assessment.revealing import what_would_tell_more
     from jointid.cli.console import check_outputs, progress, ready, show
     from jointid.estimation.identify import identify as run
     from jointid.jointfile import load
@@ -82,3 +83,5 @@ def identify(
         from jointid.report.figures import save, torque_figure
 
         save(torque_figure(estimate), figure)
+    if estimate.bounds:
+        show(f"\n{what_would_tell_more(estimate, logged)}")

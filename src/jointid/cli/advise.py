@@ -1,0 +1,61 @@
+"""`jointid advise`: which sensor, or which other motion, would narrow the intervals of an estimate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+
+def advise(
+    joint: Path,
+    /,
+    *,
+    record: Path | None = None,
+    encoder_step: float | None = None,
+    noise: Literal["loop", "log"] | None = None,
+    json: Path | None = None,
+    quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
+) -> None:
+    """Identify a joint from torque and reference, and predict what an encoder or another motion would add.
+
+    Args:
+        joint: the joint file (TOML); its method is didim.
+        record: the record, instead of the one the joint file names.
+        encoder_step: of the encoders, in m or rad; without it that of the record's own, or a millionth of the travel.
+        noise: where the torque's residual comes from, a force in the loop or the log itself; without it as the tap of
+            the torque says.
+        json: also write the answer as JSON to this file.
+        quiet: say nothing of the progress.
+    """
+    from jointid import answers
+    from jointid.assessment.advice import advise as run
+    from jointid.assessment.revealing import revealing
+    from jointid.cli.console import check_outputs, progress, ready, show
+    from jointid.estimation.identify import identify
+    from jointid.jointfile import load
+
+    listener = progress(quiet)
+    check_outputs(None, json)
+    file = load(joint).overridden(method="didim")
+    logged = file.record(record)
+    ready(listener)
+    estimate = identify(
+        logged,
+        file.loop or file.joint,
+        file.method,
+        filtering=file.filtering,
+        parameters=file.parameters,
+        progress=listener,
+    )
+    if estimate.bounds:
+        found = revealing(estimate, logged, encoder_step=encoder_step, noise=noise, progress=listener)
+        show(found)
+        answer = answers.revealing_answer(found)
+    else:
+        advice = run(estimate, logged, encoder_step=encoder_step, noise=noise, progress=listener)
+        show(advice)
+        answer = answers.advice_answer(advice)
+    if json is not None:
+        answers.write(answer, json)
