@@ -11,6 +11,7 @@ from jointid.estimation.loopcheck import LoopCheck
 from jointid.estimation.problem import torque_problem
 from jointid.estimation.surroundings import INITIAL_STATE
 from jointid.estimation.suspects import LoopTests, suspected
+from jointid.inference.verdict import Verdict
 
 _INITIAL = tuple(p.name for p in INITIAL_STATE)
 
@@ -55,3 +56,23 @@ def check_loop(estimate: Estimate, record: Record, settings: LoopTests | None = 
     kept = tuple(p if p.name in free else p.fixed(values[p.name]) for p in problem.parameters)
     solved = replace(problem, parameters=kept).freeing(*freed)
     return suspected(solved, solved.vector(values), settings)
+
+
+def with_loop_verdict(estimate: Estimate, record: Record) -> Estimate:
+    """Return an estimate with one more verdict: whether its loop and its log are as declared.
+
+    An estimate that simulated no loop, or refuses a parameter, comes back with the verdict that it was not looked at,
+    or as it is.
+
+    Args:
+        estimate: of the record.
+        record: that it was identified from.
+    """
+    if estimate.loop is None:
+        return estimate
+    if any(p.value is None for p in estimate.parameters):
+        verdict = Verdict("loop", None, "not looked at, since the joint is not known; identify it as rigid")
+    else:
+        check = check_loop(estimate, record)
+        verdict = Verdict("loop", check.as_declared, "; ".join(check.sentences))
+    return replace(estimate, verdicts=(*estimate.verdicts, verdict))

@@ -30,6 +30,7 @@ def demo(
         quiet: say nothing of the progress.
     """
     from jointid import answers
+    from jointid.assessment.loop import with_loop_verdict
     from jointid.cli.console import make_folder, progress, ready, show
     from jointid.common.errors import RecordError
     from jointid.common.text import aligned, number
@@ -51,10 +52,12 @@ def demo(
         raise RecordError(f"{made / 'joint.toml'} cannot be written ({error.strerror}); name another folder.") from None
     listener("identifying it from motor force and reference alone")
     file = load(made / "joint.toml")
+    logged = file.record()
     estimate = identify(
-        file.record(), file.loop or file.joint, file.method, filtering=file.filtering, parameters=file.parameters,
+        logged, file.loop or file.joint, file.method, filtering=file.filtering, parameters=file.parameters,
         progress=listener,
     )  # fmt: skip
+    estimate = with_loop_verdict(estimate, logged)
     answers.write(answers.estimate_answer(estimate), made / "estimate.json")
     save(torque_figure(estimate), made / "torque.png")
     show(estimate)

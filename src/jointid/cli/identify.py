@@ -48,8 +48,10 @@ def identify(
         quiet: say nothing of the progress.
     """
     from jointid import answers
+    from jointid.assessment.loop import with_loop_verdict
     from jointid.assessment.revealing import what_would_tell_more
     from jointid.cli.console import check_outputs, progress, ready, show
+    from jointid.estimation.flexible import FlexibleDIDIM
     from jointid.estimation.identify import identify as run
     from jointid.jointfile import load
 
@@ -76,6 +78,8 @@ def identify(
         parameters=file.parameters,
         progress=listener,
     )
+    if not isinstance(file.method, FlexibleDIDIM) or file.method.minimiser == "least-squares":
+        estimate = with_loop_verdict(estimate, logged)  # the paper's search need not end where least squares would
     show(estimate)
     if json is not None:
         answers.write(answers.estimate_answer(estimate), json)
