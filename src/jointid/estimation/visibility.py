@@ -48,8 +48,8 @@ SHARES = (0.05, 0.1, 0.2, 0.33, 0.5)
 """Of the load in the inertia, for which a bound is given."""
 
 _TEST_SHARES = (0.1, 0.33, 0.6)
-# Times the cut-off, with each of those shares: the best counts, in every draw of the test as in the record. A mode rings
-# for 1 / (4 pi damping) periods, so that a coarser grid misses the one that is there; the last is a compliance alone.
+# Times the cut-off, with each of those shares: the best counts, in every draw of the test as in the record. A mode
+# rings for 1 / (4 pi damping) periods, so that a coarser grid misses the one that is there; the last is a compliance.
 _TEST_MODES = (*(0.3 * 1.08**i for i in range(16)), 2.5)
 _DAMPING = 0.02  # ratio, of the mode whose stiffness is bounded
 _TIGHT = 0.2  # of the stiffness: a 2-sigma interval this narrow needs no profile
@@ -128,7 +128,8 @@ def visible(
     bounds: tuple[StiffnessBound, ...] = ()
     if reasons:
         progress("the record does not show the spring; looking how soft it may be")
-        each = [_bounded(problem, rigid.values(at.x), share) for share in shares]
+        mode = frequency_of(problem.values(x))
+        each = [_bounded(problem, rigid.values(at.x), share, mode) for share in shares]
         bounds, runs = tuple(bound for bound, _ in each), runs + sum(used for _, used in each)
     names = [p.name for p in rigid.free]
     std = dict(zip(names, map(float, judged.covariance.std), strict=True))
@@ -320,15 +321,19 @@ def _held(held: _AtMode, start: FloatArray) -> _End:
     return _End(np.asarray(found.x), 2 * float(found.cost), int(found.nfev + (found.njev or 0)))
 
 
-def _bounded(problem: Problem, rigid: Mapping[str, float], share: float) -> tuple[StiffnessBound, int]:
-    """Return the softest spring at a load share, and the simulations it took to find."""
+def _bounded(problem: Problem, rigid: Mapping[str, float], share: float, found: float) -> tuple[StiffnessBound, int]:
+    """Return the softest spring at a load share, and the simulations it took to find.
+
+    The mode that a search found, though refused, is tried beside the others: between two of them it would be missed,
+    and a bound above it stated.
+    """
     sample_time, law, cutoff = problem.experiment.sample_time, problem.experiment.law, problem.filtering.cutoff
     assert cutoff is not None
     band = Filtering(cutoff=max(_BAND / sample_time, cutoff)).resolved(sample_time, "flexible")
     wide = replace(problem, filtering=band)
     high = _STIFFEST * cutoff
     low = min(_SOFTEST * crossover(law, rigid["inertia"]), 0.5 * high)
-    modes = [float(mode) for mode in np.geomspace(low, high, _STEPS)]
+    modes = sorted({*map(float, np.geomspace(low, high, _STEPS)), *([found] if low < found < high else [])})
     stiff = _AtMode(wide, share, high)
     named = {f"motor_{name}": value for name, value in rigid.items()} | dict(rigid)
     ends: dict[float, _End] = {}

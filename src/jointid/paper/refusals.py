@@ -98,8 +98,8 @@ class Refusals:
         header = ("K12, N/m", "free-free, Hz", "predicted deviation, %", "values given, %", "bound / K12", "true, %")
         rows = [_row(list(group)) for _, group in itertools.groupby(self.runs, lambda run: run.factor)]
         said = (
-            f"{len(self.runs)} runs: {100 * self.held:.1f} % of what is said is true; refused where K12 can be known to "
-            f"{100 * PLAIN:.0f} %: {100 * self.refused_plain:.1f} %; given where it is invisible: "
+            f"{len(self.runs)} runs: {100 * self.held:.1f} % of what is said is true; refused where K12 can be known "
+            f"to {100 * PLAIN:.0f} %: {100 * self.refused_plain:.1f} %; given where it is invisible: "
             f"{100 * self.given_invisible:.1f} %"
         )
         return f"{aligned(header, rows, (True,) * len(header))}\n\n{said}"
