@@ -237,7 +237,7 @@ def _by_least_squares(descent: Descent, filtering: Filtering, rigid: Estimate, s
     twice the frequency it starts from.
     """
     problem = descent.problem
-    wide = problem if filtering.cutoff else _on_band(problem, filtering, math.inf)
+    wide = problem if filtering.cutoff else on_band(problem, filtering, math.inf)
     law, sample_time = problem.experiment.law, problem.experiment.sample_time
     frequencies = [settings.frequency] if settings.frequency else None
     frequencies = frequencies or frequencies_to_try(law, rigid.values["inertia"], sample_time)
@@ -245,7 +245,7 @@ def _by_least_squares(descent: Descent, filtering: Filtering, rigid: Estimate, s
     descent.simulations += used
     ends: list[tuple[float, float, FloatArray]] = []
     for frequency, values in starts[:_REFINED]:
-        descent.problem = problem if filtering.cutoff else _on_band(problem, filtering, frequency)
+        descent.problem = problem if filtering.cutoff else on_band(problem, filtering, frequency)
         x = np.asarray(refined(descent, descent.problem.vector(values), _ROUGHLY, _FEW).x)
         descent.simulations += 1
         ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(problem.values(x)), x))
@@ -255,7 +255,7 @@ def _by_least_squares(descent: Descent, filtering: Filtering, rigid: Estimate, s
         if together > 1:
             break
     _, mode, x = min(ends, key=lambda end: end[0])
-    descent.problem = problem if filtering.cutoff else _on_band(problem, filtering, mode)
+    descent.problem = problem if filtering.cutoff else on_band(problem, filtering, mode)
     descent.size = float(np.linalg.norm(descent.problem.filtered(problem.measured)))
     found = refined(descent, x, stopping_tolerance(settings))
     if together < 2:
@@ -280,7 +280,7 @@ def _leads_back(descent: Descent, x: FloatArray, mode: float) -> bool:
     return same and cost < (1 + _TOGETHER) * float(np.linalg.norm(descent.residual(x))) + _REST * descent.size
 
 
-def _on_band(problem: Problem, filtering: Filtering, mode: float) -> Problem:
+def on_band(problem: Problem, filtering: Filtering, mode: float) -> Problem:
     """Return the problem filtered for a mode at that frequency: the default cut-off, or twice the mode.
 
     What seems to be a mode too fast for the log is none, and no reason to look at more than by default.

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,12 +47,10 @@ from jointid.simulation.experiment import ClosedLoop
 SHARES = (0.05, 0.1, 0.2, 0.33, 0.5)
 """Of the load in the inertia, for which a bound is given."""
 
-_TEST_SHARES = (
-    0.1,
-    0.33,
-    0.6,
-)  # tried in the test, with the modes below: the best counts, in every draw as in the record
-_TEST_MODES = (0.4, 0.7, 1.0, 2.5)  # times the cut-off; the last is a compliance and nothing else
+_TEST_SHARES = (0.1, 0.33, 0.6)
+# Times the cut-off, with each of those shares: the best counts, in every draw of the test as in the record. A mode
+# rings for 1 / (4 pi damping) periods, so that a coarser grid misses the one that is there; the last is a compliance.
+_TEST_MODES = (*(0.3 * 1.08**i for i in range(16)), 2.5)
 _DAMPING = 0.02  # ratio, of the mode whose stiffness is bounded
 _TIGHT = 0.2  # of the stiffness: a 2-sigma interval this narrow needs no profile
 _POSITIVE = ("motor_inertia", "load_inertia", "stiffness")
@@ -98,7 +96,12 @@ class Visibility:
 
 
 def visible(
-    problem: Problem, x: FloatArray, known: Uncertainty, together: tuple[int, int], progress: Progress
+    problem: Problem,
+    x: FloatArray,
+    known: Uncertainty,
+    together: tuple[int, int],
+    progress: Progress,
+    shares: Sequence[float] = SHARES,
 ) -> Visibility:
     """Return whether a record shows the spring of an estimate, or else how soft it may be.
 
@@ -108,6 +111,7 @@ def visible(
         known: how well.
         together: how many of how many starts led to the estimate.
         progress: is told.
+        shares: of the load in the inertia, for which bounds are looked for.
     """
     rigid, at = _rigid(problem, problem.values(x))
     error, J = rigid.linearised(at.x)
@@ -124,7 +128,8 @@ def visible(
     bounds: tuple[StiffnessBound, ...] = ()
     if reasons:
         progress("the record does not show the spring; looking how soft it may be")
-        each = [_bounded(problem, rigid.values(at.x), share) for share in SHARES]
+        mode = frequency_of(problem.values(x))
+        each = [_bounded(problem, rigid.values(at.x), share, mode) for share in shares]
         bounds, runs = tuple(bound for bound, _ in each), runs + sum(used for _, used in each)
     names = [p.name for p in rigid.free]
     std = dict(zip(names, map(float, judged.covariance.std), strict=True))
@@ -310,21 +315,28 @@ def _held(held: _AtMode, start: FloatArray) -> _End:
     def jacobian(x: FloatArray) -> FloatArray:
         return held.linearised(x)[1]
 
+    error, slopes = held.linearised(inside)
+    if not slopes.any():  # nothing can be simulated there, so nothing leads away from it
+        return _End(inside, float(error @ error), 1)
     found = least_squares(
         held.residual, inside, jacobian, (lower, upper), x_scale="jac", xtol=1e-4, ftol=1e-5, gtol=None, max_nfev=_FEW
     )
-    return _End(np.asarray(found.x), 2 * float(found.cost), int(found.nfev + (found.njev or 0)))
+    return _End(np.asarray(found.x), 2 * float(found.cost), 1 + int(found.nfev + (found.njev or 0)))
 
 
-def _bounded(problem: Problem, rigid: Mapping[str, float], share: float) -> tuple[StiffnessBound, int]:
-    """Return the softest spring at a load share, and the simulations it took to find."""
+def _bounded(problem: Problem, rigid: Mapping[str, float], share: float, found: float) -> tuple[StiffnessBound, int]:
+    """Return the softest spring at a load share, and the simulations it took to find.
+
+    The mode that a search found, though refused, is tried beside the others: between two of them it would be missed,
+    and a bound above it stated.
+    """
     sample_time, law, cutoff = problem.experiment.sample_time, problem.experiment.law, problem.filtering.cutoff
     assert cutoff is not None
     band = Filtering(cutoff=max(_BAND / sample_time, cutoff)).resolved(sample_time, "flexible")
     wide = replace(problem, filtering=band)
     high = _STIFFEST * cutoff
     low = min(_SOFTEST * crossover(law, rigid["inertia"]), 0.5 * high)
-    modes = [float(mode) for mode in np.geomspace(low, high, _STEPS)]
+    modes = sorted({*map(float, np.geomspace(low, high, _STEPS)), *([found] if low < found < high else [])})
     stiff = _AtMode(wide, share, high)
     named = {f"motor_{name}": value for name, value in rigid.items()} | dict(rigid)
     ends: dict[float, _End] = {}
