@@ -27,6 +27,7 @@ from jointid.model.joints import FlexibleJoint
 from jointid.simulation import kernels
 from jointid.simulation.closed_loop import simulate_many, simulate_torque
 from jointid.simulation.experiment import ClosedLoop, Experiment, prepare
+from jointid.simulation.sensitivities import simulate_sensitivities
 
 HERE = Path(__file__).resolve().parent
 BATCH = 64  # candidates
@@ -190,6 +191,9 @@ def measure(rounds: int) -> list[str]:
     calls: dict[str, Callable[[], object]] = {
         kernel: bare_call(loop, experiment, values),
         public: lambda: simulate_torque(loop, experiment, values),
+        "one candidate with 8 derivatives (`simulate_sensitivities`)": lambda: simulate_sensitivities(
+            loop, experiment, values, names
+        ),
     }
     notes = []
     c = "plain C, gcc -O3 (the stick)"

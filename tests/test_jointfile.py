@@ -23,11 +23,13 @@ from jointid.data.columns import Column, known_units
 from jointid.data.record import InjectionPoint, Tap, Timing
 from jointid.data.signals import Filtering
 from jointid.estimation.didim import DIDIM
+from jointid.estimation.drive_side import DriveSideFit
 from jointid.estimation.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.estimation.identify import identify
 from jointid.estimation.idim import IDIM
-from jointid.jointfile import JointFile, Source, dumps, json_schema, load, loads, save
-from jointid.jointfile.schema import DIDIMS, FILTERINGS, OF_IDIM
+from jointid.estimation.open_loop import OpenLoopFit
+from jointid.jointfile import JointFile, Run, Source, dumps, json_schema, load, loads, save
+from jointid.jointfile.schema import CLOSINGS, DIDIMS, FILTERINGS, OF_IDIM
 from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
 from jointid.model.effects import Drift, PositionHarmonics
 from jointid.model.friction import AsymmetricFriction, SymmetricFriction
@@ -137,6 +139,7 @@ def test_the_schema_has_the_objects_own_defaults() -> None:
         "FilterTable": DigitalFilter,
         "FilteringTable": Filtering,
         "RecordTable": Source,
+        "RunTable": Run,
     }
     # A key of both methods has two defaults, and so none in the schema.
     for name, home in (*homes.items(), ("MethodTable", DIDIM), ("MethodTable", FlexibleDIDIM)):
@@ -155,7 +158,7 @@ def test_every_word_of_the_objects_is_a_word_of_the_file() -> None:
     assert [field.name for field in dataclasses.fields(Filtering)] == list(table("FilteringTable"))[1:]
     assert table("FilteringTable")["preset"]["enum"] == list(FILTERINGS)
     assert table("JointTable")["model"]["enum"] == list(DIDIMS)
-    settings = [field.name for method in (DIDIM, FlexibleDIDIM) for field in dataclasses.fields(method)]
+    settings = [field.name for method in (*DIDIMS.values(), *CLOSINGS.values()) for field in dataclasses.fields(method)]
     assert [*dict.fromkeys(settings), *OF_IDIM] == list(table("MethodTable"))[2:]
     assert table("MethodTable")["drift"]["enum"] == list(get_args(get_type_hints(Drift)["of"]))
     for method in (DIDIM, FlexibleDIDIM, IDIM):
@@ -396,8 +399,8 @@ FAULTS = [
     ),
     (
         SMALLEST + "[methods]",
-        "methods is not a known key; expected one of joint, record, controller, filtering, method, parameters: "
-        "did you mean method?",
+        "methods is not a known key; expected one of joint, record, controller, filtering, method, parameters, "
+        "records, together: did you mean method?",
     ),
     (
         SMALLEST.replace("motor_position", "motor_positon"),
@@ -406,8 +409,8 @@ FAULTS = [
     ),
     (
         SMALLEST + '["a.b"]',
-        '"a.b" is not a known key; expected one of joint, record, controller, filtering, method, parameters: '
-        "leave it out.",
+        '"a.b" is not a known key; expected one of joint, record, controller, filtering, method, parameters, '
+        "records, together: leave it out.",
     ),
     (
         SMALLEST.replace("kp = 100.0\n", ""),
@@ -1051,6 +1054,20 @@ def joint_files(draw: st.DrawFn) -> JointFile:
             )
         ),
         name=draw(st.none() | words),
+        runs=draw(
+            st.lists(
+                st.builds(
+                    Run,
+                    st.sampled_from(("run.csv", "runs/run 2.TXT")),
+                    added_inertia=st.just(0.0) | positive,
+                    own=st.lists(st.sampled_from([p.name for p in joint.parameters])).map(tuple),
+                    controller=st.fixed_dictionaries({}, optional={"kp": positive}),
+                ),
+                max_size=2,
+            ).map(tuple)
+        ),
+        free=draw(st.sampled_from(((), ("drive_gain",)))),
+        weighting=draw(st.sampled_from(("spectrum", "level"))),
     )
 
 
@@ -1151,7 +1168,7 @@ def test_any_value_at_any_key_is_read_or_refused(data: st.DataObject) -> None:
         assert JointFile.of(file.tables()) == file or isinstance(file.controller, StateSpaceController)
 
 
-TABLES = ("joint", "record", "controller", "filtering", "method", "parameters", "other")
+TABLES = ("joint", "record", "controller", "filtering", "method", "parameters", "records", "together", "other")
 CHANNELS_NAMED = ("torque", "reference", "motor_position", "injected", "other")
 
 
@@ -1244,6 +1261,68 @@ def test_the_emps_file_serves_both_records(data_dir: Path) -> None:
     assert estimate.relative_error == pytest.approx(0.0456, abs=2e-4)
 
 
+# Several records
+
+SEVERAL = """
+[[records]]
+file = "a.csv"
+
+[[records]]
+file = "b.csv"
+added_inertia = 10.0
+own = ["coulomb"]
+controller = { kp = 80.0, limit = 5.0 }
+
+[together]
+free = ["drive_gain"]
+"""
+
+
+def test_several_records(run: Path) -> None:
+    folder = run.parents[1]
+    file = saved(folder, "[record]\ndelimiter = ';'\n" + SMALLEST + SEVERAL.replace("a.csv", "runs/run.csv"))
+    assert file.runs == (Run("runs/run.csv"), Run("b.csv", 10.0, ("coulomb",), {"kp": 80.0, "limit": 5.0}))
+    assert (file.free, file.weighting) == (("drive_gain",), "spectrum")
+    first, second = file.each()
+    assert first.controller == file.controller == Cascade(kp=100.0, kv=2000.0)
+    assert second.controller == Cascade(kp=80.0, kv=2000.0, limit=5.0)
+    assert first.record().name == "run"
+    with pytest.raises(RecordError, match=r"b\.csv"):
+        second.record()
+    assert first.record() != file.each([folder / "b.csv", run])[1].record  # names on the command line replace both
+    assert file.each([folder / "b.csv", run])[1].source.file == str(run)
+    with pytest.raises(JointFileError, match="lists 2 records and 1 are named"):
+        file.each([run])
+    unlisted = saved(folder, SMALLEST)
+    assert [one.source.file for one in unlisted.each([run, folder / "b.csv"])] == [str(run), str(folder / "b.csv")]
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (SEVERAL.replace('"coulomb"', '"colomb"'), 'records.2.own names "colomb", which is no parameter of this model'),
+        (
+            SEVERAL.replace("kp = 80.0", "kd = 80.0"),
+            "records.2.controller.kd is not a known key; expected one of gain,",
+        ),
+        (SEVERAL.replace("limit = 5.0", "limit = -5.0"), "records.2.controller: "),
+        (SEVERAL.replace('file = "a.csv"', ""), "records.1.file is missing; expected text in quotes"),
+        (SEVERAL.replace("10.0", "-10.0"), "records.2.added_inertia is -10.0; expected a number, 0 or more"),
+        ("records = 3\n", "records is 3; expected one [[records]] table for each record"),
+    ],
+)
+def test_a_fault_of_several_records_is_one_sentence(text: str, sentence: str) -> None:
+    found = faults(text + SMALLEST if text.startswith("records") else SMALLEST + text)
+    assert len(found) == 1
+    assert found[0].startswith(sentence)
+    in_our_words(JointFileError(found))
+
+
+def test_a_controller_that_is_not_there_cannot_be_another() -> None:
+    text = SMALLEST.replace(CASCADE, "") + SEVERAL
+    assert any("changes a controller that the file does not have" in fault for fault in faults(text))
+
+
 # The page and the schema
 
 
@@ -1258,6 +1337,8 @@ def schema_keys() -> dict[str, set[str]]:
             walk(schema["$defs"][described["$ref"].rsplit("/", 1)[1]], path)
         for one in (*described.get("anyOf", ()), *described.get("oneOf", ())):
             walk(one, path)
+        if "$ref" in described.get("items", {}):
+            walk(described["items"], path)
         if described.get("additionalProperties"):
             found[f"{path}.<name>"] = {"—"}
             walk(described["additionalProperties"], f"{path}.<name>")
@@ -1319,8 +1400,9 @@ def test_the_page_has_the_defaults_that_depend_on_the_model() -> None:
 
 def test_the_files_on_the_page_are_right() -> None:
     texts = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    assert len(texts) == 2
-    smallest, whole = map(loads, texts)
+    assert len(texts) == 3
+    smallest, several, whole = map(loads, texts)
+    assert [one.added_inertia for one in several.runs] == [0.0, 10.0]
     assert isinstance(smallest.method, DIDIM)
     assert whole.joint.torque_unit == "A"
 
@@ -1337,3 +1419,47 @@ def test_importing_loads_nothing_heavy() -> None:
     program = f"import sys, jointid.jointfile; print([m for m in '{heavy}'.split(', ') if m in sys.modules])"
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("lines", "made"),
+    [
+        ('name = "drive_side"', DriveSideFit()),
+        ('name = "drive_side"\nlog_delay = -4e-4\ninstruments = "never"', DriveSideFit(-4e-4, instruments="never")),
+        ('name = "drive_side"\ncurrent_lag = "estimated"\nfrequency = 54', DriveSideFit(None, None, 54.0)),
+        ('name = "open_loop"\nhighpass = 2', OpenLoopFit(highpass=2.0)),
+    ],
+)
+def test_methods_without_a_controller_come_back(lines: str, made: DriveSideFit | OpenLoopFit) -> None:
+    file = loads(_BARE + lines)
+    assert file.method == made
+    assert loads(dumps(file)).method == made
+
+
+@pytest.mark.parametrize(
+    ("lines", "sentence"),
+    [
+        ('name = "drive_side"\nhighpass = 2', 'method.highpass is not for the method "drive_side"'),
+        ('name = "open_loop"\nform = "paper"', 'method.form is not for the method "open_loop"'),
+        ('name = "idim"\nlog_delay = 1e-3', 'method.log_delay is not for the method "idim"'),
+    ],
+)
+def test_a_setting_of_another_method_is_a_fault(lines: str, sentence: str) -> None:
+    with pytest.raises(JointFileError, match=sentence):
+        loads(_BARE + lines)
+
+
+def test_the_drive_side_needs_the_motor_position() -> None:
+    with pytest.raises(JointFileError, match=r"record.channels.motor_position is missing, but the drive side method"):
+        loads(_BARE.replace("motor_position", "load_position") + 'name = "drive_side"')
+
+
+_BARE = """
+[joint]
+kind = "revolute"
+model = "flexible"
+[record.channels]
+torque = { column = "i", unit = "A" }
+motor_position = { column = "q", unit = "rad" }
+[method]
+"""

@@ -21,7 +21,7 @@ from jointid.estimation.problem import Problem, torque_problem
 from jointid.estimation.regression import least_squares
 from jointid.estimation.starts import pseudo_regular
 from jointid.estimation.surroundings import INITIAL_STATE
-from jointid.estimation.uncertainty import bandwidth, sandwich
+from jointid.inference.uncertainty import bandwidth, sandwich
 from jointid.model.controllers import POSITION, SampledLaw
 from jointid.model.joints import FlexibleJoint, Joint, RigidJoint, frequencies
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin

@@ -9,8 +9,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from jointid.answers import comparison_answer, estimate_answer, simulation_answer, validation_answer
+    from jointid.answers import (
+        comparison_answer,
+        estimate_answer,
+        simulation_answer,
+        together_answer,
+        validation_answer,
+    )
     from jointid.assessment.comparison import Comparison, compare
+    from jointid.assessment.intervals import Intervals, intervals
     from jointid.assessment.validation import Validation, validate
     from jointid.common.errors import (
         ExtraError,
@@ -25,11 +32,15 @@ if TYPE_CHECKING:
     from jointid.data.reading import read, write
     from jointid.data.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, record_of
     from jointid.data.signals import Filtering
+    from jointid.estimation.common_estimate import CommonEstimate, RecordShare
     from jointid.estimation.didim import DIDIM
+    from jointid.estimation.drive_side import DriveSideFit
     from jointid.estimation.estimate import Estimate, EstimatedParameter, IdentifiedJoint
     from jointid.estimation.flexible import FlexibleDIDIM
     from jointid.estimation.identify import identify
     from jointid.estimation.idim import IDIM
+    from jointid.estimation.open_loop import OpenLoopFit
+    from jointid.estimation.together import identify_together
     from jointid.jointfile import JointFile, load
     from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
     from jointid.model.effects import Drift, PositionHarmonics
@@ -39,12 +50,15 @@ if TYPE_CHECKING:
     from jointid.paper.twin import Twin, twin
     from jointid.report.figures import residual_figure, save, torque_figure
     from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_many
+    from jointid.simulation.drive_side import DriveSide
     from jointid.simulation.experiment import ClosedLoop, prepare
+    from jointid.simulation.open_loop import OpenLoop
     from jointid.simulation.synthesis import simulated_record
 
 _HOMES = {
-    "answers": ("comparison_answer", "estimate_answer", "simulation_answer", "validation_answer"),
+    "answers": ("comparison_answer", "estimate_answer", "simulation_answer", "together_answer", "validation_answer"),
     "assessment.comparison": ("Comparison", "compare"),
+    "assessment.intervals": ("Intervals", "intervals"),
     "assessment.validation": ("Validation", "validate"),
     "common.errors": ("ExtraError", "JointFileError", "JointidError", "MethodError", "RecordError"),
     "data.checks": ("check_record",),
@@ -53,11 +67,15 @@ _HOMES = {
     "data.reading": ("read", "write"),
     "data.record": ("Channel", "Injection", "InjectionPoint", "Record", "Tap", "Timing", "record_of"),
     "data.signals": ("Filtering",),
+    "estimation.common_estimate": ("CommonEstimate", "RecordShare"),
     "estimation.didim": ("DIDIM",),
+    "estimation.drive_side": ("DriveSideFit",),
     "estimation.estimate": ("Estimate", "EstimatedParameter", "IdentifiedJoint"),
     "estimation.flexible": ("FlexibleDIDIM",),
     "estimation.idim": ("IDIM",),
     "estimation.identify": ("identify",),
+    "estimation.open_loop": ("OpenLoopFit",),
+    "estimation.together": ("identify_together",),
     "jointfile": ("JointFile", "load"),
     "model.controllers": ("PD", "Cascade", "DigitalFilter", "StateSpaceController"),
     "model.effects": ("Drift", "PositionHarmonics"),
@@ -67,7 +85,9 @@ _HOMES = {
     "paper.twin": ("Twin", "twin"),
     "report.figures": ("residual_figure", "save", "torque_figure"),
     "simulation.closed_loop": ("Initial", "Outcome", "Simulation", "simulate", "simulate_many"),
+    "simulation.drive_side": ("DriveSide",),
     "simulation.experiment": ("ClosedLoop", "prepare"),
+    "simulation.open_loop": ("OpenLoop",),
     "simulation.synthesis": ("simulated_record",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
@@ -82,9 +102,12 @@ __all__ = [
     "Channel",
     "ClosedLoop",
     "Column",
+    "CommonEstimate",
     "Comparison",
     "DigitalFilter",
     "Drift",
+    "DriveSide",
+    "DriveSideFit",
     "Estimate",
     "EstimatedParameter",
     "ExtraError",
@@ -95,15 +118,19 @@ __all__ = [
     "Initial",
     "Injection",
     "InjectionPoint",
+    "Intervals",
     "JointFile",
     "JointFileError",
     "JointidError",
     "MethodError",
+    "OpenLoop",
+    "OpenLoopFit",
     "Outcome",
     "Parameter",
     "PositionHarmonics",
     "Record",
     "RecordError",
+    "RecordShare",
     "RigidJoint",
     "Simulation",
     "StateSpaceController",
@@ -118,6 +145,8 @@ __all__ = [
     "estimate_answer",
     "frequencies",
     "identify",
+    "identify_together",
+    "intervals",
     "load",
     "prepare",
     "pulses",
@@ -130,6 +159,7 @@ __all__ = [
     "simulate_many",
     "simulated_record",
     "simulation_answer",
+    "together_answer",
     "torque_figure",
     "trapezoids",
     "twin",

@@ -10,12 +10,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from jointid.assessment.comparison import Comparison
 from jointid.assessment.validation import Validation
 from jointid.common.errors import MethodError, RecordError
 from jointid.data.signals import Filtering
+from jointid.estimation.common_estimate import CommonEstimate, RecordShare
 from jointid.estimation.estimate import (
     Estimate,
     EstimatedParameter,
@@ -24,14 +25,15 @@ from jointid.estimation.estimate import (
     MethodName,
     law_fingerprint,
 )
-from jointid.estimation.identifiability import Identifiability
-from jointid.estimation.residuals import ResidualReport
+from jointid.inference.identifiability import Identifiability
+from jointid.inference.residuals import ResidualReport
 from jointid.model.effects import Drift, Effect, PositionHarmonics, effect_parameters
 from jointid.model.joints import Joint
 from jointid.simulation.closed_loop import Initial, Simulation
 from jointid.simulation.experiment import ClosedLoop
 
 ESTIMATE_SCHEMA = "jointid.estimate/1"
+TOGETHER_SCHEMA = "jointid.together/1"
 VALIDATION_SCHEMA = "jointid.validation/1"
 COMPARISON_SCHEMA = "jointid.comparison/1"
 SIMULATION_SCHEMA = "jointid.simulation/1"
@@ -62,6 +64,7 @@ def estimate_answer(estimate: Estimate) -> Json:
         "parameters": {p.name: _parameter(p) for p in estimate.parameters},
         "relative_error_percent": 100 * estimate.relative_error,
         "filtered_error_percent": 100 * estimate.filtered_error,
+        "compared": estimate.compared,
         "samples_left_out": list(estimate.borders),
         "rows": estimate.rows,
         "condition_numbers": None
@@ -126,6 +129,46 @@ def _residuals(report: ResidualReport) -> Json:
         "repeatable": None
         if repeats is None
         else {"rms": repeats.rms, "share_percent": 100 * repeats.share, "p": repeats.p_value},
+    }
+
+
+def together_answer(estimate: CommonEstimate) -> Json:
+    """Return what several records say together as it is written to JSON."""
+    agreement = estimate.agreement
+    return {
+        "schema": TOGETHER_SCHEMA,
+        "model": estimate.joint.model,
+        "kind": estimate.joint.kind,
+        "friction": "symmetric" if estimate.joint.friction.symmetric else "asymmetric",
+        "torque_unit": estimate.torque_unit,
+        "parameters": {p.name: _parameter(p) for p in estimate.parameters},
+        "records": [_share(record) for record in estimate.records],
+        "agreement": {
+            "sentence": str(agreement),
+            "differs": agreement.differs,
+            "chi_square": agreement.statistic,
+            "degrees_of_freedom": agreement.degrees,
+            "p_value": agreement.p_value,
+            "parameters": {
+                p.name: {
+                    "records": p.records,
+                    "chi_square": p.statistic,
+                    "p_value": p.p_value,
+                    "differs": p.differs,
+                    "std_between": p.between,
+                    "unit": p.unit,
+                }
+                for p in agreement.parameters
+            },
+        },
+        "free": list(estimate.names),
+        "correlation": [[float(value) for value in row] for row in estimate.correlation],
+        "simulations": estimate.simulations,
+        "converged": estimate.converged,
+        "stop": estimate.stop,
+        "weighting": estimate.weighting,
+        "intervals": estimate.intervals,
+        "warnings": list(estimate.warnings),
     }
 
 
@@ -273,7 +316,9 @@ def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identifi
         given["timing"],
         given["aliasing"],
     )
-    method: MethodName = "didim" if answer["method"] == "didim" else "idim"
+    method: MethodName = answer["method"]
+    if method not in get_args(MethodName):
+        raise ValueError
     record = answer["record"]
     return IdentifiedJoint(
         method,
@@ -312,6 +357,32 @@ def _parameter(p: EstimatedParameter) -> Json:
         "free": p.free,
         "identifiable": p.identifiable,
         "lower_bound": p.lower_bound,
+    }
+
+
+def _share(record: RecordShare) -> Json:
+    return {
+        "name": record.name,
+        "samples": int(record.measured.size),
+        "sample_time": record.sample_time,
+        "torque_sha256": record.fingerprint,
+        "channels": list(record.channels),
+        "added_inertia": record.added_inertia,
+        "parameters": {p.name: _parameter(p) for p in record.parameters},
+        "alone": {p.name: _parameter(p) for p in record.alone},
+        "values": dict(record.values),
+        "initial": _initial(record.initial),
+        "residual_level": record.level,
+        "repeatable": {
+            "rms": record.repeatable.rms,
+            "share": record.repeatable.share,
+            "p_value": record.repeatable.p_value,
+        },
+        "filtering": _filtering(record.filtering),
+        "rows": record.rows,
+        "relative_error_percent": 100 * record.relative_error,
+        "filtered_error_percent": 100 * record.filtered_error,
+        "filtered_error_alone_percent": 100 * record.alone_error,
     }
 
 

@@ -171,6 +171,41 @@ def test_the_flexible_axis_by_command(demo: Path, tmp_path: Path, capsys: pytest
     assert abs(stiffness() / TABLE_2["stiffness"] - 1) <= 0.05
 
 
+def test_several_records_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from jointid.data.reading import write
+
+    light = twin(noise="white", seed=1)
+    write(light.record, tmp_path / "light.csv")
+    write(twin(noise="white", seed=2, added_mass=True).record, tmp_path / "heavy.csv")
+    listed = """
+[[records]]
+file = "light.csv"
+
+[[records]]
+file = "heavy.csv"
+added_inertia = 10.0
+own = ["motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb", "damping", "stiffness", "motor_inertia"]
+"""
+    joint, out = tmp_path / "joint.toml", tmp_path / "out.json"
+    joint.write_text(JOINT_FILE + listed, encoding="utf-8")
+    assert run("together", joint, "--json", out) == 0
+    said = capsys.readouterr()
+    assert "record 2: heavy, 10.000 kg added to the load" in said.out
+    assert "by itself" in said.err
+    answer = json.loads(out.read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.together/1"
+    assert set(answer["parameters"]) == {"load_inertia", "offset"}
+    assert set(answer["records"][1]["parameters"]) >= {"motor_viscous", "stiffness", "initial_position"}
+    inertia = answer["parameters"]["load_inertia"]
+    assert abs(inertia["value"] - TABLE_2["load_inertia"]) <= 4 * inertia["std"]
+    assert len(answer["correlation"]) == len(answer["free"])
+    words = [word for name in ("light", "light") for word in ("--record", tmp_path / f"{name}.csv")]
+    assert run("together", joint, "-q", *words) == 2
+    assert "Records 1 and 2 are the same record" in capsys.readouterr().err
+    assert run("together", joint, "-q", "--record", tmp_path / "light.csv") == 2
+    assert "lists 2 records and 1 are named" in capsys.readouterr().err
+
+
 MISTAKES = {
     "no such record": (("identify", EMPS, "--record", "nothing.mat"), "nothing.mat cannot be opened"),
     "no such joint file": (("identify", "nothing.toml"), "nothing.toml cannot be opened"),
@@ -182,6 +217,7 @@ MISTAKES = {
     "no frequency": (("identify", EMPS, "--frequency", "fast"), "fast"),
     "frequency of a rigid joint": (("identify", EMPS, "--frequency", "30"), 'set joint.model = "flexible"'),
     "no estimate": (("validate", EMPS, "--estimate", EMPS), "is no JSON file"),
+    "no records": (("together", EMPS), "Two or more records are identified together; received 0"),
     "unwritable folder": (("demo", EMPS / "inside"), "cannot be made a folder"),
 }
 

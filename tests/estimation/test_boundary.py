@@ -8,9 +8,9 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.data.record import Record
 from jointid.data.signals import Filtering
-from jointid.estimation.boundary import BoundarySettings, BoundaryTest, flexible_against_rigid
 from jointid.estimation.problem import torque_problem
-from jointid.estimation.repeatable import cells
+from jointid.inference.boundary import BoundarySettings, BoundaryTest, flexible_against_rigid
+from jointid.inference.repeatable import cells
 from jointid.model.controllers import Cascade
 from jointid.model.joints import FlexibleJoint, RigidJoint
 from jointid.paper.twin import CONTROLLERS, twin

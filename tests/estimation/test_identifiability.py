@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.estimation.combination import physical
-from jointid.estimation.identifiability import identifiability
-from jointid.estimation.uncertainty import white
+from jointid.inference.combination import physical
+from jointid.inference.identifiability import identifiability
+from jointid.inference.uncertainty import white
 from jointid.model.friction import AsymmetricFriction
 from jointid.model.joints import FlexibleJoint, RigidJoint
 from jointid.model.parameters import Parameter, Quantity

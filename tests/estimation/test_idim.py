@@ -11,11 +11,11 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.data.excitation import trapezoids
 from jointid.data.record import Record
 from jointid.estimation import linear
-from jointid.estimation.endogeneity import durbin_wu_hausman
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.identify import identify
 from jointid.estimation.idim import IDIM
 from jointid.estimation.linear import Rows, instrumental, ordinary, robust
+from jointid.inference.endogeneity import durbin_wu_hausman
 from jointid.model.controllers import Cascade
 from jointid.model.joints import RigidJoint
 from jointid.paper.twin import Twin, twin

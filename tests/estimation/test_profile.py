@@ -10,10 +10,10 @@ from scipy import stats
 
 from jointid.common.errors import MethodError
 from jointid.data.signals import Filtering
-from jointid.estimation.combination import ByCompliance, Combination, single
 from jointid.estimation.problem import torque_problem
-from jointid.estimation.profile import Profiling, profile
-from jointid.estimation.uncertainty import larger, sandwich, stationary, white
+from jointid.inference.combination import ByCompliance, Combination, single
+from jointid.inference.profile import Profiling, profile
+from jointid.inference.uncertainty import larger, sandwich, stationary, white
 from jointid.model.parameters import Parameter, Quantity
 from jointid.paper.twin import twin
 from tests.estimation.linear import Toy, linear, parameters, solved

@@ -12,8 +12,8 @@ from jointid.data.record import Record
 from jointid.data.signals import Filtering
 from jointid.estimation.identify import identify
 from jointid.estimation.problem import Problem, torque_problem
-from jointid.estimation.repeatable import Cells, Uncertainty, by_place, cells, repeatable, uncertainty
-from jointid.estimation.uncertainty import sandwich
+from jointid.inference.repeatable import Cells, Uncertainty, by_place, cells, repeatable, uncertainty
+from jointid.inference.uncertainty import sandwich
 from jointid.model.joints import RigidJoint
 from jointid.paper.twin import twin
 from jointid.simulation.experiment import ClosedLoop

@@ -7,8 +7,8 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.data.signals import Filtering, decimate
-from jointid.estimation.repeatable import Repeatable
-from jointid.estimation.residuals import residual_report, whiteness
+from jointid.inference.repeatable import Repeatable
+from jointid.inference.residuals import residual_report, whiteness
 
 FILTERING = Filtering(cutoff=60.0).resolved(1e-3)
 STEP = 6e-3

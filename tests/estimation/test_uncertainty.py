@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from jointid.estimation.uncertainty import (
+from jointid.inference.uncertainty import (
     Covariance,
     bandwidth,
     covariance_of,
@@ -160,3 +162,29 @@ def test_a_white_residual_s_spectrum_is_flat(rows: int) -> None:
     squares = [stationary(W, W, 0.3 * random.standard_normal(rows)).std ** 2 for _ in range(50)]
     expected = 0.09 * np.diag(np.linalg.inv(W.T @ W))
     assert np.mean(squares, axis=0) == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize("of", [sandwich, stationary, robust])
+def test_records_that_share_nothing_have_the_deviations_they_have_alone(of: Any) -> None:
+    """Of unlike lengths and levels, one after the other: nothing is correlated across the border."""
+    random = np.random.default_rng(9)
+    W = [random.normal(size=(rows, 2)) + 1.0 for rows in (900, 2100)]
+    errors = [low_passed(random, 900), 30.0 * low_passed(random, 2100)]
+    errors[0][-20:] += 40.0
+    errors[1][:20] += 400.0
+    J = np.block([[W[0], np.zeros((900, 2))], [np.zeros((2100, 2)), W[1]]])
+    error = np.concatenate(errors)
+    alone = np.concatenate([of(w, w, e).std for w, e in zip(W, errors, strict=True)])
+    together = of(J, J, error, series=[900, 2100])
+    assert together.std == pytest.approx(alone, rel=1e-9)
+    assert np.abs(together.correlation[:2, 2:]) == pytest.approx(0.0, abs=1e-9)
+    assert np.max(np.abs(of(J, J, error).correlation[:2, 2:])) > 1e-3
+
+
+def test_two_records_of_one_parameter_halve_its_variance() -> None:
+    random = np.random.default_rng(10)
+    W = random.normal(size=(4000, 2))
+    error = low_passed(random, 4000)
+    first = robust(W[:2000], W[:2000], error[:2000])
+    both = robust(W, W, error, series=[2000, 2000])
+    assert both.std == pytest.approx(first.std / np.sqrt(2.0), rel=0.1)

@@ -122,11 +122,17 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record) -> Validation
 
     Raises:
         RecordError: a channel is missing, or the record cannot be what it is said to be.
-        MethodError: the loop cannot be simulated on this record.
+        MethodError: the loop cannot be simulated on this record, or the estimate is of the drive side or the open
+            loop.
     """
     record.require(("torque",), "Validation")
     check_record(record)
     identified = estimate.identified if isinstance(estimate, Estimate) else estimate
+    if identified.method in ("drive_side", "open_loop"):
+        raise MethodError(
+            "A validation simulates the closed loop of a DIDIM estimate or evaluates the inverse model of an IDIM one; "
+            f'this estimate is of the method "{identified.method}": identify the other record too, and compare values.'
+        )
     return _inverse(identified, record) if identified.loop is None else _simulated(identified, record)
 
 

@@ -14,8 +14,10 @@ from jointid import __version__
 from jointid.cli.compare import compare
 from jointid.cli.demo import demo
 from jointid.cli.identify import identify
+from jointid.cli.intervals import intervals
 from jointid.cli.reproduce import reproduce
 from jointid.cli.simulate import simulate
+from jointid.cli.together import together
 from jointid.cli.validate import validate
 from jointid.common.errors import JointidError
 
@@ -28,7 +30,7 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (demo, identify, compare, validate, simulate, reproduce):
+for command in (demo, identify, together, intervals, compare, validate, simulate, reproduce):
     app.command(command)
 
 

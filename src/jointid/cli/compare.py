@@ -29,7 +29,8 @@ def compare(
     from jointid import answers
     from jointid.assessment.comparison import compare as run
     from jointid.cli.console import check_outputs, progress, ready, show
-    from jointid.estimation.idim import IDIM
+    from jointid.estimation.didim import DIDIM
+    from jointid.estimation.flexible import FlexibleDIDIM
     from jointid.jointfile import load
 
     listener = progress(quiet)
@@ -42,7 +43,7 @@ def compare(
         file.loop or file.joint,
         filtering=file.filtering,
         parameters=file.parameters,
-        didim=None if isinstance(file.method, IDIM) else file.method,
+        didim=file.method if isinstance(file.method, DIDIM | FlexibleDIDIM) else None,
         progress=listener,
     )
     show(comparison)

@@ -13,7 +13,7 @@ def identify(
     /,
     *,
     record: Path | None = None,
-    method: Literal["didim", "idim"] | None = None,
+    method: Literal["didim", "idim", "drive_side", "open_loop"] | None = None,
     filtering: Literal["default", "published", "as-printed"] | None = None,
     friction: Literal["symmetric", "asymmetric"] | None = None,
     minimiser: Literal["least-squares", "nelder-mead"] | None = None,
@@ -32,7 +32,7 @@ def identify(
         joint: the joint file (TOML).
         record: the record, instead of the one the joint file names.
         method: didim reads torque and reference only; idim reads torque and motor position, and the load's position
-            too if the joint is flexible.
+            too if the joint is flexible; drive_side and open_loop read torque and motor position, and no controller.
         filtering: published repeats the results of the EMPS benchmark, as-printed the paper's for a flexible joint;
             default is the program's own.
         friction: the same in both directions, or not.

@@ -221,3 +221,32 @@ def windowed_torque(channel: Channel, delay: float = 0.0) -> FloatArray:
     instants = np.arange(values.size) - begins
     low, middle, high = (second_integral(instants + k) for k in (-2.0, 0.0, 2.0))
     return np.asarray((high - 2 * middle + low) / 4.0)
+
+
+def windowed_parts(columns: FloatArray, parts: int, late: float, order: int = 0) -> FloatArray:
+    """Return signals that are constant over parts of a sample through the window of `windowed_torque`, when they lag.
+
+    Args:
+        columns: (parts of all samples, columns); after the last sample there is none.
+        parts: of a sample.
+        late: samples by which a signal is seen after it acts; may be broken, and negative.
+        order: of the derivative by `late` that is wanted, 0 to 2.
+
+    Returns:
+        The signals, or their derivatives, at the instants, (samples, columns). Exact, and smooth in `late`.
+    """
+    first, last = math.floor(parts * (-2.0 - late)), math.ceil(parts * (2.0 - late))
+    edges = np.arange(first, last + 1) / parts + late
+    inside = np.clip(edges, -2.0, 2.0)
+    window = (
+        0.5 + inside / 2.0 - inside * np.abs(inside) / 8.0,  # the share of the window before an edge
+        (2.0 - np.abs(inside)) / 4.0,
+        np.where(np.abs(edges) < 2.0, -np.sign(edges) / 4.0, 0.0),
+    )[order]
+    size, before = len(columns) // parts + 1, max(-first, 0)
+    padded = np.pad(columns, ((before, max(last, 0)), (0, 0)), mode="edge")
+    seen = np.zeros((size, columns.shape[1]))
+    for cell, weight in zip(range(first, last), np.diff(window), strict=True):
+        begin = cell + before
+        seen += weight * padded[begin : begin + (size - 1) * parts + 1 : parts]
+    return seen

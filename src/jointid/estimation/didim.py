@@ -22,14 +22,14 @@ from jointid.common.progress import Progress, silent
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering
 from jointid.estimation.estimate import Estimate, EstimatedParameter, fingerprint, poor_fit, relative_error
-from jointid.estimation.identifiability import identifiability
 from jointid.estimation.problem import Problem, initial_of, torque_problem
 from jointid.estimation.regression import least_squares
-from jointid.estimation.repeatable import Uncertainty, uncertainty
-from jointid.estimation.residuals import residual_report
 from jointid.estimation.search import End, Search, State, require_simulated
 from jointid.estimation.starts import Start, given_start, inversion_start, regular_start
-from jointid.estimation.verdict import (
+from jointid.inference.identifiability import identifiability
+from jointid.inference.repeatable import Uncertainty, uncertainty
+from jointid.inference.residuals import residual_report
+from jointid.inference.verdict import (
     Verdict,
     bounds_verdict,
     fit_verdict,

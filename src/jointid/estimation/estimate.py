@@ -14,11 +14,11 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.text import aligned, number
 from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
-from jointid.estimation.endogeneity import ChiSquareTest
-from jointid.estimation.identifiability import Identifiability, Known
 from jointid.estimation.regression import Conditioning
-from jointid.estimation.residuals import ResidualReport
-from jointid.estimation.verdict import StiffnessBound, Verdict
+from jointid.inference.endogeneity import ChiSquareTest
+from jointid.inference.identifiability import Identifiability, Known
+from jointid.inference.residuals import ResidualReport
+from jointid.inference.verdict import StiffnessBound, Verdict
 from jointid.model.effects import Effect
 from jointid.model.joints import Joint
 from jointid.simulation.closed_loop import Initial
@@ -27,7 +27,7 @@ from jointid.simulation.experiment import ClosedLoop
 _LOST = 1000.0  # %: a deviation so much larger than its value says nothing in percent
 _POOR = 0.15  # of the filtered torque: the EMPS axis leaves 0.045, the paper's 0.08
 
-MethodName: TypeAlias = Literal["didim", "idim"]
+MethodName: TypeAlias = Literal["didim", "idim", "drive_side", "open_loop"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +142,8 @@ class Estimate:
         residuals: what the model leaves of the torque.
         bounds: how soft the spring may be where its stiffness is refused, by the load's share of the inertia.
         effects: what the torque holds beside the joint's own model; their parameters follow the joint's.
+        compared: "torque", or "position" where an open loop is compared by it: then measured, predicted and the errors
+            are of the motor position, without its drift.
     """
 
     method: MethodName
@@ -177,6 +179,7 @@ class Estimate:
     residuals: ResidualReport | None = None
     bounds: tuple[StiffnessBound, ...] = ()
     effects: tuple[Effect, ...] = ()
+    compared: Literal["torque", "position"] = "torque"
 
     def total(self, names: Sequence[str]) -> tuple[float, float]:
         """Return a sum of parameters, by name or symbol, and its standard deviation, with their correlation."""
@@ -240,7 +243,7 @@ class Estimate:
                 (False, False, True, True, True, False),
             ),
             "",
-            f"torque error  {100 * self.relative_error:.4f} % raw ({left_out}), "
+            f"{self.compared} error".ljust(13) + f" {100 * self.relative_error:.4f} % raw ({left_out}), "
             f"{100 * self.filtered_error:.4f} % filtered ({self.rows} rows)",
         ]
         if self.conditioning is not None:

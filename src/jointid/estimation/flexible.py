@@ -25,7 +25,6 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering
-from jointid.estimation.combination import Combination
 from jointid.estimation.descent import Descent, by_simplex, reason, refined
 from jointid.estimation.didim import answer
 from jointid.estimation.estimate import Estimate
@@ -38,13 +37,14 @@ from jointid.estimation.exploration import (
     rigid_estimate,
     started,
 )
-from jointid.estimation.identifiability import Known
 from jointid.estimation.problem import Problem, torque_problem
-from jointid.estimation.repeatable import uncertainty
 from jointid.estimation.surroundings import INITIAL_STATE
-from jointid.estimation.uncertainty import Covariance
-from jointid.estimation.verdict import Verdict
 from jointid.estimation.visibility import Visibility, visible
+from jointid.inference.combination import Combination
+from jointid.inference.identifiability import Known
+from jointid.inference.repeatable import uncertainty
+from jointid.inference.uncertainty import Covariance
+from jointid.inference.verdict import Verdict
 from jointid.model.joints import RigidJoint
 from jointid.model.parameters import Parameter
 from jointid.simulation.experiment import ClosedLoop

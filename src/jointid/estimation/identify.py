@@ -12,19 +12,23 @@ from jointid.data.checks import check_record
 from jointid.data.record import Record
 from jointid.data.signals import Filtering
 from jointid.estimation.didim import DIDIM, identify_didim
+from jointid.estimation.drive_side import DriveSideFit, identify_drive_side
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.flexible import FlexibleDIDIM, identify_flexible
 from jointid.estimation.idim import IDIM, identify_idim
+from jointid.estimation.open_loop import OpenLoopFit, identify_open_loop
 from jointid.model.joints import Joint
 from jointid.model.parameters import Parameter, Quantity, adjusted
+from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.experiment import ClosedLoop
+from jointid.simulation.open_loop import OpenLoop
 
-Method: TypeAlias = DIDIM | FlexibleDIDIM | IDIM
+Method: TypeAlias = DIDIM | FlexibleDIDIM | IDIM | DriveSideFit | OpenLoopFit
 
 
 def identify(
     record: Record,
-    model: ClosedLoop | Joint,
+    model: ClosedLoop | DriveSide | OpenLoop | Joint,
     method: Method | None = None,
     *,
     filtering: Filtering | None = None,
@@ -35,9 +39,11 @@ def identify(
 
     Args:
         record: what was logged.
-        model: the loop (joint and controller), or the joint alone when the controller is not known.
-        method: `DIDIM` (rigid), `FlexibleDIDIM` or `IDIM` with its settings; by default DIDIM when the controller is
-            known, even where the record has a motor position, which is then not read; otherwise IDIM.
+        model: the loop (joint and controller), or the joint alone when the controller is not known; `DriveSide` to
+            prescribe the motor's motion and simulate the load; `OpenLoop` to prescribe the torque.
+        method: `DIDIM` (rigid), `FlexibleDIDIM`, `IDIM`, `DriveSideFit` or `OpenLoopFit` with its settings; by default
+            DIDIM when the controller is known, even where the record has a motor position, which is then not read; that
+            of a `DriveSide` or an `OpenLoop`; otherwise IDIM.
         filtering: see `Filtering`; its defaults follow the sample time.
         parameters: changes to the joint's parameters by name: fixed values, starts, bounds.
         progress: is told each step in a sentence.
@@ -62,9 +68,9 @@ def identify(
         30.0
     """
     loop = model if isinstance(model, ClosedLoop) else None
-    joint = loop.joint if loop else model
-    assert not isinstance(joint, ClosedLoop)
-    chosen = method or default_method(joint, loop is not None)
+    joint = model.joint if isinstance(model, ClosedLoop | DriveSide | OpenLoop) else model
+    of_closing = {DriveSide: DriveSideFit, OpenLoop: OpenLoopFit}.get(type(model))
+    chosen = method or (of_closing() if of_closing else default_method(joint, loop is not None))
     wanted = adjusted(joint.parameters, parameters or {})
     check_record(record)
     estimate = _identified(record, joint, loop, chosen, filtering or Filtering(), wanted, progress)
@@ -114,6 +120,10 @@ def _identified(
     parameters: tuple[Parameter, ...],
     progress: Progress,
 ) -> Estimate:
+    if isinstance(method, DriveSideFit):
+        return identify_drive_side(record, DriveSide(joint), parameters, filtering, method, progress)
+    if isinstance(method, OpenLoopFit):
+        return identify_open_loop(record, OpenLoop(joint), parameters, filtering, method, progress)
     if isinstance(method, IDIM):
         delay = loop.controller.law(1.0).delay if loop else 0.0
         return identify_idim(record, joint, parameters, filtering, delay, method, loop)

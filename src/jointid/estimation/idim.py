@@ -20,7 +20,7 @@ from jointid.estimation.instruments import Instrumented, by_instruments, simulat
 from jointid.estimation.inverse_model import InverseModel, idim_channels, motion_of
 from jointid.estimation.linear import Rows, Solution, ordinary, robust, weighted
 from jointid.estimation.ripple import PeriodColumn, is_searched, moved, with_periods
-from jointid.estimation.uncertainty import words
+from jointid.inference.uncertainty import words
 from jointid.model.effects import Effect, effect_parameters, require_effects
 from jointid.model.joints import Joint
 from jointid.model.parameters import Parameter

@@ -18,10 +18,10 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.data.record import Channel, FloatArray, Record
 from jointid.data.signals import Filtering
-from jointid.estimation.endogeneity import ChiSquareTest, durbin_wu_hausman
 from jointid.estimation.estimate import Iteration
 from jointid.estimation.inverse_model import InverseModel, inverse_model
 from jointid.estimation.linear import Rows, Solution, instrumental, ordinary
+from jointid.inference.endogeneity import ChiSquareTest, durbin_wu_hausman
 from jointid.model.effects import Effect
 from jointid.model.parameters import Parameter
 from jointid.simulation.closed_loop import Initial, Outcome, simulate

@@ -20,7 +20,7 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.data.record import FloatArray
 from jointid.estimation.regression import Fit, least_squares
-from jointid.estimation.uncertainty import Covariance, sandwich
+from jointid.inference.uncertainty import Covariance, sandwich
 
 _PULL = 10.0  # deviations in units of which the pull of a homogeneous equation stays below one
 _NORMAL = 0.6744897501960817  # median of the absolute value of a standard normal

@@ -15,8 +15,8 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering, decimate
-from jointid.estimation.repeatable import Cells, cells
 from jointid.estimation.surroundings import INITIAL_STATE, of_law, surrounding, with_numbers
+from jointid.inference.repeatable import Cells, cells
 from jointid.model.joints import RigidJoint
 from jointid.model.parameters import TORQUE_UNIT, Parameter
 from jointid.simulation.closed_loop import Initial, Outcome, Response, Simulation, simulate, simulate_torque

@@ -30,15 +30,15 @@ import numpy as np
 from jointid.common.progress import Progress
 from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
-from jointid.estimation.boundary import BoundaryTest, flexible_against_rigid
-from jointid.estimation.combination import ByCompliance, Combination
 from jointid.estimation.descent import Descent, refined
 from jointid.estimation.exploration import FASTEST, crossover, frequency_of
 from jointid.estimation.problem import Problem
-from jointid.estimation.profile import Profile, profile
-from jointid.estimation.repeatable import Uncertainty, uncertainty
-from jointid.estimation.uncertainty import robust, white
-from jointid.estimation.verdict import StiffnessBound, Verdict
+from jointid.inference.boundary import BoundaryTest, flexible_against_rigid
+from jointid.inference.combination import ByCompliance, Combination
+from jointid.inference.profile import Profile, profile
+from jointid.inference.repeatable import Uncertainty, uncertainty
+from jointid.inference.uncertainty import robust, white
+from jointid.inference.verdict import StiffnessBound, Verdict
 from jointid.model.joints import RigidJoint
 from jointid.model.parameters import Parameter, Quantity
 from jointid.simulation.closed_loop import in_threads

@@ -13,7 +13,7 @@ from typing import Any, Self, TypeVar
 from pydantic import ValidationError
 
 from jointid.common.errors import JointFileError
-from jointid.jointfile.fitting import method_faults, parameter_faults, unit_faults
+from jointid.jointfile.fitting import method_faults, parameter_faults, record_faults, unit_faults
 from jointid.jointfile.laws import LAWS
 from jointid.jointfile.schema import (
     DIDIMS,
@@ -23,6 +23,7 @@ from jointid.jointfile.schema import (
     JointTable,
     MethodTable,
     ParameterTable,
+    RunTable,
 )
 from jointid.jointfile.table import Table, sentences
 from jointid.model.controllers import Controller
@@ -65,6 +66,7 @@ class _Draft:
         method: how to identify.
         parameters: the parameters that are right.
         bare: names of those that are given by a bare number.
+        runs: the records that are identified together and are right, by their place.
     """
 
     joint: JointTable | None
@@ -77,6 +79,7 @@ class _Draft:
     method: MethodTable | None
     parameters: Mapping[str, ParameterTable]
     bare: Collection[str]
+    runs: Mapping[int, RunTable]
 
     @classmethod
     def of(cls, raw: Mapping[str, Any]) -> Self:
@@ -100,6 +103,7 @@ class _Draft:
                 name: parameter for name, value in parameters.items() if (parameter := _part(ParameterTable, value))
             },
             bare=[name for name, value in parameters.items() if not isinstance(value, dict)],
+            runs={k: run for k, value in enumerate(_list(raw, "records")) if (run := _part(RunTable, value))},
         )
 
     def faults(self) -> Iterator[str]:
@@ -109,6 +113,7 @@ class _Draft:
             yield from method_faults(self.method, self.named, self.controller, self.controlled, self.model)
         if self.joint is not None:
             yield from parameter_faults(self.joint, self.parameters, self.bare)
+        yield from record_faults(self.joint, self.controller, self.controlled, self.runs)
 
 
 def _part(model: type[T], raw: object) -> T | None:
@@ -131,3 +136,9 @@ def _table(raw: Mapping[str, Any], *path: str) -> Mapping[str, Any]:
         below = raw.get(key)
         raw = below if isinstance(below, dict) else {}
     return raw
+
+
+def _list(raw: Mapping[str, Any], key: str) -> list[Any]:
+    """Return the raw list at a key, empty if there is none."""
+    found = raw.get(key)
+    return found if isinstance(found, list) else []

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
-from jointid.common.errors import MethodError, RecordError
+from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.data.checks import CLOCK_TOLERANCE, check_record
 from jointid.data.columns import Column
 from jointid.data.reading import read
@@ -18,8 +18,8 @@ from jointid.estimation.identify import Method
 from jointid.estimation.idim import IDIM
 from jointid.jointfile import written
 from jointid.jointfile.checking import checked
-from jointid.jointfile.fitting import changed, chosen_method, needed_channels, torque_unit
-from jointid.jointfile.schema import RecordTable
+from jointid.jointfile.fitting import changed, chosen_method, needed_channels, torque_unit, with_other
+from jointid.jointfile.schema import CLOSINGS, RecordTable, RunTable
 from jointid.model.controllers import Controller
 from jointid.model.joints import Joint
 from jointid.model.parameters import Parameter
@@ -53,6 +53,28 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
+class Run:
+    """One of several records that are identified together.
+
+    Attributes:
+        file: path of the record, from the joint file's folder.
+        added_inertia: known, on the load, on top of what is shared.
+        own: names of parameters that the others do not share.
+        controller: numbers of the controller that were others in it, by name.
+    """
+
+    file: str
+    added_inertia: float = 0.0
+    own: tuple[str, ...] = ()
+    controller: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, table: RunTable) -> Self:
+        """Return what one of [[records]] says."""
+        return cls(table.file, table.added_inertia, tuple(table.own), table.controller)
+
+
+@dataclass(frozen=True, slots=True)
 class JointFile:
     """A joint file: what is identified, from what, and how.
 
@@ -65,6 +87,9 @@ class JointFile:
         parameters: changes to the joint's parameters by name, as `identify` takes them.
         source: the file of the record.
         name: what reports call the joint.
+        runs: records that are identified together.
+        free: names of what surrounds the joint and is then identified too.
+        weighting: of their rows; see `jointid.estimation.together.identify_together`.
         path: of the joint file; a text is taken to stand in `joint.toml`.
 
     Example:
@@ -88,6 +113,9 @@ class JointFile:
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     source: Source = field(default_factory=Source)
     name: str | None = None
+    runs: tuple[Run, ...] = ()
+    free: tuple[str, ...] = ()
+    weighting: Literal["spectrum", "level"] = "spectrum"
     path: Path = field(default=Path("joint.toml"), compare=False)
 
     @classmethod
@@ -116,6 +144,9 @@ class JointFile:
             parameters={name: changed(known[name], table) for name, table in file.parameters.items()},
             source=Source.of(file.record),
             name=file.joint.name,
+            runs=tuple(map(Run.of, file.records)),
+            free=tuple(file.together.free),
+            weighting=file.together.weighting,
             path=path,
         )
 
@@ -157,6 +188,31 @@ class JointFile:
         )
         check_record(record, limit=None if self.controller is None else self.controller.law(1.0).limit)
         return record
+
+    def each(self, paths: Sequence[Path] = ()) -> tuple[JointFile, ...]:
+        """Return this file once for each record that is identified together, as if it were of that record alone.
+
+        Args:
+            paths: of the records, instead of those the file lists, in their order.
+
+        Raises:
+            JointFileError: the paths are not as many as the records that are listed.
+        """
+        if paths and self.runs and len(paths) != len(self.runs):
+            raise JointFileError(
+                f"{self.path} lists {len(self.runs)} records and {len(paths)} are named; name as many, in their order."
+            )
+        runs = self.runs or tuple(Run(str(path)) for path in paths)
+        files = [str(path.absolute()) for path in paths] or [run.file for run in runs]
+        return tuple(
+            replace(
+                self,
+                source=replace(self.source, file=file),
+                controller=None if self.controller is None else with_other(self.controller, run.controller),
+                runs=(run,),
+            )
+            for file, run in zip(files, runs, strict=True)
+        )
 
     def values(self) -> dict[str, float]:
         """Return a value for every parameter of the joint, for a simulation: fixed values and starts.
@@ -239,9 +295,13 @@ class JointFile:
             "filtering": written.filtering_table(self.filtering),
             "method": written.method_table(self.method, self.joint.model),
             "parameters": parameters,
+            "records": [written.settings(run) for run in self.runs],
+            "together": written.settings(self, *(f.name for f in fields(self) if f.name not in ("free", "weighting"))),
         }
         return {name: table for name, table in tables.items() if table}
 
     @property
     def _method_name(self) -> str:
-        return "idim" if isinstance(self.method, IDIM) else "didim"
+        if isinstance(self.method, IDIM):
+            return "idim"
+        return next((name for name, made in CLOSINGS.items() if isinstance(self.method, made)), "didim")

@@ -12,8 +12,18 @@ from dataclasses import replace
 from jointid.common import units
 from jointid.data.columns import known_units
 from jointid.estimation.inverse_model import idim_channels
+from jointid.estimation.surroundings import numbers_of
 from jointid.jointfile import wording
-from jointid.jointfile.schema import OF_IDIM, ChannelTable, JointTable, MethodTable, ParameterTable
+from jointid.jointfile.schema import (
+    CLOSINGS,
+    OF_IDIM,
+    ChannelTable,
+    JointTable,
+    MethodTable,
+    ParameterTable,
+    RunTable,
+)
+from jointid.jointfile.table import refusal
 from jointid.model.controllers import Controller
 from jointid.model.joints import FRICTIONS, Joint
 from jointid.model.parameters import TORQUE_UNIT, Kind, Parameter
@@ -66,7 +76,7 @@ _NO_OFFSET = (
     " cannot be identified beside asymmetric friction: a constant adds to the Coulomb force forwards and takes as much "
     'from it backwards, so the two cannot be told apart; give it a value, or set joint.friction = "symmetric".'
 )
-_OTHER = {"didim": "idim", "idim": "didim"}
+_OTHER = {"didim": "idim", "idim": "didim", "drive_side": "didim", "open_loop": "didim"}
 
 
 def chosen_method(name: str | None, channels: Collection[str], controlled: bool, model: str) -> str | None:
@@ -91,6 +101,8 @@ def needed_channels(method: str, controller: Controller | None, model: str) -> t
     """Return the names of the channels that a method reads; of a controller not known, only the reference."""
     if method == "idim":
         return idim_channels(model)
+    if method in CLOSINGS:
+        return "torque", "motor_position"
     return ("torque", *(("reference",) if controller is None else controller.channels))
 
 
@@ -110,11 +122,11 @@ def method_faults(
 
     def lacking(method: str) -> list[str]:
         missing = [f"record.channels.{n}" for n in needed_channels(method, controller, of_model) if n not in channels]
-        return missing if controlled or method == "idim" else [*missing, "controller"]
+        return missing if controlled or method != "didim" else [*missing, "controller"]
 
     name = chosen_method(table.name, channels, controlled, of_model)
     if name is None:
-        yield _no_method({method: lacking(method) for method in _OTHER}, channels, controlled, of_model)
+        yield _no_method({method: lacking(method) for method in ("didim", "idim")}, channels, controlled, of_model)
     else:
         other = _OTHER[name]
         for key in lacking(name):
@@ -131,6 +143,8 @@ def method_faults(
 
 def _called(method: str, model: str) -> str:
     """Return what a sentence on a method's needs calls it: those of IDIM are the model's."""
+    if method in CLOSINGS:
+        return f"the {method.replace('_', ' ')} method"
     return "IDIM of a flexible joint" if (method, model) == ("idim", "flexible") else method.upper()
 
 
@@ -152,8 +166,14 @@ def _not_its_own(table: MethodTable, name: str | None, model: str | None) -> Ite
     for key, value in table.given("name").items():
         own = table.model_of(key)
         if key in OF_IDIM:
-            if name == "didim":
-                yield key, ' is for IDIM, but the method is DIDIM: leave it out, or use method.name = "idim".'
+            if name not in (None, "idim"):
+                other = "DIDIM" if name == "didim" else f'"{name}"'
+                yield key, f' is for IDIM, but the method is {other}: leave it out, or use method.name = "idim".'
+        elif name in CLOSINGS or (table.of_closing(key) and name is not None):
+            others = [method for method in ("didim", *CLOSINGS) if table.is_of(key, method)]
+            if name not in others:
+                remedy = f"leave it out, or use method.name = {wording.either(others)}"
+                yield key, f' is not for the method "{name}": {remedy}.'
         elif None not in (own, model) and own != model:
             remedy = f'leave it out, or set joint.model = "{own}"'
             yield key, f" is for DIDIM of a {own} joint, but the joint is {model}: {remedy}."
@@ -161,6 +181,48 @@ def _not_its_own(table: MethodTable, name: str | None, model: str | None) -> Ite
             yield key, ' is for DIDIM, but the method is IDIM: leave it out, or use method.name = "didim".'
         elif key in table.beside_preset():
             yield key, wording.beside_preset(value, str(table.preset))
+
+
+def record_faults(
+    joint: JointTable | None, controller: Controller | None, controlled: bool, runs: Mapping[int, RunTable]
+) -> Iterator[str]:
+    """Yield names of own parameters that the model does not have, and numbers that the controller cannot have.
+
+    Args:
+        joint: whose parameters, if that is known.
+        controller: the law, if it is known and right.
+        controlled: whether there is one, right or not.
+        runs: the records that are right in themselves, by their place.
+    """
+    for place, run in runs.items():
+        path = wording.dotted(["records", place])
+        known = () if joint is None else tuple(p.name for p in joint.joint(None).parameters)
+        for name in run.own:
+            if joint is not None and name not in known:
+                otherwise = "leave it out"
+                yield (
+                    f'{path}.own names "{name}", which is no parameter of this model; expected some of '
+                    f"{', '.join(known)}: {wording.guessed(name, known, otherwise)}"
+                )
+        if run.controller and not controlled:
+            yield f"{path}.controller changes a controller that the file does not have: add [controller]."
+        elif controller is not None and (refused := _no_change(controller, run.controller)):
+            yield f"{path}.controller{refused}"
+
+
+def _no_change(controller: Controller, numbers: Mapping[str, float]) -> str | None:
+    """Return the rest of the sentence on numbers that a controller does not have, or cannot have."""
+    known = (*numbers_of(controller), "period")
+    for name in numbers:
+        if name not in known:
+            return f".{wording.dotted([name])}{wording.unknown(name, known)}"
+    return refusal(lambda: with_other(controller, numbers))
+
+
+def with_other(controller: Controller, numbers: Mapping[str, float]) -> Controller:
+    """Return a controller with other numbers."""
+    changed: Controller = replace(controller, **numbers)  # type: ignore[type-var]
+    return changed
 
 
 def parameter_faults(joint: JointTable, tables: Mapping[str, ParameterTable], bare: Collection[str]) -> Iterator[str]:

@@ -21,9 +21,11 @@ from jointid.data.formats import Csv, format_of
 from jointid.data.record import Channel, Injection
 from jointid.data.signals import Filtering
 from jointid.estimation.didim import DIDIM
+from jointid.estimation.drive_side import DriveSideFit
 from jointid.estimation.flexible import FlexibleDIDIM
 from jointid.estimation.identify import Method
 from jointid.estimation.idim import IDIM
+from jointid.estimation.open_loop import OpenLoopFit
 from jointid.jointfile import wording
 from jointid.jointfile.laws import ControllerTable
 from jointid.jointfile.table import Table, accepted, refusal
@@ -33,6 +35,7 @@ from jointid.jointfile.values import (
     ColumnGain,
     Count,
     Flag,
+    Names,
     Natural,
     NotNegative,
     Number,
@@ -41,6 +44,7 @@ from jointid.jointfile.values import (
     Text,
     TimeUnit,
 )
+from jointid.jointfile.wording import Says
 from jointid.model.effects import Drift, Effect, PositionHarmonics
 from jointid.model.joints import FRICTIONS, FlexibleJoint, Joint, RigidJoint, friction_named
 
@@ -62,6 +66,10 @@ FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
 
 DIDIMS: Mapping[str, type[DIDIM] | type[FlexibleDIDIM]] = {"rigid": DIDIM, "flexible": FlexibleDIDIM}
 """What [method] becomes with the name "didim", by the joint's model."""
+
+
+CLOSINGS: Mapping[str, type[DriveSideFit] | type[OpenLoopFit]] = {"drive_side": DriveSideFit, "open_loop": OpenLoopFit}
+"""What [method] becomes with the other names that simulate, by the name; neither needs the controller."""
 
 
 class JointTable(Table):
@@ -177,7 +185,7 @@ class FilteringTable(Table):
 class MethodTable(Table):
     """[method]: how the joint is identified; some keys are for a rigid joint only, others for a flexible one."""
 
-    name: Literal["didim", "idim"] | None = Field(None, description="the method")
+    name: Literal["didim", "idim", "drive_side", "open_loop"] | None = Field(None, description="the method")
     preset: Literal["paper"] | None = Field(None, description="all settings of DIDIM at once")
     form: Literal["residual", "paper"] = Field("residual", description="what each step solves")
     start: Literal["inversion", "regular", "given"] = Field("inversion", description="where the search begins")
@@ -194,6 +202,10 @@ class MethodTable(Table):
     simulations: Count = Field(6000, description="simulations of one descent at most")
     restarts: Natural = Field(3, description="restarts of Nelder-Mead at most")
     statistics: Literal["sensitivities", "inverse-model"] = Field("sensitivities", description="of the deviations")
+    log_delay: Number | None = Field(None, description="how late the log shows the torque, estimated if left out [s]")
+    current_lag: NotNegative | Literal["estimated"] = Field(0.0, description="time constant between log and torque [s]")
+    instruments: Literal["tested", "always", "never"] = Field("tested", description="when they replace least squares")
+    highpass: Positive | None = Field(None, description="below it the position is drift [Hz]")
     estimator: Literal["ols", "weighted", "robust", "iv"] = Field("ols", description="of IDIM")
     harmonics: Natural = Field(0, description="of the force over the motor position, for IDIM")
     period: Positive | None = Field(None, description="of the first harmonic [m or rad]")
@@ -209,6 +221,15 @@ class MethodTable(Table):
         models = [model for model, made in DIDIMS.items() if key in {field.name for field in fields(made)}]
         return models[0] if len(models) == 1 else None
 
+    def is_of(self, key: str, name: str) -> bool:
+        """Whether a key is a setting of the method of that name."""
+        made = [CLOSINGS[name]] if name in CLOSINGS else list(DIDIMS.values())
+        return any(key in {field.name for field in fields(one)} for one in made)
+
+    def of_closing(self, key: str) -> bool:
+        """Whether a key is only for the methods that prescribe a motion or a torque."""
+        return any(self.is_of(key, name) for name in CLOSINGS) and not self.is_of(key, "didim")
+
     def beside_preset(self) -> dict[str, Any]:
         """Return the values that the preset sets too; the paper knew its frequency, and another joint has another."""
         return {} if self.preset is None else self.given("name", "preset", "frequency")
@@ -222,6 +243,9 @@ class MethodTable(Table):
         """Return the method of that name with these settings, for a joint of that model."""
         if name == "idim":
             return IDIM(self.estimator, self.effects())
+        if name in CLOSINGS:
+            lag = {"current_lag": None} if self.current_lag == "estimated" else {}
+            return CLOSINGS[name](**self.given("name") | lag)
         made, given = DIDIMS[model], self.given("name", "preset")
         return made.paper(**given) if self.preset == "paper" else made(**given)
 
@@ -249,6 +273,24 @@ class ParameterTable(Table):
             yield "value", " is missing; a parameter that is not free needs the value that it keeps: add it."
 
 
+class RunTable(Table):
+    """[[records]]: one of several records that are identified together, and what is known to differ in it."""
+
+    file: RecordFile = Field(description="path of the record, from the joint file's folder")
+    added_inertia: NotNegative = Field(0.0, description="known, on the load, beyond what is shared [kg or kg m2]")
+    own: Names = Field([], description="names of parameters that the other records do not share")
+    controller: dict[str, Number] = Field(
+        default_factory=dict, description="numbers of the controller that were others, by key"
+    )
+
+
+class TogetherTable(Table):
+    """[together]: how several records are identified together."""
+
+    free: Names = Field([], description="names of what surrounds the joint and is identified too")
+    weighting: Literal["spectrum", "level"] = Field("spectrum", description="of the rows, by their record's residual")
+
+
 class FileTable(Table):
     """A joint file."""
 
@@ -262,6 +304,10 @@ class FileTable(Table):
     parameters: dict[str, ParameterTable] = Field(
         default_factory=dict, description="what is known of the parameters, by name"
     )
+    records: Annotated[list[RunTable], Says("one [[records]] table for each record")] = Field(
+        default_factory=list, description="records that are identified together"
+    )
+    together: TogetherTable = Field(default_factory=TogetherTable, description="how they are")
 
 
 class _WithoutNull(GenerateJsonSchema):

@@ -142,9 +142,9 @@ def _unexpected(field: FieldInfo, value: object, short: bool) -> str:
     """Return the rest of the sentence on a value that is not what the key's annotation says."""
     if choices := _choices(field):
         return wording.no_choice(value, choices)
-    if _tables(field):
-        return wording.no_table(value)
     says = _said(field)
+    if _tables(field) and says not in field.metadata:
+        return wording.no_table(value)
     expected = f"{says.expected}, or a table" if short else says.expected
     return wording.unexpected(value, Says(expected, says.negative), optional=not (short or field.is_required()))
 

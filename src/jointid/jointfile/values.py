@@ -64,6 +64,7 @@ Natural = Annotated[int, Field(ge=0, le=_MOST), Says("a whole number, 0 or more"
 Count = Annotated[int, Field(ge=1, le=_MOST), Says("a whole number, 1 or more")]
 Borders = Annotated[list[Natural], Field(min_length=2, max_length=2), Says("a list of two whole numbers, 0 or more")]
 
+Names = Annotated[list[Text], Says("a list of names in quotes")]
 Numbers = Annotated[list[Number], Says("a list of numbers")]
 Coefficients = Annotated[list[Number], Field(min_length=1), Says("a list of one or more numbers")]
 Matrix = Annotated[list[list[Number]], Says("a list of rows, each a list of numbers")]

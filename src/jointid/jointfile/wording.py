@@ -30,8 +30,9 @@ class Says:
 
 
 def dotted(location: Iterable[int | str]) -> str:
-    """Return the path of a key, its parts quoted where TOML quotes them."""
-    return ".".join(key if _BARE.fullmatch(key) else json.dumps(key) for key in map(str, location))
+    """Return the path of a key, its parts quoted where TOML quotes them; tables of one name are counted from 1."""
+    parts = (str(key + 1) if isinstance(key, int) else key for key in location)
+    return ".".join(key if _BARE.fullmatch(key) else json.dumps(key) for key in parts)
 
 
 def shown(value: object) -> str:

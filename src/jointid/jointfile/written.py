@@ -12,7 +12,7 @@ from jointid.common.errors import JointFileError
 from jointid.data.signals import Filtering
 from jointid.estimation.identify import Method
 from jointid.estimation.idim import IDIM
-from jointid.jointfile.schema import DIDIMS, FILTERINGS
+from jointid.jointfile.schema import CLOSINGS, DIDIMS, FILTERINGS
 from jointid.model.controllers import PD, Cascade, Controller, DigitalFilter, StateSpaceController
 from jointid.model.effects import Drift, Effect, PositionHarmonics
 from jointid.model.joints import FRICTIONS, Joint
@@ -61,6 +61,10 @@ def method_table(method: Method, model: str) -> dict[str, Any]:
     """Return [method] for a joint of that model."""
     if isinstance(method, IDIM):
         return {"name": "idim", **settings(method, "effects"), **_effects(method.effects)}
+    for name, of_closing in CLOSINGS.items():
+        if isinstance(method, of_closing):
+            lag = {"current_lag": "estimated"} if getattr(method, "current_lag", 0.0) is None else {}
+            return {"name": name, **settings(method), **lag}
     if type(method) is not DIDIMS[model]:  # it would be read back as the other one
         made = type(method).__name__
         raise JointFileError(f"{made} is not for a {model} joint; use {DIDIMS[model].__name__}.")
@@ -95,6 +99,8 @@ def parameter_table(parameter: Parameter, model: Parameter) -> dict[str, Any] | 
 
 
 def _default(field: Field[Any]) -> Any:
+    if field.default_factory is not MISSING:
+        return field.default_factory()
     return None if field.default is MISSING else field.default
 
 

@@ -17,10 +17,10 @@ from jointid.common.progress import Progress, silent
 from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
 from jointid.estimation.flexible import inverse_model_covariance, refined_least_squares
-from jointid.estimation.identifiability import identifiability
 from jointid.estimation.problem import torque_problem
-from jointid.estimation.repeatable import uncertainty
-from jointid.estimation.residuals import whiteness
+from jointid.inference.identifiability import identifiability
+from jointid.inference.repeatable import uncertainty
+from jointid.inference.residuals import whiteness
 from jointid.paper.twin import Twin, twin
 from jointid.simulation.closed_loop import in_threads
 

@@ -19,8 +19,8 @@ from jointid.data.signals import Filtering
 from jointid.estimation.exploration import frequency_of
 from jointid.estimation.flexible import on_band, refined_least_squares
 from jointid.estimation.problem import Problem, torque_problem
-from jointid.estimation.repeatable import uncertainty
 from jointid.estimation.visibility import visible
+from jointid.inference.repeatable import uncertainty
 from jointid.paper.twin import Twin, twin
 from jointid.simulation.closed_loop import in_threads
 

@@ -159,7 +159,7 @@ def _followed(
         else:
             column, limit[j] = _explicit(loop, experiment, out, name)
             explicit.append(column)
-    spring, side, dspring, dinertia, dside = _by_mode(out.drive, seeds)
+    spring, side, dspring, dinertia, dside = by_mode(out.drive, seeds)
     command = np.empty((out.command.size, width))
     states = np.empty((len(out.states) if positions else 0, 4, width))
     explained = np.column_stack([np.zeros((out.command.size, 0)), *explicit])
@@ -172,7 +172,7 @@ def _followed(
     return command, states[:, :, : len(names)]
 
 
-def _by_mode(drive: FloatArray, seeds: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+def by_mode(drive: FloatArray, seeds: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the drive, and its derivatives, by the modes of its two masses, as `tangents.follow` reads them."""
     columns = seeds.shape[1]
     side, dside = np.zeros((2, 3, 3)), np.zeros((2, 2, 3, columns))

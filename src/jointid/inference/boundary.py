@@ -33,8 +33,8 @@ from numpy.typing import NDArray
 from jointid.common.errors import MethodError
 from jointid.common.text import number
 from jointid.data.record import FloatArray
-from jointid.estimation.repeatable import Cells
-from jointid.estimation.uncertainty import bandwidth, residual_left_out
+from jointid.inference.repeatable import Cells
+from jointid.inference.uncertainty import bandwidth, residual_left_out
 
 _PER_BANDWIDTH = 3  # times the bandwidth of the autocorrelation is a block of time long
 _MOST = 8  # extra directions: their faces are all tried

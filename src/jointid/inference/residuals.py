@@ -23,7 +23,7 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.common.text import aligned, number
 from jointid.data.record import FloatArray
-from jointid.estimation.repeatable import Repeatable
+from jointid.inference.repeatable import Repeatable
 
 _INSIDE = 0.95  # of the cut-off: the filter is flat up to there
 _LAGS = 20
@@ -137,7 +137,7 @@ def residual_report(
         edges: Hz, in increasing order, between the bands; octaves below the cut-off when None, and what the filter
             lets through above it. The loop's bandwidth and the joint's modes are good ones.
         rigid_error: (rows,) what a rigid model leaves, filtered alike.
-        repeatable: what of the residual repeats, from `jointid.estimation.repeatable`.
+        repeatable: what of the residual repeats, from `jointid.inference.repeatable`.
 
     Raises:
         MethodError: the edges do not increase, or the arrays do not belong together.

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from jointid.estimation.identifiability import Identifiability
-from jointid.estimation.residuals import ResidualReport
+from jointid.inference.identifiability import Identifiability
+from jointid.inference.residuals import ResidualReport
 
 _POOR = 0.15  # of the filtered torque: the EMPS axis leaves 0.045, the paper's 0.08
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.data.record import FloatArray
-from jointid.estimation.criterion import Criterion
+from jointid.inference.criterion import Criterion
 from jointid.model.parameters import Parameter, Quantity
 
 

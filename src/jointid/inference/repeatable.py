@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from jointid.common.text import number
 from jointid.data.record import FloatArray
-from jointid.estimation.uncertainty import (
+from jointid.inference.uncertainty import (
     Covariance,
     bandwidth,
     covariance_of,
@@ -272,7 +272,13 @@ def by_place(Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells) -> C
 
 
 def uncertainty(
-    Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells, names: Sequence[str], unit: str = ""
+    Z: FloatArray,
+    J: FloatArray,
+    error: FloatArray,
+    where: Cells,
+    names: Sequence[str],
+    unit: str = "",
+    series: Sequence[int] | None = None,
 ) -> Uncertainty:
     """Return what is known of an estimate's errors, widened where the residual repeats with the motion.
 
@@ -283,8 +289,9 @@ def uncertainty(
         where: the rows' cells.
         names: of the parameters.
         unit: of the residual.
+        series: rows of each record, where several stand one after the other. A place errs alike in all of them.
     """
-    naive, over_time = white(J, error), robust(Z, J, error)
+    naive, over_time = white(J, error), robust(Z, J, error, series)
     verdict = repeatable(error, where, unit)
     judged = larger(over_time, by_place(Z, J, error, where)) if verdict.significant else over_time
     said = [_words(judged, verdict), str(verdict)]

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from jointid.common.errors import MethodError
 from jointid.common.text import aligned, number
 from jointid.data.record import FloatArray
-from jointid.estimation.combination import Combination
-from jointid.estimation.criterion import Criterion
-from jointid.estimation.uncertainty import bandwidth
+from jointid.inference.combination import Combination
+from jointid.inference.criterion import Criterion
+from jointid.inference.uncertainty import bandwidth
 from jointid.model.parameters import Parameter
 
 Refit: TypeAlias = Callable[[FloatArray], FloatArray]

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointid.data.record import FloatArray
-from jointid.estimation.uncertainty import Covariance, sandwich
+from jointid.inference.uncertainty import Covariance, sandwich
 
 _MATTERS = 0.1  # deviations of least squares: a smaller shift is none
 _SAME = 1e-9  # of a column: what instruments leave of it is then rounding

@@ -17,8 +17,8 @@ import numpy as np
 
 from jointid.common.text import aligned, number
 from jointid.data.record import FloatArray
-from jointid.estimation.combination import Combination, physical, single
-from jointid.estimation.uncertainty import Covariance
+from jointid.inference.combination import Combination, physical, single
+from jointid.inference.uncertainty import Covariance
 from jointid.model.parameters import Parameter, Quantity
 
 _INSEPARABLE = 0.95  # a correlation that says two parameters are known only together

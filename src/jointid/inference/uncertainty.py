@@ -23,6 +23,9 @@ the truth. A stationary residual's covariance is known much better from its spec
 but no residual is known to be stationary, so of the two the larger is taken, in every direction (`robust`): 94-98 %
 then do.
 
+Rows of several records, one after the other, are series of their own: what is summed over time is summed within each,
+and the sums are added.
+
 The textbook's covariance, ``s^2 (J' J)^-1``, is kept beside it (`white`): where the two differ, the residual is not
 white, or not as large everywhere, and only the robust one is honest.
 """
@@ -99,7 +102,9 @@ def bandwidth(rows: int) -> int:
     return math.ceil(4.0 * math.pow(rows / 100, 2 / 9))
 
 
-def sandwich(Z: FloatArray, J: FloatArray, error: FloatArray, equations: int = 1) -> Covariance:
+def sandwich(
+    Z: FloatArray, J: FloatArray, error: FloatArray, equations: int = 1, series: Sequence[int] | None = None
+) -> Covariance:
     """Return the autocorrelation-robust covariance (see the module).
 
     Args:
@@ -107,14 +112,27 @@ def sandwich(Z: FloatArray, J: FloatArray, error: FloatArray, equations: int = 1
         J: (rows, parameters), the sensitivities of the prediction.
         error: (rows,) what remains.
         equations: rows hold so many equations one after the other, which share their instants.
+        series: rows of each record, where several stand one after the other.
     """
     norms = np.linalg.norm(Z, axis=0)
     norms = np.where(norms > 0, norms, 1.0)
-    rows, count = Z.shape
-    instants = rows // equations
-    lags = min(bandwidth(instants), instants - 1)
     Z, J = Z / norms, J / norms
     spread = np.asarray(np.linalg.pinv(Z.T @ J), dtype=np.float64)
+    parts = _parts(len(Z), series)
+    widths = [min(bandwidth(n), n - 1) for n in ((part.stop - part.start) // equations for part in parts)]
+    meat = np.zeros_like(spread)
+    for part, lags in zip(parts, widths, strict=True):
+        meat += _over_time(Z[part], J[part], error[part], spread, equations, lags)
+    found = covariance_of(spread @ meat @ spread.T, max(widths))
+    return Covariance(found.std / norms, found.correlation, max(widths))
+
+
+def _over_time(
+    Z: FloatArray, J: FloatArray, error: FloatArray, spread: FloatArray, equations: int, lags: int
+) -> FloatArray:
+    """Return one record's share of the covariance of Z' e, with so many lags, (parameters, parameters)."""
+    rows, count = Z.shape
+    instants = rows // equations
     at = np.arange(rows).reshape(equations, instants)
     length = max(lags, 1)
     blocks = (at[:, start : start + length].reshape(-1) for start in range(0, instants, length))
@@ -124,11 +142,16 @@ def sandwich(Z: FloatArray, J: FloatArray, error: FloatArray, equations: int = 1
     for lag in range(1, lags + 1):
         together = scores[lag:].T @ scores[:-lag]
         meat += (1 - lag / (lags + 1)) * (together + together.T)
-    found = covariance_of(spread @ meat @ spread.T, lags)
-    return Covariance(found.std / norms, found.correlation, lags)
+    return np.asarray(meat)
 
 
-def stationary(Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
+def _parts(rows: int, series: Sequence[int] | None) -> list[slice]:
+    """Return the rows of each record."""
+    ends = np.cumsum(series or [rows])
+    return [slice(int(end) - n, int(end)) for end, n in zip(ends, series or [rows], strict=True)]
+
+
+def stationary(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence[int] | None = None) -> Covariance:
     """Return the covariance for a residual that is stationary, by its spectrum (see the module).
 
     Args:
@@ -136,11 +159,20 @@ def stationary(Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
         J: (rows, parameters), the sensitivities of the prediction.
         error: (rows,) what remains, in the order of time. Its periodogram is averaged over sqrt(rows) neighbours, the
             mean left out, which a fit of an offset takes away.
+        series: rows of each record, where several stand one after the other; each has a spectrum of its own.
     """
     norms = np.linalg.norm(Z, axis=0)
     norms = np.where(norms > 0, norms, 1.0)
     Z, J = Z / norms, J / norms
-    rows, count = Z.shape
+    spread = np.linalg.pinv(Z.T @ J)
+    meat = sum(_by_spectrum(Z[part], error[part]) for part in _parts(len(Z), series))
+    found = covariance_of(spread @ meat @ spread.T, len(Z))
+    return Covariance(found.std / norms, found.correlation, len(Z))
+
+
+def _by_spectrum(Z: FloatArray, error: FloatArray) -> FloatArray:
+    """Return one record's share of the covariance of Z' e by its residual's spectrum, (parameters, parameters)."""
+    rows, count = len(Z), int(np.sum(np.any(Z != 0.0, axis=0)))
     half = max(math.isqrt(rows) // 2, 1)
     periodogram = np.abs(np.fft.rfft(error)[1:]) ** 2 / max(rows - count, 1)
     half = min(half, periodogram.size - 1)
@@ -151,21 +183,19 @@ def stationary(Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
     both = np.full(spectrum.size, 2.0)
     both[[0, -1]] = 1.0, 2.0 if rows % 2 else 1.0
     seen = np.fft.rfft(Z, axis=0)
-    meat = np.real(((both * spectrum)[:, np.newaxis] * seen.conj()).T @ seen) / rows
-    spread = np.linalg.pinv(Z.T @ J)
-    found = covariance_of(spread @ meat @ spread.T, rows)
-    return Covariance(found.std / norms, found.correlation, rows)
+    return np.asarray(np.real(((both * spectrum)[:, np.newaxis] * seen.conj()).T @ seen) / rows)
 
 
-def robust(Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
+def robust(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence[int] | None = None) -> Covariance:
     """Return the larger of `sandwich` and `stationary`, in every direction.
 
     Args:
         Z: (rows, parameters), the instruments.
         J: (rows, parameters), the sensitivities of the prediction.
         error: (rows,) what remains, in the order of time.
+        series: rows of each record, where several stand one after the other.
     """
-    return larger(sandwich(Z, J, error), stationary(Z, J, error))
+    return larger(sandwich(Z, J, error, series=series), stationary(Z, J, error, series))
 
 
 def larger(first: Covariance, second: Covariance) -> Covariance:

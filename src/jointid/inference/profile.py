@@ -26,9 +26,9 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.common.text import number
 from jointid.data.record import FloatArray
-from jointid.estimation.combination import Combination
-from jointid.estimation.criterion import Criterion
-from jointid.estimation.uncertainty import Covariance, robust
+from jointid.inference.combination import Combination
+from jointid.inference.criterion import Criterion
+from jointid.inference.uncertainty import Covariance, robust
 
 _HELD = 100.0  # times stiffer than the criterion is c held: it then yields by 1e-4 of its distance
 _FIRST = 0.5  # of the way to where a linear problem would end

@@ -1,0 +1,71 @@
+"""The two-motor bench: its record, and what both of its encoders say of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.io import loadmat
+from scipy.optimize import minimize_scalar
+
+from jointid.data.record import Channel, Record, Tap, Timing
+from jointid.data.signals import Filtering
+from jointid.estimation.idim import regress
+from jointid.estimation.inverse_model import InverseModel, inverse_model
+from jointid.model.joints import FlexibleJoint
+from jointid.model.parameters import Parameter, Quantity
+
+PERIOD = 4e-4
+JOINT = FlexibleJoint("revolute", torque_unit="A")
+_ZERO = Parameter("zero_difference", "K dq", Quantity.FORCE)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """The signals, as logged but for the load encoder's sign."""
+
+    measured: np.ndarray
+    command: np.ndarray
+    motor: np.ndarray
+    load: np.ndarray
+
+    @classmethod
+    def read(cls, data_dir: Path) -> Bench:
+        made = loadmat(data_dir / "motorbench" / "MultisineTypeA.mat", squeeze_me=True)
+        return cls(made["iq_adx"], made["iq_refx"], made["theta_mx"], -made["theta_my"])
+
+    def record(self, current: str = "measured") -> Record:
+        """What a drive logs: one current and the motor's encoder."""
+        return Record(
+            torque=self.torque(current),
+            tap=Tap(current),
+            motor_position=Channel(self.motor, "rad", PERIOD),
+            name="motorbench",
+        )
+
+    def torque(self, current: str) -> Channel:
+        if current == "measured":
+            return Channel(self.measured, "A", PERIOD, Timing.SAMPLED)
+        return Channel(self.command, "A", PERIOD, Timing.HELD)
+
+    def both_encoders(self, current: str, filtering: Filtering) -> dict[str, float]:
+        """What IDIM finds with the load encoder: the difference of the encoders' zeros is one more column.
+
+        The current's delay is the one that leaves least of both rows.
+        """
+        resolved = filtering.resolved(PERIOD, "flexible")
+
+        def regression(delay: float) -> tuple[float, np.ndarray]:
+            model = inverse_model(JOINT, self.torque(current), (self.motor, self.load), resolved, delay)
+            ones = np.ones((1, model.columns.shape[1], 1))
+            zero = np.concatenate([-ones, ones])
+            wider = InverseModel(model.torque, np.concatenate([model.columns, zero], axis=2), model.inside, model.motor)
+            fit = regress((*JOINT.parameters, _ZERO), wider, resolved, PERIOD).fit
+            return float(np.linalg.norm(fit.residual)), fit.values
+
+        best = minimize_scalar(
+            lambda delay: regression(delay)[0], bounds=(-1e-3, 1.5e-3), method="bounded", options={"xatol": 1e-6}
+        )
+        names = [p.name for p in JOINT.parameters] + [_ZERO.name]
+        return dict(zip(names, regression(best.x)[1], strict=True)) | {"delay": float(best.x)}

@@ -1,0 +1,300 @@
+"""Drive-side identification where the truth is known: recovery, lags, intervals, and the instruments' verdict."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.common.progress import silent
+from jointid.data.record import Channel, Record, Tap, Timing
+from jointid.estimation.first_stage import Judgement, _Shadow, contrast, judged, known_motions, solved
+from jointid.estimation.prescribed import MotionProblem, motion_problem
+from jointid.inference.bands import band_deviations
+from jointid.inference.bounded import Bottom, descend
+from jointid.inference.uncertainty import sandwich
+from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
+
+JOINT = ji.FlexibleJoint()
+PHYSICAL = ("motor_inertia", "stiffness", "load_inertia")
+FILTERING = ji.Filtering(cutoff=60.0)
+
+
+def problem_of(record: Record, **settings: float | None) -> MotionProblem:
+    around = ji.DriveSideFit(**settings).surroundings(1e-3)
+    return motion_problem(record, ji.DriveSide(JOINT), FILTERING, JOINT.parameters, around)
+
+
+def test_a_record_without_noise_gives_the_truth_from_no_start() -> None:
+    made = twin("L19", noise="none")
+    estimate = ji.identify(made.record.without("reference", "injected"), ji.DriveSide(JOINT), filtering=FILTERING)
+    for p in JOINT.parameters:
+        assert estimate[p.name].value == pytest.approx(made.truth[p.name], rel=2e-3), p.name
+    for name in PHYSICAL:
+        assert estimate[name].value == pytest.approx(made.truth[name], rel=5e-4), name
+    assert estimate["log_delay"].value == pytest.approx(0.0, abs=1e-6)
+    assert estimate.converged
+    assert estimate.simulations < 150
+
+
+def test_a_delay_before_the_torque_is_found_without_the_controller() -> None:
+    record = twin("L30", noise="none").record  # a command that acts one period later
+    assert ji.identify(record, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=FILTERING)[
+        "log_delay"
+    ].value == pytest.approx(-1e-3, abs=2e-6)
+
+
+def test_a_load_that_sticks_is_identified() -> None:
+    truth = TABLE_2 | {"load_coulomb": 45.0}
+    loop = ji.ClosedLoop(JOINT, CONTROLLERS["L19"])
+    reference = ji.trapezoids(speeds=(0.042, 0.083, 0.125), acceleration=0.83, travel=0.2, sample_time=1e-3, rest=0.3)
+    known = ji.pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=1)
+    run = ji.simulate(loop, ji.prepare(loop, _driven(reference, known)), truth)
+    assert run.load_velocity is not None
+    assert np.mean(run.load_velocity == 0) > 0.05
+    record = ji.simulated_record(loop, reference, truth, sample_time=1e-3, injected=known)
+    record = record.without("load_position", "reference", "injected")
+    filtering = ji.Filtering(cutoff=60.0, position_cutoff=300.0)
+    estimate = ji.identify(record, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=filtering)
+    for name, value in truth.items():
+        assert estimate[name].value == pytest.approx(value, rel=2e-3), name
+
+
+def _driven(reference: np.ndarray, known: np.ndarray) -> Record:
+    return Record(
+        reference=Channel(reference, "m", 1e-3),
+        injected=ji.Injection(Channel(known, "N", 1e-3, Timing.HELD)),
+    )
+
+
+@pytest.mark.parametrize("tap", [Tap.COMMAND, Tap.MEASURED])
+def test_the_slopes_of_the_residual_are_those_of_differences(tap: Tap) -> None:
+    record = replace(twin("L19", noise="none").record.without("injected"), tap=tap)
+    problem = problem_of(record, current_lag=None)
+    around = {"log_delay": 3.3e-4, "current_lag": 4e-4, "initial_load_position": 1e-5, "initial_load_velocity": 1e-3}
+    x = problem.vector(TABLE_2 | around)
+    _, J = problem.linearised(x)
+    for i, p in enumerate(problem.free):
+        step = np.zeros(x.size)
+        step[i] = 1e-5 * abs(x[i]) or 1e-7
+        slope = (problem.residual(x + step) - problem.residual(x - step)) / (2 * step[i])
+        assert np.linalg.norm(slope - J[:, i]) <= 2e-4 * np.linalg.norm(slope), p.name
+
+
+@pytest.mark.parametrize("tap", [Tap.COMMAND, Tap.MEASURED])
+def test_a_lag_of_the_current_is_told_from_a_delay(tap: Tap) -> None:
+    from scipy.signal import lfilter
+
+    record = twin("L19", noise="none").record.without("injected", "reference", "load_position")
+    assert record.torque is not None
+    kept, torque = np.exp(-1e-3 / 2e-3), record.torque.values
+    # A measured torque is seen behind the lag; a command is what would have had to be put out before it.
+    b, a = ([1 - kept], [1, -kept]) if tap is Tap.MEASURED else ([1, -kept], [1 - kept])
+    lagged = replace(record, torque=replace(record.torque, values=lfilter(b, a, torque)), tap=tap)
+    settings = ji.DriveSideFit(current_lag=None, frequency=24.0)
+    estimate = ji.identify(lagged, ji.DriveSide(JOINT), settings, filtering=FILTERING)
+    assert estimate["current_lag"].value == pytest.approx(2e-3, rel=0.05)
+    for name in PHYSICAL:
+        assert estimate[name].value == pytest.approx(TABLE_2[name], rel=3e-3), name
+    blind = ji.identify(lagged, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=FILTERING)
+    assert blind.filtered_error > 3 * estimate.filtered_error
+
+
+def test_white_noise_on_the_log_leaves_the_truth_in_the_intervals() -> None:
+    inside = []
+    for seed in range(1, 7):
+        made = twin("L19", noise="white", seed=seed)
+        problem = problem_of(made.record, log_delay=0.0)
+        bottom = descend(problem, [problem.vector(TABLE_2)], 1e-8, silent)
+        std = sandwich(bottom.J, bottom.J, bottom.error).std
+        std = np.maximum(std, band_deviations(bottom.J, bottom.J, bottom.error))
+        own = slice(0, len(JOINT.parameters))
+        inside += list((np.abs(bottom.x - problem.vector(TABLE_2)) < 2 * std)[own])
+    assert np.mean(inside) > 0.85
+
+
+def test_bands_of_white_noise_agree_with_the_rows() -> None:
+    rng = np.random.default_rng(0)
+    J = rng.standard_normal((4000, 2))
+    found = [band_deviations(J, J, rng.standard_normal(4000)) for _ in range(200)]
+    assert np.sqrt(np.mean(np.square(found), axis=0)) == pytest.approx(1 / np.sqrt(4000), rel=0.1)
+
+
+def test_bands_see_a_gain_that_falls_with_frequency() -> None:
+    rng = np.random.default_rng(0)
+    J = rng.standard_normal((4000, 1))
+    spectrum = np.fft.rfft(J[:, 0])
+    error = np.fft.irfft(spectrum * np.linspace(0.05, -0.05, spectrum.size), 4000)
+    error -= J[:, 0] * (J[:, 0] @ error) / (J[:, 0] @ J[:, 0])
+    by_rows = sandwich(J, J, error).std[0]
+    assert band_deviations(J, J, error)[0] > 5 * by_rows
+
+
+def test_white_noise_on_the_log_is_no_endogeneity() -> None:
+    probabilities = []
+    for seed in range(1, 6):
+        record = twin("L19", noise="white", seed=seed).record
+        problem = problem_of(record, log_delay=0.0)
+        bottom = descend(problem, [problem.vector(TABLE_2)], 1e-8, silent)
+        verdict = judged(record, problem, bottom, "tested", silent)
+        assert verdict.x is None
+        assert not verdict.warnings
+        assert verdict.probability is not None
+        probabilities.append(verdict.probability)
+    assert min(probabilities) > 0.01
+    assert max(probabilities) > 0.2
+
+
+def test_a_disturbance_in_the_loop_is_noticed_and_mended() -> None:
+    plain, mended = [], []
+    for seed in range(1, 6):
+        record = twin("L30", seed=seed).record
+        problem = problem_of(record, log_delay=-1e-3)
+        bottom = descend(problem, [problem.vector(TABLE_2)], 1e-8, silent)
+        verdict = judged(record, problem, bottom, "tested", silent)
+        assert verdict.x is not None
+        assert "Durbin-Wu-Hausman" in verdict.warnings[0]
+        truth = problem.vector(TABLE_2)
+        chosen = [i for i, p in enumerate(problem.free) if p.name in PHYSICAL]
+        plain.append(bottom.x[chosen] / truth[chosen] - 1)
+        mended.append(verdict.x[chosen] / truth[chosen] - 1)
+    assert np.all(np.abs(np.mean(plain, axis=0)) > 0.008)
+    assert np.all(np.abs(np.mean(mended, axis=0)) < 0.003)
+
+
+@pytest.mark.slow
+def test_pulses_keep_a_coloured_disturbance_from_biasing_the_answer() -> None:
+    found = []
+    for seed in range(8):
+        problem, bottom, verdict = answered(coloured(True, seed))
+        found.append(bottom.x if verdict.x is None else verdict.x)
+        assert not any("weak" in warning for warning in verdict.warnings)
+    truth, chosen = problem.vector(TABLE_2), [3, 5]
+    assert [problem.free[i].name for i in chosen] == ["stiffness", "load_inertia"]
+    assert np.all(np.abs(np.mean(found, axis=0)[chosen] / truth[chosen] - 1) < 0.01)
+
+
+@pytest.mark.slow
+def test_without_pulses_every_answer_says_that_it_is_biased_or_cannot_be_tested() -> None:
+    plain = []
+    for seed in range(6):
+        problem, bottom, verdict = answered(coloured(False, seed))
+        plain.append(bottom.x)
+        assert any("Durbin-Wu-Hausman" in w or "instruments are" in w for w in verdict.warnings)
+    truth, chosen = problem.vector(TABLE_2), [3, 5]
+    assert np.all(np.mean(plain, axis=0)[chosen] / truth[chosen] - 1 < -0.05)
+
+
+def answered(record: Record) -> tuple[MotionProblem, Bottom, Judgement]:
+    problem = problem_of(record, log_delay=-1e-3)
+    bottom = descend(problem, [problem.vector(TABLE_2)], 1e-8, silent)
+    return problem, bottom, judged(record, problem, bottom, "tested", silent)
+
+
+def coloured(pulses: bool, seed: int) -> Record:
+    """A run of loop L30 with a disturbance of 15 to 25 Hz that makes 8 % of the filtered torque."""
+    from scipy.signal import butter, sosfiltfilt
+
+    from jointid.data.signals import decimate
+
+    loop = ji.ClosedLoop(JOINT, CONTROLLERS["L30"])
+    reference = ji.trapezoids(
+        speeds=(0.042, 0.083, 0.125), acceleration=0.83, travel=0.2, sample_time=1e-3, duration=24.0
+    )
+    known = ji.pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=0) if pulses else None
+    white = np.random.default_rng(seed).standard_normal(reference.size)
+    band = sosfiltfilt(butter(2, [15, 25], btype="band", fs=1000, output="sos"), white)
+    seen = FILTERING.resolved(1e-3)
+
+    def run(size: float) -> Record:
+        return ji.simulated_record(
+            loop, reference, TABLE_2, sample_time=1e-3, injected=known, disturbance=size * band, encoder_step=5e-8
+        )
+
+    def torque(size: float) -> np.ndarray:
+        made = run(size).torque
+        assert made is not None
+        return decimate(made.values, seen, 1e-3)
+
+    clean, size = torque(0.0), 1.0
+    for _ in range(2):
+        size *= 0.08 * float(np.linalg.norm(clean) / np.linalg.norm(torque(size) - clean))
+    return run(size)
+
+
+def test_a_known_motion_is_blind_to_the_half_it_is_used_in() -> None:
+    record = twin("L30").record
+    problem = problem_of(record, log_delay=-1e-3)
+    before = known_motions(record, problem)
+    half = problem.motion.position.size // 2
+    shaken = problem.motion.position.copy()
+    shaken[half + 2000 :] += 1e-4 * np.random.default_rng(0).standard_normal(shaken.size - half - 2000)
+    after = known_motions(record, replace(problem, motion=replace(problem.motion, position=shaken)))
+    assert np.allclose(before[0], after[0], rtol=0, atol=1e-8)
+    assert not np.allclose(before[1], after[1], rtol=0, atol=1e-6)
+
+
+def test_a_record_without_instruments_says_that_it_was_not_tested() -> None:
+    record = twin("L19", noise="none").record.without("reference", "injected")
+    estimate = ji.identify(record, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=FILTERING)
+    assert any("no reference or injected signal" in warning for warning in estimate.warnings)
+    with pytest.raises(ji.MethodError, match='instruments = "never"'):
+        ji.identify(
+            record, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0, instruments="always"), filtering=FILTERING
+        )
+
+
+def test_a_rigid_joint_needs_no_load() -> None:
+    joint, truth = ji.RigidJoint(), {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
+    loop = ji.ClosedLoop(joint, CONTROLLERS["L19"])
+    reference = ji.trapezoids(speeds=(0.05, 0.12), acceleration=0.83, travel=0.2, sample_time=1e-3, rest=0.4)
+    record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
+    estimate = ji.identify(record.without("reference"), ji.DriveSide(joint))
+    for name, value in truth.items():
+        assert estimate[name].value == pytest.approx(value, rel=2e-3), name
+    assert any("rests in" in warning for warning in estimate.warnings)
+
+
+def test_what_is_missing_is_named() -> None:
+    record = twin("L19", noise="none").record
+    with pytest.raises(ji.RecordError, match="needs motor_position"):
+        ji.identify(record.without("motor_position"), ji.DriveSide(JOINT))
+    assert record.motor_position is not None
+    slow = replace(record.motor_position, values=record.motor_position.values[::2], sample_time=2e-3)
+    with pytest.raises(ji.RecordError, match="at the torque's rate"):
+        ji.identify(replace(record, motor_position=slow), ji.DriveSide(JOINT))
+    with pytest.raises(ji.MethodError, match="wrong sign"):
+        against = replace(record.motor_position, values=-record.motor_position.values)
+        bare = replace(record.without("reference", "load_position"), motor_position=against)
+        ji.identify(bare, ji.DriveSide(JOINT))
+    with pytest.raises(ji.MethodError, match="tested"):
+        ji.DriveSideFit(instruments="maybe")
+    with pytest.raises(ji.MethodError, match="positive"):
+        ji.DriveSideFit(frequency=0.0)
+
+
+def test_a_wrong_contrast_is_seen() -> None:
+    """The statistic is that of the estimates it is given, not of the probability that was hoped for."""
+    record = twin("L19", noise="white").record
+    problem = problem_of(record, log_delay=0.0)
+    bottom = descend(problem, [problem.vector(TABLE_2)], 1e-8, silent)
+    found = solved(problem, _Shadow.of(record, problem), bottom)
+    assert contrast(problem, bottom, found)[0] > 0.01
+    moved = replace(bottom, x=bottom.x * 1.01)
+    assert contrast(problem, moved, found)[0] < 1e-6
+
+
+def test_an_answer_goes_to_json_and_back_but_is_not_validated(tmp_path: Path) -> None:
+    from jointid import answers
+
+    record = twin("L19", noise="none").record.without("reference", "injected")
+    estimate = ji.identify(record, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=FILTERING)
+    answers.write(answers.estimate_answer(estimate), tmp_path / "found.json")
+    back = answers.read_identified(tmp_path / "found.json", JOINT, None)
+    assert back.method == "drive_side"
+    assert back.values == pytest.approx(estimate.values)
+    with pytest.raises(ji.MethodError, match="drive_side"):
+        ji.validate(back, record)

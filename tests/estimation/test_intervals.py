@@ -1,0 +1,68 @@
+"""Profiles and bootstraps of an estimate, as a user asks for them."""
+
+from __future__ import annotations
+
+import pytest
+
+from jointid.assessment.intervals import intervals
+from jointid.common.errors import MethodError
+from jointid.data.record import Record
+from jointid.estimation.didim import DIDIM
+from jointid.estimation.identify import identify
+from jointid.estimation.idim import IDIM
+from jointid.model.joints import RigidJoint
+from jointid.paper.twin import twin
+from jointid.simulation.experiment import ClosedLoop
+from tests.estimation.conftest import CONTROLLER
+
+AXIS = twin(noise="white", seed=4)
+RECORD = AXIS.record.without("motor_position", "load_position")
+
+
+@pytest.fixture(scope="module")
+def estimate():  # type: ignore[no-untyped-def]
+    return identify(RECORD, AXIS.loop)
+
+
+def test_profiles_agree_with_the_table_where_the_criterion_is_a_parabola(estimate) -> None:  # type: ignore[no-untyped-def]
+    found = intervals(estimate, RECORD, ["stiffness", "compliance", "motor_viscous + load_viscous"])
+    stiffness, compliance, total = found.profiles
+    low, high = (1 / (end or 1.0) for end in reversed(compliance.interval))
+    for profile, value, std in (
+        (stiffness, estimate.values["stiffness"], estimate["stiffness"].std),
+        (total, *estimate.total(("motor_viscous", "load_viscous"))),
+    ):
+        assert profile.bounded
+        assert profile.interval[0] == pytest.approx(value - 2 * std, abs=0.2 * std)
+        assert profile.interval[1] == pytest.approx(value + 2 * std, abs=0.2 * std)
+    assert (low, high) == pytest.approx(stiffness.interval, rel=1e-3)
+
+
+def test_bootstraps_agree_with_the_table(estimate) -> None:  # type: ignore[no-untyped-def]
+    found = intervals(estimate, RECORD, bootstrap=True)
+    for one in (found.over_time, found.over_place):
+        assert one is not None
+        names = [p.name for p in one.parameters]
+        for name in ("motor_inertia", "load_inertia", "stiffness"):
+            assert one.std[names.index(name)] == pytest.approx(estimate[name].std, rel=0.4)
+    assert "1000 draws" in str(found)
+
+
+def test_on_emps_the_bootstrap_over_place_sees_what_repeats(emps: Record) -> None:
+    loop = ClosedLoop(RigidJoint(), CONTROLLER)
+    found = intervals(identify(emps, loop, DIDIM()), emps, bootstrap=True)
+    assert found.over_time is not None
+    assert found.over_place is not None
+    viscous = [p.name for p in found.over_time.parameters].index("viscous")
+    assert found.over_place.std[viscous] > 2 * found.over_time.std[viscous]
+
+
+def test_what_cannot_be_followed_is_said(estimate, emps: Record) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(MethodError, match='"colour" is no quantity of this estimate; name a free parameter'):
+        intervals(estimate, RECORD, ["colour"])
+    with pytest.raises(MethodError, match="adds N and N s/m; only what has one unit can be added"):
+        intervals(estimate, RECORD, ["motor_viscous + load_coulomb"])
+    with pytest.raises(MethodError, match="This record is not the one the estimate came from"):
+        intervals(estimate, twin(noise="white", seed=5).record, ["stiffness"])
+    with pytest.raises(MethodError, match="Profiles and bootstraps are of DIDIM"):
+        intervals(identify(AXIS.record, AXIS.loop, IDIM()), AXIS.record, ["stiffness"])

@@ -1,0 +1,111 @@
+"""The real bench of two motors and a shaft, its load encoder hidden: what torque and motor position say of it."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from tests.estimation.motorbench import JOINT, Bench
+
+FILTERING = ji.Filtering(cutoff=150.0, position_cutoff=600.0)
+PHYSICAL = ("motor_inertia", "stiffness", "load_inertia")
+
+
+@pytest.fixture(scope="module")
+def bench(data_dir: Path) -> Bench:
+    return Bench.read(data_dir)
+
+
+@pytest.fixture(scope="module")
+def hidden(bench: Bench) -> ji.Estimate:
+    return ji.identify(bench.record(), ji.DriveSide(JOINT), filtering=FILTERING)
+
+
+@pytest.fixture(scope="module")
+def reference(bench: Bench) -> dict[str, float]:
+    return bench.both_encoders("measured", FILTERING)
+
+
+def fit(bench: Bench, current: str, cutoff: float, **settings: float | None) -> ji.Estimate:
+    filtering = ji.Filtering(cutoff=cutoff, position_cutoff=600.0)
+    return ji.identify(
+        bench.record(current), ji.DriveSide(JOINT), ji.DriveSideFit(frequency=54.0, **settings), filtering=filtering
+    )
+
+
+def test_without_the_load_encoder_the_frequencies_are_there(hidden: ji.Estimate) -> None:
+    found = ji.frequencies(hidden.values)
+    assert found["motor_locked"] == pytest.approx(54.0, abs=0.3)
+    assert found["free_free"] == pytest.approx(76.1, abs=0.3)
+    assert hidden.converged
+    assert hidden.simulations < 150
+
+
+def test_stiffness_and_inertias_are_those_of_both_encoders(hidden: ji.Estimate, reference: dict[str, float]) -> None:
+    for name in PHYSICAL:
+        line = hidden[name]
+        assert line.value is not None
+        assert line.std is not None
+        assert line.value == pytest.approx(reference[name], rel=0.03), name
+        assert abs(line.value - reference[name]) < 2 * line.std, name
+        assert 2 * line.std < 0.05 * line.value, name
+
+
+def test_both_encoders_need_the_difference_of_their_zeros(bench: Bench, reference: dict[str, float]) -> None:
+    assert ji.frequencies(reference)["motor_locked"] == pytest.approx(54.0, abs=0.3)
+    record = ji.Record(
+        torque=bench.torque("measured"),
+        motor_position=bench.record().motor_position,
+        load_position=ji.Channel(bench.load, "rad", 4e-4),
+    )
+    with pytest.raises(ji.MethodError, match="load_inertia"):
+        ji.identify(record, JOINT, ji.IDIM(), filtering=FILTERING)
+
+
+@pytest.mark.slow
+def test_how_the_motion_is_differentiated_makes_no_difference(
+    bench: Bench, hidden: ji.Estimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from jointid.estimation import prescribed
+    from jointid.simulation.drive_side import prescribed_motion
+
+    found = []
+    for cutoff in (350.0, 1000.0):
+        filtering = ji.Filtering(cutoff=150.0, position_cutoff=cutoff)
+        settings = ji.DriveSideFit(frequency=54.0)
+        found.append(ji.identify(bench.record(), ji.DriveSide(JOINT), settings, filtering=filtering))
+    for degree in (3, 5):
+        spline = partial(prescribed_motion, degree=degree)
+        monkeypatch.setattr(prescribed, "prescribed_motion", spline)
+        found.append(fit(bench, "measured", 150.0))
+    for estimate in found:
+        for name in PHYSICAL:
+            assert estimate[name].value == pytest.approx(hidden[name].value, rel=5e-4), name
+
+
+@pytest.mark.slow
+def test_the_band_moves_what_reads_the_commanded_current_and_not_the_measured_one(bench: Bench) -> None:
+    commanded, measured = (
+        np.array([fit(bench, current, cutoff)["stiffness"].value for cutoff in (100.0, 200.0)])
+        for current in ("command", "measured")
+    )
+    assert commanded[1] / commanded[0] - 1 > 0.015
+    assert abs(measured[1] / measured[0] - 1) < 0.005
+    lagged = fit(bench, "command", 200.0, current_lag=None)
+    assert lagged["stiffness"].value == pytest.approx(measured[1], rel=0.015)
+    assert lagged["current_lag"].value > 3 * lagged["current_lag"].std
+    # The loop that makes one current of the other is what the first leaves out.
+    spectra = [np.abs(np.fft.rfft(s.reshape(20, 2500)[1:].mean(axis=0))) for s in (bench.measured, bench.command)]
+    gain = spectra[0] / spectra[1]
+    assert np.median(gain[180:221]) / np.median(gain[20:61]) == pytest.approx(0.94, abs=0.03)
+
+
+def test_the_command_comes_before_the_torque(bench: Bench) -> None:
+    estimate = fit(bench, "command", 200.0)
+    # With the half period for which it is held, the command is 0.6 ms ahead of what the motor feels.
+    assert estimate["log_delay"].value == pytest.approx(-0.4e-3, abs=0.05e-3)
+    assert estimate["stiffness"].value == pytest.approx(565, rel=0.01)

@@ -1,0 +1,75 @@
+"""Open-loop identification where the truth is known: recovery, intervals, drift, and where it must not converge."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.paper.twin import TABLE_2
+from jointid.simulation.open_loop import simulate_open_loop
+
+T = 1e-3
+JOINT = ji.FlexibleJoint()
+TRUTH = TABLE_2 | {"load_coulomb": 25.0}
+AROUND = {"initial_position": 0.1, "initial_velocity": 0.0, "log_delay": T}
+FILTERING = ji.Filtering(cutoff=60.0)
+FIT = ji.OpenLoopFit(frequency=24.0)
+
+
+def record(noise: float = 0.0, seed: int = 0, drift: float = 0.0) -> ji.Record:
+    rng, t = np.random.default_rng(1), np.arange(12000) * T
+    tones = {0.5: 60, 1: 60, 2: 40, 3: 40, 5: 40, 8: 40, 13: 40, 19: 40, 24: 40, 29: 40, 37: 40}
+    force = np.sum([a * np.sin(2 * np.pi * f * t + rng.uniform(0, 6.3)) for f, a in tones.items()], axis=0)
+    torque = ji.Channel(force * np.minimum(1, t / 0.2), "N", T, ji.Timing.HELD)
+    position = simulate_open_loop(JOINT, torque, TRUTH | AROUND).position
+    shown = position + noise * np.random.default_rng(seed).standard_normal(t.size) + drift * t**2
+    return ji.Record(torque=torque, motor_position=ji.Channel(shown, "m", T), name="open loop")
+
+
+@pytest.fixture(scope="module")
+def exact() -> ji.Estimate:
+    return ji.identify(record(), ji.OpenLoop(JOINT), FIT, filtering=FILTERING)
+
+
+def test_a_record_without_noise_gives_the_truth(exact: ji.Estimate) -> None:
+    for name, value in (TRUTH | {"log_delay": T}).items():
+        assert exact[name].value == pytest.approx(value, rel=1e-5), name
+    assert exact.converged
+    assert exact.filtered_error < 1e-8
+
+
+def test_it_says_what_it_compares_and_that_drift_is_left_out(exact: ji.Estimate) -> None:
+    assert exact.compared == "position"
+    assert "position error" in str(exact)
+    assert "torque error" not in str(exact)
+    assert any("1.8 Hz are drift" in warning for warning in exact.warnings)
+
+
+def test_drift_of_the_position_does_not_matter(exact: ji.Estimate) -> None:
+    found = ji.identify(record(drift=1e-4), ji.OpenLoop(JOINT), FIT, filtering=FILTERING)  # 14 mm in 12 s
+    for name in ("motor_inertia", "stiffness", "load_inertia"):
+        assert found[name].value == pytest.approx(TRUTH[name], rel=1e-3), name
+
+
+def test_noise_of_the_encoder_leaves_the_truth_in_the_intervals() -> None:
+    found = ji.identify(record(noise=2e-6, seed=3), ji.OpenLoop(JOINT), FIT, filtering=FILTERING)
+    for name in ("motor_inertia", "motor_coulomb", "stiffness", "load_inertia", "load_coulomb"):
+        line = found[name]
+        assert line.std is not None
+        assert abs(line.value - TRUTH[name]) < 3 * line.std, name
+        assert line.std < 0.01 * line.value, name
+
+
+def test_what_is_missing_is_named() -> None:
+    made = record()
+    with pytest.raises(ji.RecordError, match="needs motor_position"):
+        ji.identify(made.without("motor_position"), ji.OpenLoop(JOINT))
+    assert made.motor_position is not None
+    slow = replace(made.motor_position, values=made.motor_position.values[::2], sample_time=2 * T)
+    with pytest.raises(ji.RecordError, match="Open-loop identification needs a sampled"):
+        ji.identify(replace(made, motor_position=slow), ji.OpenLoop(JOINT))
+    with pytest.raises(ji.MethodError, match="positive"):
+        ji.OpenLoopFit(highpass=0.0)

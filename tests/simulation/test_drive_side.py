@@ -1,0 +1,123 @@
+"""The load behind a motor whose motion is prescribed: against an independent integration, finer steps, differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from jointid.model.friction import AsymmetricFriction
+from jointid.model.joints import FlexibleJoint, RigidJoint
+from jointid.paper.twin import TABLE_2
+from jointid.simulation.drive_side import LOAD_STATE, PARTS, PrescribedMotion, prescribed_motion, simulate_drive_side
+
+T = 1e-3
+JOINT = FlexibleJoint()
+
+
+def wave(samples: int = 3000, pause: bool = False) -> np.ndarray:
+    """A motor position with components up to 60 Hz; with a pause in which a load comes to rest."""
+    t = np.arange(samples) * T
+    q = 0.02 * np.sin(2 * np.pi * 1.3 * t) + 8e-4 * np.sin(2 * np.pi * 23 * t) + 1e-4 * np.sin(2 * np.pi * 60 * t)
+    if pause:  # eased in and out, so that the spline has nothing to ring about
+        hold = 1 / (1 + np.exp(-(np.abs(t - 1.5) - 0.5) / 0.02))
+        q = 0.02 * np.sin(2 * np.pi * 0.5 * (t - 1.5)) * hold
+    return q
+
+
+def torque_of(motion: PrescribedMotion, values: dict[str, float], parts: int) -> np.ndarray:
+    return simulate_drive_side(JOINT, motion, values).torque.reshape(-1, parts).mean(axis=1)
+
+
+@pytest.mark.parametrize("coulomb", [10.4, 60.0])
+def test_four_parts_of_a_sample_are_enough(coulomb: float) -> None:
+    values = TABLE_2 | {"load_coulomb": coulomb}
+    errors = {}
+    exact = torque_of(prescribed_motion(wave(), T, 64), values, 64)
+    for parts in (1, 2, PARTS):
+        found = torque_of(prescribed_motion(wave(), T, parts), values, parts)
+        errors[parts] = np.linalg.norm(found - exact) / np.linalg.norm(exact)
+    assert errors[PARTS] < 1e-5
+    assert errors[1] / errors[2] == pytest.approx(4, rel=0.2)  # the transient of the first sample is of second order
+    assert errors[2] / errors[PARTS] == pytest.approx(4, rel=0.2)
+
+
+def test_making_up_for_the_hold_pays(monkeypatch: pytest.MonkeyPatch) -> None:
+    exact = torque_of(prescribed_motion(wave(), T, 64), dict(TABLE_2), 64)
+    motion = prescribed_motion(wave(), T)
+    better = np.linalg.norm(torque_of(motion, dict(TABLE_2), PARTS) - exact)
+    plain = property(lambda m: (m.mean_position, np.diff(m.position) / m.step))
+    monkeypatch.setattr(PrescribedMotion, "pushes", plain)
+    assert np.linalg.norm(torque_of(motion, dict(TABLE_2), PARTS) - exact) > 10 * better
+
+
+def test_a_frictionless_load_is_that_of_an_adaptive_integrator() -> None:
+    from scipy.integrate import solve_ivp
+
+    values = TABLE_2 | {"load_coulomb": 0.0}
+    K, F, M, Fv = (values[n] for n in ("stiffness", "damping", "load_inertia", "load_viscous"))
+    w = 2 * np.pi * np.array([1.3, 23.0])
+    size = np.array([0.02, 8e-4])
+
+    def slopes(t: float, x: np.ndarray) -> list[float]:
+        q, v = size @ np.sin(w * t), (size * w) @ np.cos(w * t)
+        return [x[1], (K * (q - x[0]) + F * (v - x[1]) - Fv * x[1]) / M]
+
+    t = np.arange(2000) * T
+    motion = prescribed_motion(np.sin(np.outer(t, w)) @ size, T)
+    run = simulate_drive_side(JOINT, motion, values)
+    begin = [run.load_position[0], run.load_velocity[0]]
+    exact = solve_ivp(slopes, (0, t[-1]), begin, t_eval=t, rtol=1e-10, atol=1e-13).y[0]
+    assert np.max(np.abs(run.load_position[::PARTS] - exact)) < 1e-5 * np.ptp(exact)
+
+
+def test_a_load_that_sticks_stands_still_and_stores_its_deflection() -> None:
+    values = TABLE_2 | {"load_coulomb": 60.0}
+    run = simulate_drive_side(JOINT, prescribed_motion(wave(pause=True), T), values)
+    still = run.load_velocity == 0
+    assert 0.2 < np.mean(still) < 0.6
+    longest = np.flatnonzero(still)
+    held = np.split(longest, np.flatnonzero(np.diff(longest) > 1) + 1)
+    assert all(np.ptp(run.load_position[part]) < 1e-15 for part in held)
+    assert max(map(len, held)) > 0.5 / T * PARTS
+
+
+@pytest.mark.parametrize("pause", [False, True])
+def test_derivatives_are_those_of_differences(pause: bool) -> None:
+    joint = FlexibleJoint(friction=AsymmetricFriction()) if not pause else JOINT
+    values = dict(TABLE_2)
+    if not pause:
+        for side in ("motor", "load"):
+            for word in ("viscous", "coulomb"):
+                value = values.pop(f"{side}_{word}")
+                values |= {f"{side}_{word}_forwards": 1.1 * value, f"{side}_{word}_backwards": 0.9 * value}
+    values |= {"initial_load_position": 1e-4, "initial_load_velocity": 1e-3}
+    names = tuple(p.name for p in joint.parameters) + LOAD_STATE
+    motion = prescribed_motion(wave(pause=pause), T)
+    run = simulate_drive_side(joint, motion, values, names)
+    for i, name in enumerate(names):
+        step = 1e-5 * abs(values[name])
+        above, below = (simulate_drive_side(joint, motion, {**values, name: values[name] + s}) for s in (step, -step))
+        slope = (above.torque - below.torque) / (2 * step)
+        assert np.linalg.norm(slope - run.derivatives[:, i]) < 1e-4 * np.linalg.norm(slope), name
+
+
+def test_a_rigid_joint_takes_its_inverse_model() -> None:
+    q = wave()
+    values = {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
+    names = tuple(values)
+    run = simulate_drive_side(RigidJoint(), prescribed_motion(q, T), values, names)
+    assert np.allclose(run.torque, run.derivatives @ np.array(list(values.values())))
+    assert run.load_position is None
+    t = (np.arange((q.size - 1) * PARTS) + 0.5) * T / PARTS
+    w = 2 * np.pi * np.array([1.3, 23.0, 60.0])
+    acceleration = -np.sin(np.outer(t, w)) @ (np.array([0.02, 8e-4, 1e-4]) * w**2)
+    inside = slice(200, -200)  # a spline knows nothing beyond its ends
+    assert np.max(np.abs((run.derivatives[:, 0] - acceleration)[inside])) < 2e-3 * np.max(np.abs(acceleration))
+
+
+@pytest.mark.parametrize("change", [{"load_inertia": -1.0}, {"motor_inertia": 0.0}, {"stiffness": np.nan}])
+def test_what_no_joint_has_is_not_simulated(change: dict[str, float]) -> None:
+    run = simulate_drive_side(JOINT, prescribed_motion(wave(), T), TABLE_2 | change, ("stiffness",))
+    assert not run.finished
+    assert not np.any(run.torque)
+    assert not np.any(run.derivatives)
