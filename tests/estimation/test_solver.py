@@ -69,11 +69,11 @@ def outcome(make: Callable[[int], Case], seed: int, spread: float = 0.0) -> Outc
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [prismatic, rotary])
 def test_random_plants_are_identified_from_nothing(make: Callable[[int], Case]) -> None:
-    """Of 300 of each family 99 % end at the noise floor, whatever their size."""
-    found = in_threads(lambda seed: outcome(make, seed), range(300))
+    """Of 100 of each family 99 % end at the noise floor, whatever their size."""
+    found = in_threads(lambda seed: outcome(make, seed), range(100))
     lost = [one for one in found if not one.ratio <= 1.01]
     effort = [one.simulations for one in found if one.simulations]
-    assert len(lost) <= 3, lost
+    assert len(lost) <= 1, lost
     assert not any(one.error for one in found), [one for one in found if one.error]
     assert np.median(effort) <= 150
     assert np.percentile(effort, 95) <= 250
@@ -82,7 +82,7 @@ def test_random_plants_are_identified_from_nothing(make: Callable[[int], Case]) 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [prismatic, rotary])
 def test_starts_within_a_factor_of_ten_lead_there_too(make: Callable[[int], Case]) -> None:
-    found = in_threads(lambda seed: outcome(make, seed, spread=10.0), range(100))
+    found = in_threads(lambda seed: outcome(make, seed, spread=10.0), range(40))
     lost = [one for one in found if not one.ratio <= 1.01]
     assert len(lost) <= 1, lost
 
