@@ -6,7 +6,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from jointid.estimation.suspects import LoopTests, suspected
+from jointid.assessment.suspects import LoopTests, suspected
 from tests.faults import FAULTS, PAIRS, Loop, Noise, on, problem, setting, solved
 
 LEVEL = 0.05

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from jointid.assessment.comparison import Comparison, compare
     from jointid.assessment.intervals import Intervals, intervals
     from jointid.assessment.loop import check_loop
+    from jointid.assessment.loopcheck import LoopCheck
     from jointid.assessment.revealing import Revealing, revealing, what_would_tell_more
+    from jointid.assessment.suspects import LoopTests
     from jointid.assessment.validation import Validation, validate
     from jointid.common.errors import (
         ExtraError,
@@ -38,17 +40,13 @@ if TYPE_CHECKING:
     from jointid.data.reading import read, write
     from jointid.data.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, record_of
     from jointid.data.signals import Filtering
-    from jointid.estimation.common_estimate import CommonEstimate, RecordShare
     from jointid.estimation.didim import DIDIM
     from jointid.estimation.drive_side import DriveSideFit
     from jointid.estimation.estimate import Estimate, EstimatedParameter, IdentifiedJoint
     from jointid.estimation.flexible import FlexibleDIDIM
     from jointid.estimation.identify import identify
     from jointid.estimation.idim import IDIM
-    from jointid.estimation.loopcheck import LoopCheck
     from jointid.estimation.open_loop import OpenLoopFit
-    from jointid.estimation.suspects import LoopTests
-    from jointid.estimation.together import identify_together
     from jointid.jointfile import JointFile, load
     from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
     from jointid.model.effects import Drift, PositionHarmonics
@@ -62,6 +60,8 @@ if TYPE_CHECKING:
     from jointid.simulation.experiment import ClosedLoop, prepare
     from jointid.simulation.open_loop import OpenLoop
     from jointid.simulation.synthesis import simulated_record
+    from jointid.together.common_estimate import CommonEstimate, RecordShare
+    from jointid.together.together import identify_together
 
 _HOMES = {
     "answers": (
@@ -87,7 +87,7 @@ _HOMES = {
     "data.reading": ("read", "write"),
     "data.record": ("Channel", "Injection", "InjectionPoint", "Record", "Tap", "Timing", "record_of"),
     "data.signals": ("Filtering",),
-    "estimation.common_estimate": ("CommonEstimate", "RecordShare"),
+    "together.common_estimate": ("CommonEstimate", "RecordShare"),
     "estimation.didim": ("DIDIM",),
     "estimation.drive_side": ("DriveSideFit",),
     "estimation.estimate": ("Estimate", "EstimatedParameter", "IdentifiedJoint"),
@@ -95,9 +95,9 @@ _HOMES = {
     "estimation.idim": ("IDIM",),
     "estimation.identify": ("identify",),
     "estimation.open_loop": ("OpenLoopFit",),
-    "estimation.together": ("identify_together",),
-    "estimation.loopcheck": ("LoopCheck",),
-    "estimation.suspects": ("LoopTests",),
+    "together.together": ("identify_together",),
+    "assessment.loopcheck": ("LoopCheck",),
+    "assessment.suspects": ("LoopTests",),
     "jointfile": ("JointFile", "load"),
     "model.controllers": ("PD", "Cascade", "DigitalFilter", "StateSpaceController"),
     "model.effects": ("Drift", "PositionHarmonics"),

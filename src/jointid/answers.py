@@ -14,11 +14,11 @@ from typing import Any, Literal, get_args
 
 from jointid.assessment.advice import Advice, Prediction
 from jointid.assessment.comparison import Comparison
+from jointid.assessment.loopcheck import LoopCheck, Suspect
 from jointid.assessment.revealing import Revealing, Told
 from jointid.assessment.validation import Validation
 from jointid.common.errors import MethodError, RecordError
 from jointid.data.signals import Filtering
-from jointid.estimation.common_estimate import CommonEstimate, RecordShare
 from jointid.estimation.estimate import (
     Estimate,
     EstimatedParameter,
@@ -27,13 +27,13 @@ from jointid.estimation.estimate import (
     MethodName,
     law_fingerprint,
 )
-from jointid.estimation.loopcheck import LoopCheck, Suspect
 from jointid.inference.identifiability import Identifiability
 from jointid.inference.residuals import ResidualReport
 from jointid.model.effects import Drift, Effect, PositionHarmonics, effect_parameters
 from jointid.model.joints import Joint
 from jointid.simulation.closed_loop import Initial, Simulation
 from jointid.simulation.experiment import ClosedLoop
+from jointid.together.common_estimate import CommonEstimate, RecordShare
 
 ESTIMATE_SCHEMA = "jointid.estimate/1"
 TOGETHER_SCHEMA = "jointid.together/1"

@@ -13,12 +13,12 @@ from jointid.common.errors import MethodError
 from jointid.data.record import Record
 from jointid.data.signals import Filtering
 from jointid.estimation.problem import Problem, torque_problem
-from jointid.estimation.several import Several, several, through, whitening
 from jointid.estimation.surroundings import INITIAL_STATE
 from jointid.model.joints import RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.simulation.experiment import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
+from jointid.together.several import Several, several, through, whitening
 
 FRICTION = ("motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb")
 ADDED = [{}, {"load_inertia": 10.0}]

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jointid.assessment.suspects import suspected
 from jointid.common.errors import MethodError
 from jointid.data.excitation import trapezoids
 from jointid.data.record import Record
 from jointid.estimation.didim import DIDIM
 from jointid.estimation.flexible import FlexibleDIDIM, refined_least_squares
 from jointid.estimation.identify import identify
-from jointid.estimation.suspects import suspected
 from jointid.inference.uncertainty import sandwich
 from jointid.model.controllers import Cascade
 from jointid.model.joints import RigidJoint

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from jointid.answers import LOOP_SCHEMA, dumps, loop_answer
+from jointid.assessment.alternatives import sensitivities
 from jointid.assessment.loop import check_loop
+from jointid.assessment.loopcheck import Change, Finding, LoopCheck, Suspect
+from jointid.assessment.scores import whitener
+from jointid.assessment.suspects import LoopTests, suspected
 from jointid.common.errors import MethodError
 from jointid.data.record import Record, Tap
-from jointid.estimation.alternatives import sensitivities
 from jointid.estimation.flexible import FlexibleDIDIM
 from jointid.estimation.identify import identify
 from jointid.estimation.idim import IDIM
-from jointid.estimation.loopcheck import Change, Finding, LoopCheck, Suspect
-from jointid.estimation.scores import whitener
-from jointid.estimation.suspects import LoopTests, suspected
 from jointid.model.joints import RigidJoint
 from jointid.paper.twin import twin
 from jointid.simulation.experiment import ClosedLoop

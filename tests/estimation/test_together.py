@@ -13,21 +13,21 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.data.record import InjectionPoint, Record
 from jointid.data.signals import Filtering
-from jointid.estimation.common_estimate import CommonEstimate
 from jointid.estimation.flexible import FlexibleDIDIM
 from jointid.estimation.identify import identify
 from jointid.estimation.idim import IDIM
 from jointid.estimation.problem import Problem, torque_problem
-from jointid.estimation.separate import by_itself, descended, starts, whitened
-from jointid.estimation.several import several
 from jointid.estimation.surroundings import INITIAL_STATE
-from jointid.estimation.together import identify_together
 from jointid.model.friction import AsymmetricFriction
 from jointid.model.joints import RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.experiment import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
+from jointid.together.common_estimate import CommonEstimate
+from jointid.together.separate import by_itself, descended, starts, whitened
+from jointid.together.several import several
+from jointid.together.together import identify_together
 from tests.estimation.conftest import CONTROLLER
 
 Noise = Literal["disturbance", "white", "none"]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from jointid.assessment.loopcheck import LoopCheck
+from jointid.assessment.suspects import LoopTests, suspected
 from jointid.common.errors import MethodError
 from jointid.data.record import Record
 from jointid.estimation.estimate import Estimate
-from jointid.estimation.loopcheck import LoopCheck
 from jointid.estimation.problem import torque_problem
 from jointid.estimation.surroundings import INITIAL_STATE
-from jointid.estimation.suspects import LoopTests, suspected
 from jointid.inference.verdict import Verdict
 
 _INITIAL = tuple(p.name for p in INITIAL_STATE)

@@ -27,8 +27,8 @@ def together(
     from jointid import answers
     from jointid.cli.console import check_outputs, progress, ready, show
     from jointid.common.errors import MethodError
-    from jointid.estimation.together import identify_together
     from jointid.jointfile import load
+    from jointid.together.together import identify_together
 
     listener = progress(quiet)
     check_outputs(None, json)

@@ -89,7 +89,7 @@ class JointFile:
         name: what reports call the joint.
         runs: records that are identified together.
         free: names of what surrounds the joint and is then identified too.
-        weighting: of their rows; see `jointid.estimation.together.identify_together`.
+        weighting: of their rows; see `jointid.together.together.identify_together`.
         path: of the joint file; a text is taken to stand in `joint.toml`.
 
     Example:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from jointid.assessment.alternatives import INJECTED_GAIN, LIMIT, OFFSET, PRESLIDING, STRIBECK
 from jointid.common.text import aligned, number
-from jointid.estimation.alternatives import INJECTED_GAIN, LIMIT, OFFSET, PRESLIDING, STRIBECK
 
 _SLIGHT = 0.5  # of a deviation: a smaller change of a parameter is not worth a word
 _TOLD = 3  # parameters whose change is told in a sentence

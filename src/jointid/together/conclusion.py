@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointid.data.record import Record
-from jointid.estimation.arrangement import Arrangement
-from jointid.estimation.common_estimate import CommonEstimate, RecordShare
 from jointid.estimation.estimate import EstimatedParameter, fingerprint, poor_fit, relative_error
 from jointid.estimation.problem import initial_of
-from jointid.estimation.scatter import Agreement, Alone, agreement
-from jointid.estimation.separate import BySelf, End, bounds
-from jointid.estimation.several import Several, at_rows
 from jointid.estimation.surroundings import INITIAL_STATE
 from jointid.inference.repeatable import Uncertainty, cells, uncertainty
 from jointid.inference.uncertainty import Covariance, covariance_of
 from jointid.model.parameters import Parameter, Quantity
+from jointid.together.arrangement import Arrangement
+from jointid.together.common_estimate import CommonEstimate, RecordShare
+from jointid.together.scatter import Agreement, Alone, agreement
+from jointid.together.separate import BySelf, End, bounds
+from jointid.together.several import Several, at_rows
 
 _INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
 _ROUNDING = 1e-8  # of a value

@@ -27,18 +27,18 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.record import Record
 from jointid.data.signals import Filtering
-from jointid.estimation.arrangement import Arrangement
-from jointid.estimation.common_estimate import CommonEstimate
-from jointid.estimation.conclusion import concluded
 from jointid.estimation.estimate import Estimate, fingerprint
 from jointid.estimation.identify import Method, identify
 from jointid.estimation.idim import IDIM
 from jointid.estimation.problem import Problem, torque_problem
-from jointid.estimation.separate import BySelf, by_itself, descended, starts, whitened
-from jointid.estimation.several import several
 from jointid.estimation.surroundings import INITIAL_STATE
 from jointid.model.parameters import Parameter, adjusted
 from jointid.simulation.experiment import ClosedLoop
+from jointid.together.arrangement import Arrangement
+from jointid.together.common_estimate import CommonEstimate
+from jointid.together.conclusion import concluded
+from jointid.together.separate import BySelf, by_itself, descended, starts, whitened
+from jointid.together.several import several
 
 Weighting: TypeAlias = Literal["spectrum", "level"]
 

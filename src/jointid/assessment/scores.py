@@ -21,9 +21,9 @@ from typing import TypeAlias
 
 import numpy as np
 
+from jointid.assessment.alternatives import INJECTED_GAIN, ONE_SIDED, Alternative
+from jointid.assessment.loopcheck import Suspect
 from jointid.data.record import FloatArray
-from jointid.estimation.alternatives import INJECTED_GAIN, ONE_SIDED, Alternative
-from jointid.estimation.loopcheck import Suspect
 from jointid.inference.repeatable import Cells, by_place, repeatable
 from jointid.inference.uncertainty import larger, robust
 

@@ -18,11 +18,11 @@ from jointid.data.record import FloatArray
 from jointid.estimation.descent import reason
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.problem import Problem
-from jointid.estimation.several import at_rows, several, whitening
 from jointid.inference.criterion import Criterion
 from jointid.inference.repeatable import Repeatable, Uncertainty, cells, uncertainty
 from jointid.inference.uncertainty import bandwidth
 from jointid.model.parameters import TORQUE_UNIT
+from jointid.together.several import at_rows, several, whitening
 
 _TOLERANCE, _EVALUATIONS = 1e-10, 100
 _NOTHING_LEFT = 1e-6  # of the torque: a residual below it is rounding, and no level

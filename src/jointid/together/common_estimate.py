@@ -9,11 +9,11 @@ from jointid.common.text import aligned, number
 from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
 from jointid.estimation.estimate import EstimatedParameter
-from jointid.estimation.scatter import Agreement
 from jointid.inference.repeatable import Repeatable
 from jointid.model.joints import Joint
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.experiment import ClosedLoop
+from jointid.together.scatter import Agreement
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,10 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jointid.common.errors import MethodError
-from jointid.common.progress import silent
-from jointid.data.record import FloatArray
-from jointid.estimation.alternatives import (
+from jointid.assessment.alternatives import (
     INJECTED_GAIN,
     LIMIT,
     OFFSET,
@@ -24,10 +21,13 @@ from jointid.estimation.alternatives import (
     Alternative,
     sensitivities,
 )
+from jointid.assessment.loopcheck import Change, Finding, LoopCheck, Suspect
+from jointid.assessment.scores import strength, tested
+from jointid.common.errors import MethodError
+from jointid.common.progress import silent
+from jointid.data.record import FloatArray
 from jointid.estimation.descent import Descent, refined
-from jointid.estimation.loopcheck import Change, Finding, LoopCheck, Suspect
 from jointid.estimation.problem import Problem
-from jointid.estimation.scores import strength, tested
 from jointid.estimation.surroundings import surrounding, with_numbers
 from jointid.inference.repeatable import Cells, by_place, cells, repeatable
 from jointid.inference.uncertainty import larger, robust
