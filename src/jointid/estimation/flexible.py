@@ -273,8 +273,9 @@ def _leads_back(descent: Descent, x: FloatArray, mode: float) -> bool:
     moved = 0.2 * values["load_inertia"] if values["load_inertia"] < values["motor_inertia"] else 0.0
     aside = {"stiffness": 0.8 * values["stiffness"], "load_inertia": values["load_inertia"] + moved}
     aside |= {"motor_inertia": values["motor_inertia"] - moved, "damping": 1.5 * values["damping"]}
-    start = descent.problem.vector(values | aside)
+    start, trace = descent.problem.vector(values | aside), list(descent.trace)
     end = refined(descent, start, _ROUGHLY, _FEW)
+    descent.trace = trace  # the way back is no part of the way there
     cost = float(np.linalg.norm(end.fun))
     same = abs(frequency_of(descent.problem.values(np.asarray(end.x))) / mode - 1) < 10 * _TOGETHER
     return same and cost < (1 + _TOGETHER) * float(np.linalg.norm(descent.residual(x))) + _REST * descent.size

@@ -52,6 +52,7 @@ _TEST_SHARES = (0.1, 0.33, 0.6)
 # rings for 1 / (4 pi damping) periods, so that a coarser grid misses the one that is there; the last is a compliance.
 _TEST_MODES = (*(0.3 * 1.08**i for i in range(16)), 2.5)
 _DAMPING = 0.02  # ratio, of the mode whose stiffness is bounded
+_FAR = 0.5  # of the rigid joint's sum of squares: what chance cannot make of it with a few parameters more
 _TIGHT = 0.2  # of the stiffness: a 2-sigma interval this narrow needs no profile
 _POSITIVE = ("motor_inertia", "load_inertia", "stiffness")
 _BAND = 0.15  # of the sampling frequency, in which a bound is looked for: modes above the fitted band show there
@@ -116,8 +117,11 @@ def visible(
     rigid, at = _rigid(problem, problem.values(x))
     error, J = rigid.linearised(at.x)
     where = rigid.cells(rigid.simulate(at.x))
-    test = flexible_against_rigid(error, J, _springs(problem, rigid.values(at.x), error), where)
-    runs = at.simulations + 3 + len(_TEST_SHARES) * len(_TEST_MODES)
+    left = float(np.sum(problem.residual(x) ** 2))
+    # So far from the rigid joint a linear step towards the spring finds nothing; what the fit itself gained counts.
+    fitted = left if left < _FAR * float(error @ error) else None
+    test = flexible_against_rigid(error, J, _springs(problem, rigid.values(at.x), error), where, fitted)
+    runs = at.simulations + 4 + len(_TEST_SHARES) * len(_TEST_MODES)
     reasons = [] if test.significant else [str(test)]
     reasons += _doubts(problem, x, known, error, together)
     found = None
@@ -313,7 +317,9 @@ def _held(held: _AtMode, start: FloatArray) -> _End:
     inside = np.clip(start, lower + 1e-6 * np.abs(start), upper - 1e-6 * np.abs(start))
 
     def jacobian(x: FloatArray) -> FloatArray:
-        return held.linearised(x)[1]
+        J = held.linearised(x)[1]
+        # The derivatives of a diverging loop overflow when they are squared; there is no way down from it.
+        return J if np.isfinite(np.vdot(J, J)) else np.zeros_like(J)
 
     error, slopes = held.linearised(inside)
     if not slopes.any():  # nothing can be simulated there, so nothing leads away from it
