@@ -221,7 +221,7 @@ def test_simulations_are_those_counted(monkeypatch: pytest.MonkeyPatch) -> None:
 
 # Statistics; their seeds are fixed once and never retuned
 
-RUNS = 40  # of 100, which docs/methods.md tells of
+RUNS = 24  # of 100, which docs/methods.md tells of
 
 
 def differences(noise: Noise, seed: int) -> tuple[float, float]:
