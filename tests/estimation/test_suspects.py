@@ -236,8 +236,8 @@ def test_clean_records_raise_no_more_false_alarms_than_allowed() -> None:
 @pytest.mark.parametrize(("name", "noise"), [("L19", "disturbance"), ("L30", "white")])
 @pytest.mark.parametrize("fault", FAULTS)
 def test_the_fault_that_is_there_is_the_one_named_first(name: Loop, noise: Noise, fault: str) -> None:
-    """Of 200 runs each the table is in the docs; here 20, but of the one that is nearest to the limit."""
-    runs = 200 if (name, fault) == ("L19", "stribeck") else 20
+    """Of 200 runs each the table is in the docs; here 20, but of those so near the limit that 20 do not decide."""
+    runs = 200 if (name, fault) in (("L19", "stribeck"), ("L30", "kp")) else 20
     found = [first_named(name, fault, noise, seed) for seed in range(1, runs + 1)]
     assert found.count(fault) >= 0.8 * len(found), found
 
