@@ -56,7 +56,7 @@ def test_a_motor_encoder_adds_nothing_to_an_exact_command(advice: Advice) -> Non
     assert advice.noise == "loop"
     for name in advice.std:
         assert advice.ratio("motor encoder", name) == pytest.approx(1.0, abs=1e-9), name
-        assert advice.ratio("both", name) == advice.ratio("load encoder", name)
+        assert advice.ratio("both", name) == pytest.approx(advice.ratio("load encoder", name), rel=1e-9), name
 
 
 def test_the_law_makes_of_the_torque_what_the_encoder_would_tell(disturbed: tuple[Twin, Estimate]) -> None:
