@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -49,8 +49,13 @@ from jointid.model.joints import RigidJoint
 from jointid.model.parameters import Parameter
 from jointid.simulation.experiment import ClosedLoop
 
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
+
 _REFINED = 6  # starts that are refined at most, until two of them end together
 _ROUGHLY, _FEW = 1e-5, 30  # tolerance and evaluations of a refinement that only has to show where it leads
+_BESIDE = 3  # times an end that no second start led to is begun again beside itself
+_LOWER = (4.0, 16.0)  # times lower cut-offs of the rigid start, where no end explains the torque
 _TOGETHER = 1e-3  # of a frequency, and of what remains: ends closer than this are one
 _REST = 1e-4  # of the torque: what remains of a record without noise, and is not compared
 _MODES = 2.0  # the cut-off is that many free-free frequencies, or more
@@ -144,6 +149,17 @@ def identify_flexible(
     descent = Descent(problem, progress)
     solved = _by_nelder_mead if paper else _by_least_squares
     end = solved(descent, filtering, rigid, settings)
+    assert rigid.filtering.cutoff is not None
+    edge, simulations = rigid.filtering.cutoff, rigid.simulations
+    for lower in () if paper or settings.rigid_cutoff else _LOWER:
+        if np.linalg.norm(descent.residual(end.x)) <= _NOTHING * descent.size:
+            break
+        # A mode near the cut-off of the rigid start makes it a poor one, and all that is explored from it.
+        progress("the search ended where the model explains little; beginning again, below a lower frequency")
+        descent.problem = problem
+        rigid = rigid_estimate(record, loop, edge / lower, progress)
+        simulations += rigid.simulations
+        end = solved(descent, filtering, rigid, settings)
     if rigid["initial_velocity"].free:  # below its resonance the axis seemed to move at the first sample
         end = _or_moving(descent, end, rigid, settings)
     if settings.free:
@@ -172,7 +188,7 @@ def identify_flexible(
         found,
         variant=f"DIDIM by {how} {'from the pseudo-regular start' if paper else 'from a grid of starts'}",
         trace=tuple(descent.trace),
-        simulations=descent.simulations + rigid.simulations,
+        simulations=descent.simulations + simulations,
     )
 
 
@@ -257,18 +273,23 @@ def _by_least_squares(descent: Descent, filtering: Filtering, rigid: Estimate, s
     _, mode, x = min(ends, key=lambda end: end[0])
     descent.problem = problem if filtering.cutoff else on_band(problem, filtering, mode)
     descent.size = float(np.linalg.norm(descent.problem.filtered(problem.measured)))
-    found = refined(descent, x, stopping_tolerance(settings))
-    if together < 2:
-        together += _leads_back(descent, np.asarray(found.x), mode)
-        tried = len(ends) + 1
-    else:
-        tried = len(ends)
+    found, tried = refined(descent, x, stopping_tolerance(settings)), len(ends)
+    for _ in range(_BESIDE if together < 2 else 0):
+        beside, tried = _from_beside(descent, np.asarray(found.x)), tried + 1
+        left, other = (float(np.linalg.norm(end.fun)) for end in (found, beside))
+        if other < (1 - _TOGETHER) * left - _REST * descent.size:  # the way back led further down
+            found, together = refined(descent, np.asarray(beside.x), stopping_tolerance(settings)), 1
+            continue
+        modes = [frequency_of(descent.problem.values(np.asarray(end.x))) for end in (found, beside)]
+        back = abs(modes[1] / modes[0] - 1) < 10 * _TOGETHER
+        together += back and other < (1 + _TOGETHER) * left + _REST * descent.size
+        break
     stop, converged = reason(found, stopping_tolerance(settings))
     return _End(np.asarray(found.x), f"{stop}; {together} of {tried} starts led there", converged, (together, tried))
 
 
-def _leads_back(descent: Descent, x: FloatArray, mode: float) -> bool:
-    """Return whether a start beside an end leads back to it: softer, and with more of the inertia on the load."""
+def _from_beside(descent: Descent, x: FloatArray) -> OptimizeResult:
+    """Return where a start beside an end leads: softer, more damped, with more of the inertia on the load."""
     values = descent.problem.values(x)
     moved = 0.2 * values["load_inertia"] if values["load_inertia"] < values["motor_inertia"] else 0.0
     aside = {"stiffness": 0.8 * values["stiffness"], "load_inertia": values["load_inertia"] + moved}
@@ -276,9 +297,7 @@ def _leads_back(descent: Descent, x: FloatArray, mode: float) -> bool:
     start, trace = descent.problem.vector(values | aside), list(descent.trace)
     end = refined(descent, start, _ROUGHLY, _FEW)
     descent.trace = trace  # the way back is no part of the way there
-    cost = float(np.linalg.norm(end.fun))
-    same = abs(frequency_of(descent.problem.values(np.asarray(end.x))) / mode - 1) < 10 * _TOGETHER
-    return same and cost < (1 + _TOGETHER) * float(np.linalg.norm(descent.residual(x))) + _REST * descent.size
+    return end
 
 
 def on_band(problem: Problem, filtering: Filtering, mode: float) -> Problem:

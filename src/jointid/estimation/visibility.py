@@ -117,10 +117,13 @@ def visible(
     rigid, at = _rigid(problem, problem.values(x))
     error, J = rigid.linearised(at.x)
     where = rigid.cells(rigid.simulate(at.x))
-    left = float(np.sum(problem.residual(x) ** 2))
+    remains = problem.residual(x)
+    left = float(remains @ remains)
+    # Where every spring on the rigid joint makes the loop unstable, the one that was found is the one to test.
+    springs = _springs(problem, rigid.values(at.x), error) or [(remains - error)[:, np.newaxis]]
     # So far from the rigid joint a linear step towards the spring finds nothing; what the fit itself gained counts.
     fitted = left if left < _FAR * float(error @ error) else None
-    test = flexible_against_rigid(error, J, _springs(problem, rigid.values(at.x), error), where, fitted)
+    test = flexible_against_rigid(error, J, springs, where, fitted)
     runs = at.simulations + 4 + len(_TEST_SHARES) * len(_TEST_MODES)
     reasons = [] if test.significant else [str(test)]
     reasons += _doubts(problem, x, known, error, together)
