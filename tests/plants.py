@@ -114,7 +114,7 @@ def _driven(
     )
     run = simulate_torque(loop, prepare(loop, driven), truth)
     plain = loop.controller.law(period)
-    size = abs(plain.D[0]) * np.ptp(reference)
+    size = plain.stiffness * np.ptp(reference)
     if run.outcome is not Outcome.FINISHED or np.max(np.abs(run.torque)) > size:
         return None
     late = np.std(np.diff(run.torque)[-len(reference) // 8 :])

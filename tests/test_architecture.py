@@ -44,8 +44,9 @@ def imports(path: Path) -> set[str]:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("jointid"):
             for alias in node.names:
-                inner = PACKAGE.joinpath(*str(node.module).split(".")[1:], f"{alias.name}.py")
-                found.add(f"{node.module}.{alias.name}" if inner.is_file() else str(node.module))
+                inner = PACKAGE.joinpath(*str(node.module).split(".")[1:], alias.name)
+                module = inner.is_dir() or inner.with_suffix(".py").is_file()
+                found.add(f"{node.module}.{alias.name}" if module else str(node.module))
         elif isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names if alias.name.startswith("jointid")}
     return {module.removeprefix("jointid").removeprefix(".") for module in found}

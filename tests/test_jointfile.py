@@ -20,19 +20,48 @@ from hypothesis import strategies as st
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.units import units_of
 from jointid.data.columns import Column, known_units
+from jointid.data.drive import Drive
+from jointid.data.profiles import profile_names
 from jointid.data.record import InjectionPoint, Tap, Timing
 from jointid.data.signals import Filtering
+from jointid.data.transmission import SIDES, Transmission
 from jointid.estimation.didim import DIDIM
 from jointid.estimation.drive_side import DriveSideFit
 from jointid.estimation.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.estimation.identify import identify
 from jointid.estimation.idim import IDIM
 from jointid.estimation.open_loop import OpenLoopFit
-from jointid.jointfile import JointFile, Run, Source, dumps, json_schema, load, loads, save
+from jointid.jointfile import (
+    JointFile,
+    Run,
+    Source,
+    controller_text,
+    dumps,
+    json_schema,
+    load,
+    loads,
+    save,
+    with_controller,
+)
 from jointid.jointfile.schema import CLOSINGS, DIDIMS, FILTERINGS, OF_IDIM
-from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
+from jointid.model.controllers import (
+    PD,
+    PID,
+    POSITION,
+    REFERENCE,
+    REFERENCE_VELOCITY,
+    Cascade,
+    Controller,
+    DigitalFilter,
+    FirstOrder,
+    MovingAverage,
+    Notch,
+    SecondOrder,
+    StateSpaceController,
+)
 from jointid.model.effects import Drift, PositionHarmonics
 from jointid.model.friction import AsymmetricFriction, SymmetricFriction
+from jointid.model.gravity import GRAVITY_PARAMETERS, Counterbalance, Gravity
 from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.model.parameters import Parameter
 
@@ -89,7 +118,7 @@ def test_every_key_that_is_written_at_its_default_changes_nothing() -> None:
         [record]
         clock_tolerance = 0.05
         [record.channels]
-        torque = { column = "i", gain = 1.0, sign = 1, optional = false, tap = "command" }
+        torque = { column = "i", gain = 1.0, sign = 1, optional = false }
         reference = { column = "r" }
         motor_position = { column = "q" }
         [controller]
@@ -132,21 +161,26 @@ def test_the_schema_has_the_objects_own_defaults() -> None:
     """The defaults in the schema are for its readers: the objects never see them, so they could go wrong unnoticed."""
     homes = {
         "ChannelTable": Column,
+        "DriveTable": Drive,
         "TorqueTable": Column,
         "InjectedTable": Column,
         "CascadeTable": Cascade,
         "PDTable": PD,
+        "PIDTable": PID,
         "StateSpaceTable": StateSpaceController,
-        "FilterTable": DigitalFilter,
         "FilteringTable": Filtering,
         "RecordTable": Source,
         "RunTable": Run,
+        "GravityTable": Gravity,
+        "CounterbalanceTable": Counterbalance,
     }
     # A key of both methods has two defaults, and so none in the schema.
     for name, home in (*homes.items(), ("MethodTable", DIDIM), ("MethodTable", FlexibleDIDIM)):
         own = {field.name: field.default for field in dataclasses.fields(home)}
         for key, described in table(name).items():
             if "default" in described and (key in own or name in homes):
+                if key == "side":  # of a law it is said by its ratio
+                    continue
                 default = own[key]
                 assert described["default"] == (list(default) if isinstance(default, tuple) else default), (name, key)
 
@@ -159,6 +193,7 @@ def test_every_word_of_the_objects_is_a_word_of_the_file() -> None:
     assert [field.name for field in dataclasses.fields(Filtering)] == list(table("FilteringTable"))[1:]
     assert table("FilteringTable")["preset"]["enum"] == list(FILTERINGS)
     assert table("JointTable")["model"]["enum"] == list(DIDIMS)
+    assert table("GravityTable")["load"]["enum"] == list(GRAVITY_PARAMETERS)
     settings = [field.name for method in (*DIDIMS.values(), *CLOSINGS.values()) for field in dataclasses.fields(method)]
     assert [*dict.fromkeys(settings), *OF_IDIM] == list(table("MethodTable"))[2:]
     assert table("MethodTable")["drift"]["enum"] == list(get_args(get_type_hints(Drift)["of"]))
@@ -277,6 +312,21 @@ def test_all_settings_of_a_rigid_joint() -> None:
     assert loads(SMALLEST + text).method == DIDIM("paper", "given", 0, 1e-3, 1e-2, 7, "reference")
 
 
+LINK = SMALLEST.replace("prismatic", "revolute") + '[gravity]\nload = "link"\n'
+
+
+def test_gravity() -> None:
+    file = loads(
+        LINK + "angle = 0.01\ncounterbalance = { cos = 0.2, rate = 1e-3 }\n[parameters]\ngravity_sin = { start = 0.5 }"
+    )
+    assert file.joint == RigidJoint("revolute", gravity=Gravity("link", Counterbalance(cos=0.2, rate=1e-3), 0.01))
+    assert file.parameters["gravity_sin"].start == 0.5
+    loaded = loads(FLEXIBLE + '[gravity]\nload = "constant"').joint
+    assert loaded == FlexibleJoint(gravity=Gravity("constant"))
+    assert [p.name for p in loaded.parameters[-2:]] == ["offset", "gravity_constant"]
+    assert [p.free for p in loaded.parameters[-2:]] == [False, True]
+
+
 def test_a_state_space_law() -> None:
     text = """[controller]
     law = "state_space"
@@ -289,8 +339,10 @@ def test_a_state_space_law() -> None:
     law = loads(JOINT + CHANNELS + text).controller
     assert isinstance(law, StateSpaceController)
     lowered = law.law(1e-3)
-    np.testing.assert_array_equal(lowered.B, [[0.0, 0.0, 1.0, 0.1]])
-    np.testing.assert_array_equal(lowered.D, [3.0, 0.0, -3.0])
+    columns = [REFERENCE, REFERENCE_VELOCITY, POSITION]
+    np.testing.assert_array_equal(lowered.B[0, :, columns], [[0.0], [0.0], [1.0]])
+    np.testing.assert_array_equal(lowered.D[0, 0, columns], [3.0, 0.0, -3.0])
+    np.testing.assert_array_equal(lowered.F, [[[0.1]]])
     assert lowered.limit == 2.0
     static = 'law = "state_space"\nA = []\nB = {}\nC = []\nD = { reference = 1.0, position = -1.0 }\n'
     assert loads(JOINT + CHANNELS + "[controller]\n" + static).controller is not None
@@ -391,18 +443,23 @@ FAULTS = [
     # keys
     (
         SMALLEST + "kpp = 3",
-        "controller.kpp is not a known key; expected one of law, gain, limit, period, delay, velocity_filter, kp,"
-        " kv: did you mean kp?",
+        "controller.kpp is not a known key; expected one of law, gain, limit, period, delay, interpolation, side, "
+        "reference_delay, velocity_filter, torque_filters, filters_at, acceleration_feedforward, viscous_feedforward, "
+        "coulomb_feedforward, constant_feedforward, torque_feedforward_delay, kp, kv, ki, anti_windup, "
+        "velocity_feedforward, velocity_feedforward_delay, reference_velocity, velocity_limit, position_period, "
+        "position_offset: did you mean kp?",
     ),
     (
-        SMALLEST + "kd = 3",
-        "controller.kd is not a known key; expected one of law, gain, limit, period, delay, velocity_filter, kp, "
-        "kv: leave it out.",
+        SMALLEST.replace("kv = 2000.0", "kd = 3.0\nki = 1.0").replace("cascade", "pd"),
+        "controller.ki is not a known key; expected one of law, gain, limit, period, delay, interpolation, side, "
+        "reference_delay, velocity_filter, torque_filters, filters_at, acceleration_feedforward, viscous_feedforward, "
+        "coulomb_feedforward, constant_feedforward, torque_feedforward_delay, kp, kd, reference_velocity: leave it "
+        "out.",
     ),
     (
         SMALLEST + "[methods]",
-        "methods is not a known key; expected one of joint, record, controller, filtering, method, parameters, "
-        "records, together: did you mean method?",
+        "methods is not a known key; expected one of joint, transmission, gravity, record, drive, controller, "
+        "filtering, method, parameters, records, together: did you mean method?",
     ),
     (
         SMALLEST.replace("motor_position", "motor_positon"),
@@ -411,8 +468,8 @@ FAULTS = [
     ),
     (
         SMALLEST + '["a.b"]',
-        '"a.b" is not a known key; expected one of joint, record, controller, filtering, method, parameters, '
-        "records, together: leave it out.",
+        '"a.b" is not a known key; expected one of joint, transmission, gravity, record, drive, controller, '
+        "filtering, method, parameters, records, together: leave it out.",
     ),
     (
         SMALLEST.replace("kp = 100.0\n", ""),
@@ -434,15 +491,15 @@ FAULTS = [
     ),
     (
         SMALLEST.replace('"cascade"', '"cascad"'),
-        'controller.law is "cascad"; expected "cascade", "pd" or "state_space": did you mean "cascade"?',
+        'controller.law is "cascad"; expected "cascade", "pd", "pid" or "state_space": did you mean "cascade"?',
     ),
     (
         SMALLEST.replace('law = "cascade"\n', ""),
-        'controller.law is missing; expected "cascade", "pd" or "state_space" (the controller\'s law): add it.',
+        'controller.law is missing; expected "cascade", "pd", "pid" or "state_space" (the controller\'s law): add it.',
     ),
     (
         SMALLEST.replace('"cascade"', "[1]"),
-        'controller.law is [1]; expected "cascade", "pd" or "state_space": choose one of them.',
+        'controller.law is [1]; expected "cascade", "pd", "pid" or "state_space": choose one of them.',
     ),
     (
         SMALLEST.replace('"prismatic"', '"prismatic"\nfriction = "stribeck"'),
@@ -485,12 +542,94 @@ FAULTS = [
     ),
     (
         SMALLEST + "velocity_filter = { numerator = [] }",
-        "controller.velocity_filter.numerator is []; expected a list of one or more numbers: correct it.",
+        "controller.velocity_filter.numerator is []; expected a list of one or more numbers: correct it, or leave it "
+        "out.",
     ),
     (
         SMALLEST + "velocity_filter = { numerator = [1], denominator = [0.0] }",
         "controller.velocity_filter.denominator: A digital filter needs a numerator, and a denominator that does "
         "not start with 0, of finite numbers; received (1.0,) / (0.0,).",
+    ),
+    (
+        SMALLEST + "velocity_filter = { frequency = 80.0 }",
+        'controller.velocity_filter.kind is missing; expected "digital", "moving_average", "first_order", '
+        '"second_order" or "notch" (which filter): add it.',
+    ),
+    (
+        SMALLEST + 'velocity_filter = { kind = "lowpass" }',
+        'controller.velocity_filter.kind is "lowpass"; expected "digital", "moving_average", "first_order", '
+        '"second_order" or "notch": choose one of them.',
+    ),
+    (
+        SMALLEST + "velocity_filter = {}",
+        "controller.velocity_filter.numerator is missing; expected a list of one or more numbers (b0, b1, ...): "
+        "add it.",
+    ),
+    (
+        SMALLEST + 'torque_filters = [[0.5, 0.5], { kind = "notch", frequency = 80 }]',
+        "controller.torque_filters.1.bandwidth is missing; expected a positive number (of a notch [Hz]): add it.",
+    ),
+    (
+        SMALLEST + 'torque_filters = [{ kind = "first_order", time_constant = 0.001, frequency = 80 }]',
+        'controller.torque_filters.0.frequency is not a key of the kind "first_order"; expected one of time_constant: '
+        "leave it out, or change the kind.",
+    ),
+    (
+        SMALLEST + 'torque_filters = [{ kind = "notch", frequency = -80, bandwidth = 20 }]',
+        "controller.torque_filters.0.frequency is -80; expected a positive number: correct it, or leave it out.",
+    ),
+    (
+        SMALLEST + 'torque_filters = { kind = "notch", frequency = 80, bandwidth = 20 }',
+        "controller.torque_filters is a table; expected a list of filters, each a table or the list of a numerator: "
+        "correct it, or leave it out.",
+    ),
+    (
+        SMALLEST + 'period = 0.01\ntorque_filters = [{ kind = "notch", frequency = 80, bandwidth = 20 }]',
+        "controller: A filter at 80 Hz does not exist at a period of 0.01 s, whose half sampling frequency is 50 Hz; "
+        "lower it, or correct the period.",
+    ),
+    (
+        SMALLEST + 'velocity_filter = { kind = "second_order", frequency = 80, numerator_damping = -1.5 }',
+        "controller.velocity_filter: A filter of second order has positive frequencies and damping, and a numerator's "
+        "damping above -1; received 80.0 Hz, 0.7071067811865476, None Hz and -1.5.",
+    ),
+    (
+        SMALLEST + "period = 0.001\nposition_period = 0.0025",
+        "controller: The position loop's period and offset are multiples of the controller's, the period up to 64 "
+        "times; received 0.0025 s and 0 s beside 0.001 s: correct them.",
+    ),
+    (
+        SMALLEST + "period = 1e-9\nreference_delay = 1.0",
+        "controller: A delay of the reference is one of 400 periods at most; received 1 s beside a period of 1e-09 s: "
+        "correct one of them.",
+    ),
+    (
+        SMALLEST + "velocity_limit = 0",
+        "controller.velocity_limit is 0; expected a positive number: correct it, or leave it out.",
+    ),
+    (
+        SMALLEST + 'anti_windup = "clamp"',
+        'controller.anti_windup is "clamp"; expected "hold", "track" or "none": choose one of them.',
+    ),
+    (
+        SMALLEST + 'interpolation = "zoh"',
+        'controller.interpolation is "zoh"; expected "hold", "linear" or "cubic": choose one of them.',
+    ),
+    (
+        SMALLEST.replace("kv = 2000.0", "kd = 3.0").replace("cascade", "pid"),
+        "controller.ki is missing; expected a number, 0 or more (integral gain [controller units per m s or rad s]): "
+        "add it.",
+    ),
+    (
+        SMALLEST + 'velocity_filter = [0.5, 0.5]\n[method]\nfree = ["kp", "velocity_filter.time_constant"]',
+        'method.free: Nothing around this joint is called "velocity_filter.time_constant"; what can be freed is '
+        "initial_position, initial_velocity, drive_gain, log_gain, log_delay, gain, limit, delay, reference_delay, "
+        "acceleration_feedforward, viscous_feedforward, coulomb_feedforward, constant_feedforward, "
+        "torque_feedforward_delay, kp, kv, ki, velocity_feedforward, velocity_feedforward_delay, velocity_limit.",
+    ),
+    (
+        SMALLEST + '[together]\nfree = ["ki"]',
+        "together.free: The ki of this controller is 0, so it has no such part; declare a start above 0.",
     ),
     (
         SMALLEST.replace('"i"', '"i", gain = -3.0'),
@@ -514,12 +653,12 @@ FAULTS = [
     ),
     (
         SMALLEST.replace('"i"', "3"),
-        "record.channels.torque.column is 3; expected text in quotes: correct it.",
+        "record.channels.torque.column is 3; expected text in quotes: correct it, or leave it out.",
     ),
     (
         SMALLEST.replace('"i"', '"i", at = "after_limit"'),
         "record.channels.torque.at is not a known key; expected one of column, unit, gain, sign, timing, "
-        "sample_time, optional, tap: leave it out.",
+        "sample_time, side, wrap, update_time, optional, tap: leave it out.",
     ),
     (
         SMALLEST.replace('{ column = "i" }', '"i"'),
@@ -602,32 +741,65 @@ FAULTS = [
     # units
     (
         SMALLEST.replace('"r"', '"r", unit = "deg"'),
-        'record.channels.reference.unit is "deg", a unit of angle; expected one of m, mm, cm, um, nm, inch: give '
-        'one of them, or set joint.kind = "revolute".',
+        'record.channels.reference.unit is "deg", a unit of angle; expected one of m, mm, cm, um, nm, inch, counts: '
+        'give one of them, or set joint.kind = "revolute".',
     ),
     (
         SMALLEST.replace('"r"', '"r", unit = "N"'),
-        'record.channels.reference.unit is "N", a unit of force; expected one of m, mm, cm, um, nm, inch: give '
+        'record.channels.reference.unit is "N", a unit of force; expected one of m, mm, cm, um, nm, inch, counts: give '
         "one of them.",
     ),
     (
-        SMALLEST.replace('"r"', '"r", unit = "counts"'),
-        'record.channels.reference.unit is "counts", which is not known; expected one of m, mm, cm, um, nm, inch:'
-        " give one of them, and the gain that takes the column to it.",
+        SMALLEST.replace('"r"', '"r", unit = "clicks"'),
+        'record.channels.reference.unit is "clicks", which is not known; expected one of m, mm, cm, um, nm, inch, '
+        "counts: give one of them, and the gain that takes the column to it.",
     ),
     (
         SMALLEST.replace('"r"', '"r", unit = "milli"'),
-        'record.channels.reference.unit is "milli", which is not known; expected one of m, mm, cm, um, nm, inch: '
-        "give one of them, and the gain that takes the column to it.",
+        'record.channels.reference.unit is "milli", which is not known; expected one of m, mm, cm, um, nm, inch, '
+        "counts: give one of them, and the gain that takes the column to it.",
     ),
     (
-        SMALLEST.replace('"r"', '"r [counts]"'),
-        'record.channels.reference.column names the unit "counts", which is not known; expected one of m, mm, cm,'
-        " um, nm, inch: give one of them, and the gain that takes the column to it.",
+        SMALLEST.replace('"r"', '"r [clicks]"'),
+        'record.channels.reference.column names the unit "clicks", which is not known; expected one of m, mm, cm,'
+        " um, nm, inch, counts: give one of them, and the gain that takes the column to it.",
     ),
     (
         SMALLEST.replace("[controller]", 'injected = { column = "x", unit = "V" }\n[controller]'),
         "record.channels.injected is in V, but the torque in N: give both in one unit.",
+    ),
+    # the drive
+    (
+        SMALLEST + '[drive]\nprofile = "abc"',
+        'drive.profile: No drive profile is called "abc"; there are cia402, generic, kuka, sinamics, twincat.',
+    ),
+    (
+        SMALLEST + "[drive]\naxis = 0",
+        "drive.axis is 0; expected a whole number, 1 or more: correct it, or leave it out.",
+    ),
+    (
+        SMALLEST + "[drive]\nrated_torque = 1\nrated_current = 2\ntorque_constant = 0.7",
+        "drive: The drive's rated_torque is 1, and rated_current x torque_constant 1.4, 1.4 times as much (peak and "
+        "rms ampere differ by 1.41); correct one, or leave rated_current out.",
+    ),
+    (
+        SMALLEST.replace('"i"', '"i", unit = "permille"'),
+        'record.channels.torque is in "permille", a share of the rated torque, which needs the drive\'s rated_torque: '
+        "give it, or rated_current and torque_constant.",
+    ),
+    (
+        SMALLEST.replace('"r"', '"r", unit = "counts"') + "[drive]\ncounts_per_turn = 4096",
+        'record.channels.reference is in "counts", which needs the drive\'s counts_per_metre: give it, or gain and '
+        "another unit.",
+    ),
+    (
+        SMALLEST.replace('{ column = "i" }', "{ gain = 2.0 }"),
+        "record.channels.torque.column is missing; expected text in quotes (name of the column in the record's file): "
+        "add it, or give drive.profile.",
+    ),
+    (
+        SMALLEST.replace('"i"', '"i", wrap = 360'),
+        "record.channels.torque has a wrap of 360, which is for a position; leave it out.",
     ),
     # the method
     (
@@ -745,6 +917,41 @@ FAULTS = [
         SMALLEST + "[parameters]\nviscous_forwards = 3",
         "parameters.viscous_forwards is not known for a rigid joint with symmetric friction; expected one of "
         'inertia, viscous, coulomb, offset: leave it out, or set joint.friction = "asymmetric".',
+    ),
+    # gravity
+    (
+        SMALLEST + '[gravity]\nload = "link"\n[parameters]\ngravity_cos = 3',
+        "gravity: A prismatic joint does not turn its load, so nothing of its gravity follows a cosine or a sine; use "
+        'load = "constant", or a revolute joint.',
+    ),
+    (
+        SMALLEST.replace(JOINT, JOINT + 'friction = "asymmetric"\n') + '[gravity]\nload = "constant"',
+        "gravity: A constant load cannot be told apart from asymmetric friction: it adds to the Coulomb force forwards "
+        "and takes as much from it backwards; use symmetric friction, or leave gravity out.",
+    ),
+    (
+        LINK + "angle = 0",
+        "gravity.angle: The angle of gravity is the radians of the link per unit of the joint's position, and not 0; "
+        "received 0.0.",
+    ),
+    (
+        LINK.replace("link", "arm"),
+        'gravity.load is "arm"; expected "constant" or "link": choose one of them.',
+    ),
+    (
+        SMALLEST + '[gravity]\nload = "constant"\n[parameters]\noffset = { start = 3 }',
+        "parameters.offset cannot be identified beside a constant load: torque and motor position only know the sum of "
+        "both; give it a value, or leave [gravity] out.",
+    ),
+    (
+        SMALLEST + "[parameters]\ngravity_cos = { start = 3 }",
+        "parameters.gravity_cos is not known for a rigid joint with symmetric friction; expected one of inertia, "
+        'viscous, coulomb, offset: leave it out, or set gravity.load = "link".',
+    ),
+    (
+        LINK + "counterbalance = { cos = 2 }\n[parameters]\ncounterbalance_cos = { start = 3 }",
+        "parameters.counterbalance_cos is known, and not identified; give it a value, or change it in "
+        "gravity.counterbalance.",
     ),
     (
         SMALLEST + "[parameters]\ninertia = -3",
@@ -953,29 +1160,64 @@ def test_an_override_keeps_the_folder(tmp_path: Path) -> None:
 
 
 positive = st.floats(1e-9, 1e9)
+hertz, seconds, none_or_more = st.floats(0.01, 40.0), st.floats(0.0, 1e-4), positive | st.just(0.0)
 words = st.text(min_size=1, max_size=8)
+row = st.lists(positive, min_size=1, max_size=3).map(tuple)
 filters = st.one_of(
-    st.lists(positive, min_size=1, max_size=3).map(tuple),
-    st.builds(DigitalFilter, st.lists(positive, min_size=1).map(tuple), st.lists(positive, min_size=1).map(tuple)),
+    st.builds(DigitalFilter, row, row),
+    st.builds(MovingAverage, st.integers(1, 9)),
+    st.builds(FirstOrder, none_or_more),
+    st.builds(SecondOrder, hertz, positive, st.none() | hertz, st.floats(-0.5, 1.0)),
+    st.builds(Notch, hertz, positive, none_or_more),
 )
 law = {
     "gain": positive,
     "limit": positive | st.just(np.inf),
-    "period": st.none() | positive,
-    "delay": positive | st.just(0.0),
+    "period": st.none() | st.floats(1e-6, 1e-2),
+    "delay": none_or_more,
+    "interpolation": st.sampled_from((None, "hold", "linear", "cubic")),
+    "reference_delay": seconds,
     "kp": positive,
-    "velocity_filter": filters,
+    "velocity_filter": row | filters,
+    "torque_filters": st.lists(filters, max_size=3).map(tuple),
+    "filters_at": st.sampled_from(("before_limit", "after_limit")),
+    "acceleration_feedforward": none_or_more,
+    "viscous_feedforward": none_or_more,
+    "coulomb_feedforward": none_or_more,
+    "constant_feedforward": st.floats(-1e9, 1e9),
+    "torque_feedforward_delay": seconds,
 }
+windups = st.sampled_from(("hold", "track", "none"))
+velocities = st.sampled_from(("difference", "channel", "none"))
 
 
-def columns(channel: str) -> st.SearchStrategy[Column]:
-    choices: dict[str, Any] = {}
+def controllers(ratio: st.SearchStrategy[float]) -> st.SearchStrategy[Controller]:
+    shared = law | {"ratio": ratio}
+    return st.one_of(
+        st.builds(
+            Cascade,
+            kv=positive,
+            ki=none_or_more,
+            anti_windup=windups,
+            velocity_feedforward=none_or_more,
+            velocity_feedforward_delay=seconds,
+            reference_velocity=st.sampled_from(("difference", "channel")),
+            velocity_limit=positive | st.just(np.inf),
+            **shared,
+        ),
+        st.builds(PD, kd=positive, reference_velocity=velocities, **shared),
+        st.builds(PID, kd=positive, ki=none_or_more, anti_windup=windups, reference_velocity=velocities, **shared),
+    )
+
+
+def columns(channel: str, geared: bool) -> st.SearchStrategy[Column]:
+    choices: dict[str, Any] = {"side": st.sampled_from((None, "motor", "load"))} if geared else {}
     if channel == "torque":
-        choices = {"tap": st.sampled_from(Tap), "unit": st.sampled_from(("N", "kN"))}
+        choices |= {"tap": st.sampled_from(Tap), "unit": st.sampled_from(("N", "kN"))}
     elif channel == "injected":
-        choices = {"at": st.sampled_from(InjectionPoint), "unit": st.just("mN")}
+        choices |= {"at": st.sampled_from(InjectionPoint), "unit": st.just("mN")}
     else:
-        choices = {"unit": st.sampled_from(known_units(channel, "prismatic"))}
+        choices |= {"unit": st.sampled_from(known_units(channel, "prismatic"))}
     return st.builds(
         Column,
         words,
@@ -991,14 +1233,25 @@ def columns(channel: str) -> st.SearchStrategy[Column]:
 JOINTS: list[Joint] = [
     RigidJoint(),
     RigidJoint(friction=AsymmetricFriction()),
+    RigidJoint(gravity=Gravity("constant", Counterbalance(constant=3.0, rate=-0.5))),
     FlexibleJoint(),
     FlexibleJoint(friction=AsymmetricFriction()),
+    FlexibleJoint(gravity=Gravity("constant")),
 ]
 
 
 @st.composite
 def joint_files(draw: st.DrawFn) -> JointFile:
-    joint = draw(st.sampled_from(JOINTS))
+    side = st.sampled_from(SIDES)
+    gear = draw(
+        st.none()
+        | st.builds(Transmission, load=st.just("prismatic"), ratio=positive, sign=st.sampled_from((1, -1)), side=side)
+    )
+    joint = dataclasses.replace(draw(st.sampled_from(JOINTS)), transmission=gear)
+    if joint.gravity is not None and gear is not None:  # a file says the angle of the load, whatever the side
+        weight = dataclasses.replace(joint.gravity, angle=gear.torque("load"))
+        joint = dataclasses.replace(joint, gravity=weight)
+    ratio = st.just(1.0) if gear is None else side.map(gear.torque)
     names = ["torque", "reference", "reference_velocity", "motor_position", "load_position"]
     names += draw(st.lists(st.just("injected"), max_size=1))
     whole = st.integers(1, 50)
@@ -1026,12 +1279,9 @@ def joint_files(draw: st.DrawFn) -> JointFile:
     effects = st.just(()) | st.tuples(ripple) | st.tuples(drift) | st.tuples(ripple, drift)
     return JointFile(
         joint=joint,
-        columns={name: draw(columns(name)) for name in names},
+        columns={name: draw(columns(name, gear is not None)) for name in names},
         method=draw(st.builds(IDIM, estimators, effects) | (flexible if joint.model == "flexible" else rigid)),
-        controller=draw(
-            st.builds(Cascade, kv=positive, **law)
-            | st.builds(PD, kd=positive, reference_velocity=st.sampled_from(("none", "channel")), **law)
-        ),
+        controller=draw(controllers(ratio)),
         filtering=draw(
             st.sampled_from((Filtering.published(), Filtering.as_printed()))
             | st.builds(
@@ -1040,6 +1290,15 @@ def joint_files(draw: st.DrawFn) -> JointFile:
                 borders=st.tuples(whole, whole),
                 timing=st.just("as_sampled"),
                 aliasing=st.sampled_from(("refused", "warned")),
+            )
+        ),
+        drive=draw(
+            st.builds(
+                Drive,
+                profile=st.none() | st.sampled_from(profile_names()),
+                axis=st.none() | whole,
+                rated_torque=st.none() | positive,
+                counts_per_metre=positive,
             )
         ),
         parameters={
@@ -1079,6 +1338,45 @@ def test_what_is_written_is_read_back(file: JointFile) -> None:
     assert loads(dumps(file)) == file
 
 
+SLOW = Cascade(kp=1.0, kv=2.0, period=125e-6, position_period=1e-3, position_offset=250e-6)
+NOTCHED = PID(kp=1.0, ki=2.0, kd=3.0, torque_filters=(FirstOrder(1e-3), Notch(80.0, 20.0, 0.1)))
+
+
+@pytest.mark.parametrize("controller", [SLOW, NOTCHED, Cascade(kp=1.0, kv=2.0)])
+def test_a_controller_is_put_into_the_text_of_a_file(controller: Cascade | PID) -> None:
+    before = f"# a joint\n{JOINT}{CHANNELS}"
+    nested = '[controller]  # drive\nlaw = "state_space"\nC = [1.0]\nA = [\n  [0.5]\n]\n[controller.B]\n'
+    nested += "position = [1.0]\n[controller.D]\nreference = 1.0\n\n"
+    after = "[parameters]\noffset = 0.0  # kept\n"
+    for old in ("", CASCADE, nested, '[[controller.torque_filters]]\nkind = "notch"\n'):
+        made = with_controller(before + old + after, controller)
+        assert loads(made) == dataclasses.replace(loads(before + after), controller=controller, method=DIDIM())
+        assert made.startswith(before)
+        assert "# kept" in made
+    inline = with_controller("controller = { law = 'pd' }\n" + before, controller)
+    assert loads(inline).controller == controller
+    assert tomllib.loads(with_controller("", controller)) == tomllib.loads(controller_text(controller))
+    with pytest.raises(JointFileError, match="is not TOML"):
+        with_controller("[joint", controller)
+
+
+def test_numbers_of_filters_are_named_with_points() -> None:
+    notched = CASCADE + 'torque_filters = [{ kind = "notch", frequency = 80, bandwidth = 20 }]\n'
+    runs = '[[records]]\nfile = "a.csv"\n[[records]]\nfile = "b.csv"\ncontroller = '
+    name, free = "torque_filters.0.frequency", '[method]\nfree = ["torque_filters.0.frequency"]\n'
+    for written in ("{ torque_filters.0.frequency = 90.0 }", '{ "torque_filters.0.frequency" = 90.0 }'):
+        file = loads(JOINT + CHANNELS + notched + free + runs + written)
+        assert isinstance(file.method, DIDIM)
+        assert file.method.free == (name,)
+        assert [one.controller.torque_filters[0].frequency for one in file.each()] == [80.0, 90.0]  # type: ignore[union-attr]
+        assert loads(dumps(file)) == file
+    (sentence,) = faults(JOINT + CHANNELS + notched + runs + "{ torque_filters.1.frequency = 90.0 }")
+    assert sentence.startswith('records.2.controller."torque_filters.1.frequency" is not a known key; expected one of')
+    assert sentence.endswith("did you mean torque_filters.0.frequency?")
+    (sentence,) = faults(JOINT + CHANNELS + notched + runs + "{ torque_filters.0.frequency = -9 }")
+    assert sentence.startswith("records.2.controller: A notch has a positive frequency")
+
+
 def test_a_saved_file_is_loaded(tmp_path: Path) -> None:
     file = load(EXAMPLE)
     save(file, tmp_path / "copy.toml")
@@ -1092,7 +1390,7 @@ def test_a_state_space_law_is_written() -> None:
     file = dataclasses.replace(loads(SMALLEST), controller=law)
     again = loads(dumps(file)).controller
     assert again is not None
-    for name in ("A", "B", "C", "D"):
+    for name in ("A", "B", "C", "D", "F"):
         np.testing.assert_array_equal(getattr(again.law(1.0), name), getattr(law.law(1.0), name))
 
 
@@ -1145,8 +1443,13 @@ anything = st.recursive(
     | st.text(max_size=5)
     | st.dates()
     | st.sampled_from(("cascade", "pd", "state_space", "didim", "idim", "flexible", "asymmetric", "paper", "A", "deg"))
-    | st.sampled_from(("nelder-mead", "inverse-model", "as-printed", "warned")),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(["numerator", "position"]), inner),
+    | st.sampled_from(
+        ("nelder-mead", "inverse-model", "as-printed", "warned", "pid", "notch", "moving_average", "track")
+    ),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(st.sampled_from(["numerator", "position", "kind", "samples"]), inner)
+    ),
     max_leaves=6,
 )
 
@@ -1157,6 +1460,7 @@ def test_any_value_at_any_key_is_read_or_refused(data: st.DataObject) -> None:
     for _ in range(data.draw(st.integers(1, 4))):
         path = data.draw(st.sampled_from([*TABLES, *sorted(schema_keys())]))
         path = path.replace("<channel>", data.draw(st.sampled_from(CHANNELS_NAMED)))
+        path = path.replace("<filter>", "velocity_filter")
         *above, key = path.replace("<name>", data.draw(st.sampled_from(("inertia", "offset", "x")))).split(".")
         table = tables
         for name in above:
@@ -1358,6 +1662,8 @@ def schema_keys() -> dict[str, set[str]]:
     for channel in channels:
         for key in shared:
             found[f"record.channels.<channel>.{key}"] = found.pop(f"record.channels.{channel}.{key}")
+    for key in [key for key in found if re.match(r"controller\.(velocity_filter|torque_filters)\.", key)]:
+        found[f"controller.<filter>.{key.rsplit('.', 1)[1]}"] = found.pop(key)
     return found
 
 
@@ -1403,10 +1709,15 @@ def test_the_page_has_the_defaults_that_depend_on_the_model() -> None:
 
 def test_the_files_on_the_page_are_right() -> None:
     texts = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    assert len(texts) == 3
-    smallest, several, whole = map(loads, texts)
+    assert len(texts) == 6
+    smallest, geared, traced, drive, several, whole = map(loads, texts)
+    assert geared.joint.transmission == Transmission(load="revolute", ratio=100.0)
+    assert geared.columns["reference"].side == "load"
+    assert traced.drive == Drive("cia402", rated_torque=1.27, counts_per_turn=1048576.0)
     assert [one.added_inertia for one in several.runs] == [0.0, 10.0]
     assert isinstance(smallest.method, DIDIM)
+    assert isinstance(drive.controller, Cascade)
+    assert drive.controller.law(2e-3).phases == 8
     assert whole.joint.torque_unit == "A"
 
 

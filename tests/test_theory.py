@@ -38,8 +38,8 @@ RHO_PER_W2 = P["load_inertia"] / P["stiffness"]
 def feedback(law: SampledLaw, w: float) -> complex:
     """C of (T23) without the delay."""
     z = np.exp(1j * w * T)
-    back = law.C @ np.linalg.solve(z * np.eye(law.C.size) - law.A, law.B[:, POSITION])
-    return complex(-(back + law.D[POSITION]))
+    back = law.C[0, 0] @ np.linalg.solve(z * np.eye(law.order) - law.A[0], law.B[0, :, POSITION])
+    return complex(-(back + law.D[0, 0, POSITION]))
 
 
 def held(w: float) -> complex:
@@ -142,9 +142,10 @@ def test_the_frequencies_are_the_pole_and_the_zero_of_the_apparent_mass() -> Non
 
 def test_noise_of_an_inverted_law() -> None:
     law = CONTROLLERS["L19"].law(T)
-    inverse = law.A - np.outer(law.B[:, POSITION], law.C) / law.D[POSITION]
+    direct = law.D[0, 0, POSITION]
+    inverse = law.A[0] - np.outer(law.B[0, :, POSITION], law.C[0, 0]) / direct
     assert np.max(np.abs(np.linalg.eigvals(inverse))) == pytest.approx(0.870, abs=5e-4)
-    assert -1 / law.D[POSITION] == pytest.approx(1.77e-7, rel=1e-3)
+    assert -1 / direct == pytest.approx(1.77e-7, rel=1e-3)
     assert 1 / feedback(law, 0.0).real == pytest.approx(7.30e-7, rel=1e-3)
 
 

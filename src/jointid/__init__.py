@@ -13,6 +13,7 @@ if TYPE_CHECKING:
         advice_answer,
         comparison_answer,
         estimate_answer,
+        learned_answer,
         loop_answer,
         revealing_answer,
         simulation_answer,
@@ -36,21 +37,37 @@ if TYPE_CHECKING:
     )
     from jointid.data.checks import check_record
     from jointid.data.columns import Column
+    from jointid.data.drive import Drive
     from jointid.data.excitation import pulses, trapezoids
     from jointid.data.reading import read, write
     from jointid.data.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, record_of
     from jointid.data.signals import Filtering
+    from jointid.data.transmission import Transmission
     from jointid.estimation.didim import DIDIM
     from jointid.estimation.drive_side import DriveSideFit
-    from jointid.estimation.estimate import Estimate, EstimatedParameter, IdentifiedJoint
+    from jointid.estimation.estimate import Estimate, IdentifiedJoint
+    from jointid.estimation.estimated import EstimatedParameter
     from jointid.estimation.flexible import FlexibleDIDIM
     from jointid.estimation.identify import identify
     from jointid.estimation.idim import IDIM
     from jointid.estimation.open_loop import OpenLoopFit
     from jointid.jointfile import JointFile, load
-    from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
+    from jointid.learning.learn import learn_loop
+    from jointid.learning.learned import LearnedLoop
+    from jointid.model.controllers import (
+        PD,
+        PID,
+        Cascade,
+        DigitalFilter,
+        FirstOrder,
+        MovingAverage,
+        Notch,
+        SecondOrder,
+        StateSpaceController,
+    )
     from jointid.model.effects import Drift, PositionHarmonics
     from jointid.model.friction import AsymmetricFriction, SymmetricFriction
+    from jointid.model.gravity import Counterbalance, Gravity
     from jointid.model.joints import FlexibleJoint, RigidJoint, frequencies, rigid_sums
     from jointid.model.parameters import Parameter
     from jointid.paper.twin import Twin, twin
@@ -68,6 +85,7 @@ _HOMES = {
         "advice_answer",
         "comparison_answer",
         "estimate_answer",
+        "learned_answer",
         "loop_answer",
         "revealing_answer",
         "simulation_answer",
@@ -83,14 +101,17 @@ _HOMES = {
     "common.errors": ("ExtraError", "JointFileError", "JointidError", "MethodError", "RecordError"),
     "data.checks": ("check_record",),
     "data.columns": ("Column",),
+    "data.drive": ("Drive",),
     "data.excitation": ("pulses", "trapezoids"),
     "data.reading": ("read", "write"),
     "data.record": ("Channel", "Injection", "InjectionPoint", "Record", "Tap", "Timing", "record_of"),
     "data.signals": ("Filtering",),
+    "data.transmission": ("Transmission",),
     "together.common_estimate": ("CommonEstimate", "RecordShare"),
     "estimation.didim": ("DIDIM",),
     "estimation.drive_side": ("DriveSideFit",),
-    "estimation.estimate": ("Estimate", "EstimatedParameter", "IdentifiedJoint"),
+    "estimation.estimate": ("Estimate", "IdentifiedJoint"),
+    "estimation.estimated": ("EstimatedParameter",),
     "estimation.flexible": ("FlexibleDIDIM",),
     "estimation.idim": ("IDIM",),
     "estimation.identify": ("identify",),
@@ -99,9 +120,22 @@ _HOMES = {
     "assessment.loopcheck": ("LoopCheck",),
     "assessment.suspects": ("LoopTests",),
     "jointfile": ("JointFile", "load"),
-    "model.controllers": ("PD", "Cascade", "DigitalFilter", "StateSpaceController"),
+    "learning.learn": ("learn_loop",),
+    "learning.learned": ("LearnedLoop",),
+    "model.controllers": (
+        "PD",
+        "PID",
+        "Cascade",
+        "DigitalFilter",
+        "FirstOrder",
+        "MovingAverage",
+        "Notch",
+        "SecondOrder",
+        "StateSpaceController",
+    ),
     "model.effects": ("Drift", "PositionHarmonics"),
     "model.friction": ("AsymmetricFriction", "SymmetricFriction"),
+    "model.gravity": ("Counterbalance", "Gravity"),
     "model.joints": ("FlexibleJoint", "RigidJoint", "frequencies", "rigid_sums"),
     "model.parameters": ("Parameter",),
     "paper.twin": ("Twin", "twin"),
@@ -119,6 +153,7 @@ __all__ = [
     "DIDIM",
     "IDIM",
     "PD",
+    "PID",
     "Advice",
     "AsymmetricFriction",
     "Cascade",
@@ -127,16 +162,20 @@ __all__ = [
     "Column",
     "CommonEstimate",
     "Comparison",
+    "Counterbalance",
     "DigitalFilter",
     "Drift",
+    "Drive",
     "DriveSide",
     "DriveSideFit",
     "Estimate",
     "EstimatedParameter",
     "ExtraError",
     "Filtering",
+    "FirstOrder",
     "FlexibleDIDIM",
     "FlexibleJoint",
+    "Gravity",
     "IdentifiedJoint",
     "Initial",
     "Injection",
@@ -145,9 +184,12 @@ __all__ = [
     "JointFile",
     "JointFileError",
     "JointidError",
+    "LearnedLoop",
     "LoopCheck",
     "LoopTests",
     "MethodError",
+    "MovingAverage",
+    "Notch",
     "OpenLoop",
     "OpenLoopFit",
     "Outcome",
@@ -158,11 +200,13 @@ __all__ = [
     "RecordShare",
     "Revealing",
     "RigidJoint",
+    "SecondOrder",
     "Simulation",
     "StateSpaceController",
     "SymmetricFriction",
     "Tap",
     "Timing",
+    "Transmission",
     "Twin",
     "Validation",
     "advice_answer",
@@ -176,6 +220,8 @@ __all__ = [
     "identify",
     "identify_together",
     "intervals",
+    "learn_loop",
+    "learned_answer",
     "load",
     "loop_answer",
     "prepare",

@@ -71,7 +71,7 @@ def test_the_law_makes_of_the_torque_what_the_encoder_would_tell(disturbed: tupl
     alone = load_alone(problem, x, motor, load)
     for j, p in enumerate(problem.free_joint):
         nothing = np.zeros_like(problem.experiment.inputs)
-        back = invert(law, seen.torque[:, j].copy(), nothing, np.zeros(law.C.size))
+        back = invert(law, seen.torque[:, j].copy(), nothing, np.zeros(law.order))
         assert np.linalg.norm(back - motor[:, j]) <= 1e-6 * np.linalg.norm(motor[:, j]), p.name
         if p.name.startswith("motor_") or p.name == "offset":
             assert np.linalg.norm(alone[:, j]) <= 0.05 * np.linalg.norm(load[:, j]), p.name

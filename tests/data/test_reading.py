@@ -88,7 +88,7 @@ def test_gain_sign_and_unit_take_a_column_to_si(saved: Saved) -> None:
         ("q (um)", {}, "m", 1e-6),
         ("q (filtered)", {}, "m", 1.0),
         ("q [mm]", {"unit": "m"}, "m", 1.0),
-        ("q [counts]", {"gain": 1e-5}, "m", 1e-5),
+        ("q [clicks]", {"gain": 1e-5}, "m", 1e-5),
         ("q[0]", {}, "m", 1.0),
     ],
 )
@@ -103,8 +103,8 @@ def test_a_unit_in_the_name_counts_unless_another_is_stated(
 
 
 def test_an_unknown_unit_in_the_name_is_not_taken_for_the_default(saved: Saved) -> None:
-    (fault,) = faults_of(saved(".csv", **{"t": TIME, "q [counts]": POSITION}), {"reference": "q [counts]"})
-    assert 'reference (column "q [counts]") is in "counts"; expected one of m, mm' in fault
+    (fault,) = faults_of(saved(".csv", **{"t": TIME, "q [clicks]": POSITION}), {"reference": "q [clicks]"})
+    assert 'reference (column "q [clicks]") is in "clicks"; expected one of m, mm' in fault
 
 
 @pytest.mark.parametrize(

@@ -298,3 +298,11 @@ def test_an_answer_goes_to_json_and_back_but_is_not_validated(tmp_path: Path) ->
     assert back.values == pytest.approx(estimate.values)
     with pytest.raises(ji.MethodError, match="drive_side"):
         ji.validate(back, record)
+
+
+def test_instruments_that_leave_every_inertia_at_its_bound_are_too_weak(data_dir: Path) -> None:
+    """A slow motion among others: the instruments' solution has no inertia and no stiffness inside their bounds."""
+    record = ji.read(data_dir / "kr300" / "rec_A.mat", drive=ji.Drive("kuka", axis=5), kind="revolute")
+    estimate = ji.identify(record, ji.DriveSide(ji.FlexibleJoint("revolute")))
+    assert any("too weak to converge within the bounds" in text for text in estimate.warnings)
+    assert any(text.startswith("other axes moved too") for text in estimate.warnings)

@@ -13,7 +13,8 @@ from jointid import answers
 from jointid.common.errors import RecordError
 from jointid.common.text import number
 from jointid.data.signals import Filtering
-from jointid.estimation.estimate import Estimate, EstimatedParameter, Iteration, fingerprint, relative_error
+from jointid.estimation.estimate import Estimate, Iteration, fingerprint, relative_error
+from jointid.estimation.estimated import EstimatedParameter
 from jointid.estimation.regression import Conditioning, least_squares
 from jointid.model.joints import RigidJoint
 from jointid.report.figures import save, torque_figure

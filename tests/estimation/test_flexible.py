@@ -11,7 +11,7 @@ from jointid.assessment.validation import validate
 from jointid.common.errors import MethodError, RecordError
 from jointid.data.record import Injection, Record
 from jointid.data.signals import Filtering
-from jointid.estimation import flexible
+from jointid.estimation import flexible, flexible_search
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.flexible import FlexibleDIDIM
 from jointid.estimation.identify import identify
@@ -183,8 +183,10 @@ def test_the_starts_said_to_end_together_are_different_ones(frequency: float, mo
     """At 38 Hz the halves of (13) are the best start: they must not be refined twice."""
     axis = twin(noise="white")
     seen = []
-    original = flexible.explored
-    monkeypatch.setattr(flexible, "explored", lambda *arguments: (seen.append(original(*arguments)), seen[-1])[1])
+    original = flexible_search.explored
+    monkeypatch.setattr(
+        flexible_search, "explored", lambda *arguments: (seen.append(original(*arguments)), seen[-1])[1]
+    )
     estimate = identify(torque_only(axis), axis.loop, FlexibleDIDIM(frequency=frequency))
     first, second = (start for _, start in seen[0][0][:2])
     assert any(abs(first[name] - second[name]) > 0.1 * abs(first[name]) for name in ("motor_inertia", "stiffness"))

@@ -15,7 +15,7 @@ from jointid.estimation.didim import DIDIM
 from jointid.estimation.flexible import FlexibleDIDIM, refined_least_squares
 from jointid.estimation.identify import identify
 from jointid.inference.uncertainty import sandwich
-from jointid.model.controllers import Cascade
+from jointid.model.controllers import Cascade, FirstOrder, Notch, SecondOrder, numbers_of, with_numbers
 from jointid.model.joints import RigidJoint
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.experiment import ClosedLoop
@@ -62,7 +62,8 @@ def test_a_flexible_joint_is_identified_with_gains_and_delay() -> None:
     ("name", "sentence"),
     [
         ("drive_gain", "One record cannot tell the drive_gain from the scale of the joint"),
-        ("ki", 'Nothing around this joint is called "ki"; what can be freed is initial_position'),
+        ("kd", 'Nothing around this joint is called "kd"; what can be freed is initial_position'),
+        ("ki", "The ki of this controller is 0, so it has no such part; declare a start above 0"),
         ("limit", "The limit of this controller is inf, where no search can begin; declare a finite one"),
     ],
 )
@@ -121,3 +122,37 @@ def test_a_wrong_loop_biases_nothing_where_it_is_free_and_is_flagged_where_it_is
     for seed in runs[:20]:
         made = problem(where, Fault(line_7, offset=True), noise, seed)
         assert not suspected(made, solved(made, where)).as_declared
+
+
+@pytest.mark.parametrize(
+    ("name", "declared"),
+    [
+        ("torque_filters.0.frequency", 400.0),  # of 490 Hz, beside the 500 Hz beyond which there is none
+        ("torque_filters.1.numerator_damping", -0.1),
+        ("velocity_filter.time_constant", 1.6e-3),
+        ("reference_delay", 1.6e-3),
+        ("ki", 16.0),
+        ("gain", 0.8),
+    ],
+)
+def test_any_number_of_a_law_is_found_from_beside(name: str, declared: float) -> None:
+    """Also where the search's steps would leave what a law can have."""
+    true = Cascade(
+        kp=40.0,
+        kv=6000.0,
+        ki=20.0,
+        velocity_filter=FirstOrder(2e-3),
+        torque_filters=(Notch(490.0, 60.0, 0.2), SecondOrder(300.0, 0.7, 200.0, 0.1)),
+        reference_delay=2e-3,
+        velocity_feedforward=0.8,
+    )
+    values = {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
+    reference = trapezoids((0.04, 0.08, 0.12), 0.8, 0.2, 1e-3, duration=8.0)
+    noise = np.random.default_rng(0).standard_normal(reference.size)
+    loop = ClosedLoop(RigidJoint(), true)
+    record = simulated_record(loop, reference, values, sample_time=1e-3, torque_noise=noise)
+    wrong = ClosedLoop(RigidJoint(), with_numbers(true, {name: declared}))
+    estimate = identify(record, wrong, DIDIM(free=(name,)))
+    found = estimate[name]
+    assert abs((found.value or 0.0) - numbers_of(true)[name]) <= 4 * (found.std or 0.0)
+    assert estimate.values["inertia"] == pytest.approx(100.0, rel=5e-3)

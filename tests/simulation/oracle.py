@@ -5,11 +5,13 @@ What it solves
 Two masses (motor q1, v1; load q12, v12) with e = q12 - q1, de = v12 - v1:
 
     inertia1 a1  = tau - offset - f1(v1)  + stiffness e + damping de
-    inertia2 a12 = - load_offset - f2(v12) - stiffness e - damping de
+    inertia2 a12 = - load_offset - f2(v12) - stiffness e - damping de - gravity(q12)
     f(v) = fv_pos v + fc_pos for v > 0;  fv_neg v - fc_neg for v < 0;  for v = 0 anything in [-fc_neg, fc_pos]
     that keeps the mass at rest, else the bound it moves against.
 
-A rigid joint is the motor alone.  The law runs at t_k = k T:
+    gravity(q) = cos cos(angle q) + sin sin(angle q) + rate q
+
+A rigid joint is the motor alone, and gravity acts on it.  The law runs at t_k = k T:
 
     u_lin[k] = w[k] + C z[k] + D q1(t_k);   u[k] = clip(u_lin[k], -limit, limit);   s[k] = u[k] + post[k]
     z[k+1]   = A z[k] + Bq q1(t_k) + Be (u[k] - u_lin[k])
@@ -85,6 +87,7 @@ class Plant:
     load_offset: float = 0.0
     stiffness: float = 0.0
     damping: float = 0.0
+    gravity: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # cos, sin, rate, angle
 
 
 @dataclass(frozen=True)
@@ -142,6 +145,7 @@ class _Joint:
         # The rigid joint's absent load is a mass that always rests and pulls on nothing.
         self.fc = (plant.fc1, (math.inf, math.inf) if self.rigid else plant.fc2)
         self.offset = (plant.offset, 0.0 if self.rigid else plant.load_offset)
+        self.gravity, self.heavy = plant.gravity, 0 if self.rigid else 1
         self.stiffness, self.damping = (0.0, 0.0) if self.rigid else (plant.stiffness, plant.damping)
         self.total = plant.inertia1 + (plant.inertia2 or 0.0)
 
@@ -171,7 +175,12 @@ class _Joint:
     def net(self, mass: int, y: Any) -> Any:
         """Force on a mass without its friction."""
         link = self.link(y)
-        return self.tau - self.offset[0] + link if mass == 0 else -self.offset[1] - link
+        net = self.tau - self.offset[0] + link if mass == 0 else -self.offset[1] - link
+        return net - self.weight(self.q[mass] + y[2 * mass]) if mass == self.heavy else net
+
+    def weight(self, q: Any) -> Any:
+        cos, sin, rate, angle = self.gravity
+        return cos * np.cos(angle * q) + sin * np.sin(angle * q) + rate * q if any(self.gravity) else 0.0
 
     def acceleration(self, mass: int, y: Any) -> Any:
         mode = self.mode[mass]
@@ -201,7 +210,8 @@ class _Joint:
         self.tau = tau
         finite = [f for pair in self.fc for f in pair if math.isfinite(f)]
         spring = abs(self.stiffness * self.e)
-        self.force_size = max(self.force_size, abs(tau), *(abs(o) for o in self.offset), *finite, spring)
+        weight = abs(self.weight(self.q[self.heavy]))
+        self.force_size = max(self.force_size, abs(tau), *(abs(o) for o in self.offset), *finite, spring, weight)
 
     @property
     def velocity_size(self) -> float:

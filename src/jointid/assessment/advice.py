@@ -24,9 +24,10 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.text import aligned, number
 from jointid.data.record import FloatArray, Record, Tap
+from jointid.data.transmission import Transmission, transmission_lines
 from jointid.estimation.estimate import Estimate, fingerprint
 from jointid.estimation.problem import Problem, torque_problem
-from jointid.estimation.surroundings import INITIAL_STATE
+from jointid.estimation.surroundings import INITIAL_STATE, INITIAL_TORQUE
 from jointid.inference.uncertainty import covariance_of, stationary
 from jointid.model.parameters import POSITION_UNIT
 from jointid.simulation.closed_loop import Outcome
@@ -60,6 +61,7 @@ class Advice:
         std: their standard deviations as reported.
         sensors: predictions for encoders beside the torque.
         tests: predictions for other motions, of the same duration, from the torque alone.
+        transmission: on whose `side` all numbers are.
     """
 
     record: str
@@ -69,6 +71,7 @@ class Advice:
     std: Mapping[str, float]
     sensors: tuple[Prediction, ...]
     tests: tuple[Prediction, ...]
+    transmission: Transmission | None = None
 
     def ratio(self, change: str, name: str) -> float:
         """Return the predicted deviation of a parameter under a change, over the reported one.
@@ -105,6 +108,7 @@ class Advice:
         parts = [
             f"What would narrow the intervals of {self.record}; 2 sigma, predicted",
             f"the torque's residual is taken to be {where}",
+            *transmission_lines(self.transmission),
         ]
         for kind, group in (("torque and", self.sensors), ("torque from", self.tests)):
             header = ("symbol", "reported", *(f"{kind} {one.name}" for one in group), "unit")
@@ -134,8 +138,8 @@ def advise(
     Args:
         estimate: by DIDIM, nothing of it refused.
         record: that it was identified from.
-        encoder_step: of encoders on motor and load, m or rad; None: as fine as those of the record, or a millionth of
-            the commanded travel where it has none.
+        encoder_step: of encoders on motor and load, m or rad, on the joint's side of a transmission; None: as fine as
+            those of the record, or a millionth of the commanded travel where it has none.
         noise: where the torque's residual comes from, "loop" or "log"; None: what the record's tap says, "log" for a
             measured torque.
         pulse: height (N or N m) and width (s) of the pulses that are tried; None: see `variations.pulse_of`.
@@ -169,6 +173,7 @@ def advise(
         dict(zip(names, map(float, scale), strict=False)),
         sensors,
         tests,
+        estimate.joint.transmission,
     )
 
 
@@ -186,7 +191,7 @@ def at_estimate(estimate: Estimate, record: Record) -> tuple[Problem, FloatArray
             f"The estimate is of {estimate.record}, and {record.name} holds another torque; give the record it is of."
         )
     freed = [p.name for p in estimate.parameters if p.free and not p.of_joint]
-    of_start = {p.name: p for p in INITIAL_STATE}
+    of_start = {p.name: p for p in (*INITIAL_STATE, INITIAL_TORQUE)}
     if any(name not in of_start for name in freed):
         raise MethodError(
             f"Advice takes the loop as it is declared, and here {', '.join(freed)} was free; identify with those fixed."

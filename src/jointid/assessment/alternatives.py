@@ -17,6 +17,7 @@ shows. What shows is a gain that one thing has and another has not: the law's (`
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,7 +26,7 @@ import numpy as np
 
 from jointid.data.record import FloatArray, Tap
 from jointid.estimation.problem import Problem
-from jointid.estimation.surroundings import numbers_of
+from jointid.model.controllers import numbers_of
 from jointid.simulation.closed_loop import as_logged
 from jointid.simulation.experiment import Experiment
 
@@ -80,7 +81,7 @@ def sensitivities(problem: Problem, x: FloatArray) -> tuple[FloatArray, FloatArr
 def _exact(problem: Problem) -> tuple[str, ...]:
     """Return the names of what surrounds the joint and can be derived by: a gain of 0 is a choice, not a mistake."""
     controller = problem.loop.controller
-    numbers = [n for n in numbers_of(controller) if n != LIMIT and (n == "delay" or getattr(controller, n))]
+    numbers = [n for n, v in numbers_of(controller).items() if n == "delay" or (v and math.isfinite(v) and n != LIMIT)]
     return (*numbers, "log_gain", "log_delay")
 
 
@@ -134,7 +135,7 @@ def _injecting(factor: float, experiment: Experiment) -> Experiment:
 
 
 def _limited(level: float, experiment: Experiment) -> Experiment:
-    return experiment.with_law(replace(experiment.law, limit=level))
+    return experiment.with_law(experiment.law.limited(level))
 
 
 def _pushed(force: FloatArray, experiment: Experiment) -> Experiment:

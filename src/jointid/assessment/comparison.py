@@ -20,8 +20,10 @@ from jointid.common.text import aligned, number
 from jointid.data.checks import check_record
 from jointid.data.record import Record
 from jointid.data.signals import Filtering
+from jointid.data.transmission import transmission_lines
 from jointid.estimation.didim import DIDIM
-from jointid.estimation.estimate import Estimate, EstimatedParameter
+from jointid.estimation.estimate import Estimate
+from jointid.estimation.estimated import EstimatedParameter
 from jointid.estimation.flexible import FlexibleDIDIM
 from jointid.estimation.identify import Method, identify
 from jointid.estimation.idim import IDIM
@@ -72,7 +74,8 @@ class Comparison:
     def __str__(self) -> str:
         """Return the table, what each method read, and what is to be said of them."""
         found = self.estimates
-        lines = [f"{self.model.capitalize()} joint by every method that {self.record} allows; value +- 2 sigma", ""]
+        lines = [f"{self.model.capitalize()} joint by every method that {self.record} allows; value +- 2 sigma"]
+        lines += [*transmission_lines(next((e.joint.transmission for e in found.values()), None)), ""]
         if found:
             lines += [_table(self), ""]
         lines += [f"{name} reads {', '.join(estimate.channels)}" for name, estimate in found.items()]
@@ -129,17 +132,19 @@ def _methods(
     """Yield the name of each method, the model with its friction law, and the method."""
     joint = model.joint if isinstance(model, ClosedLoop) else model
     torque_only = didim or (FlexibleDIDIM() if joint.model == "flexible" else DIDIM())
-    other, word = (
-        (AsymmetricFriction(), "asymmetric") if joint.friction.symmetric else (SymmetricFriction(), "symmetric")
-    )
-    turned = replace(joint, friction=other)
-    variant = ClosedLoop(turned, model.controller) if isinstance(model, ClosedLoop) else turned
     yield "DIDIM", model, torque_only
     yield "IDIM-LS", model, IDIM()
     if joint.model == "flexible":  # of a rigid joint's one equation the weight changes nothing
         yield "IDIM-WLS", model, IDIM("weighted")
     yield "IDIM-IRLS", model, IDIM("robust")
     yield "IDIM-IV", model, IDIM("iv")
+    if joint.gravity is not None and joint.gravity.load == "constant":  # which asymmetric friction would hide
+        return
+    other, word = (
+        (AsymmetricFriction(), "asymmetric") if joint.friction.symmetric else (SymmetricFriction(), "symmetric")
+    )
+    turned = replace(joint, friction=other)
+    variant = ClosedLoop(turned, model.controller) if isinstance(model, ClosedLoop) else turned
     yield f"DIDIM {word}", variant, torque_only
     yield f"IDIM-LS {word}", variant, IDIM()
 

@@ -15,6 +15,7 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.record import FloatArray, Record
+from jointid.data.transmission import Transmission, transmission_lines
 from jointid.estimation.estimate import Estimate, fingerprint
 from jointid.estimation.problem import Problem, torque_problem
 from jointid.inference.bootstrap import Bootstrap, Bootstrapping, cell_bootstrap, refitted, time_bootstrap
@@ -35,16 +36,19 @@ class Intervals:
         profiles: of the quantities asked for.
         over_time: the bootstrap over blocks of time; None where it was not asked for, as the next.
         over_place: the bootstrap over stretches of position, direction and speed.
+        transmission: on whose `side` all numbers are.
     """
 
     profiles: tuple[Profile, ...]
     over_time: Bootstrap | None
     over_place: Bootstrap | None
+    transmission: Transmission | None = None
 
     def __str__(self) -> str:
         """Return them one after the other."""
         drawn = [str(one) for one in (self.over_time, self.over_place) if one is not None]
-        return "\n\n".join(["\n".join(map(str, self.profiles)), *drawn] if self.profiles else drawn)
+        profiles = ["\n".join(map(str, self.profiles))] if self.profiles else []
+        return "\n\n".join([*transmission_lines(self.transmission), *profiles, *drawn])
 
 
 def intervals(
@@ -85,12 +89,12 @@ def intervals(
         progress(f"following the criterion along {quantity}")
         profiles.append(_profiled(problem, x, spread, quantity, profiling))
     if not bootstrap:
-        return Intervals(tuple(profiles), None, None)
+        return Intervals(tuple(profiles), None, None, estimate.joint.transmission)
     progress("drawing over time and over place")
     again = refitted(problem, x) if refit else None
     over_time = time_bootstrap(problem.free, x, residual, J, bootstrapping, again)
     over_place = cell_bootstrap(problem.free, x, residual, J, where.stretch, bootstrapping, again)
-    return Intervals(tuple(profiles), over_time, over_place)
+    return Intervals(tuple(profiles), over_time, over_place, estimate.joint.transmission)
 
 
 def solved(estimate: Estimate, record: Record) -> tuple[Problem, FloatArray]:

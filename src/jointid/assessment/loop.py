@@ -10,10 +10,8 @@ from jointid.common.errors import MethodError
 from jointid.data.record import Record
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.problem import torque_problem
-from jointid.estimation.surroundings import INITIAL_STATE
+from jointid.estimation.surroundings import INITIAL
 from jointid.inference.verdict import Verdict
-
-_INITIAL = tuple(p.name for p in INITIAL_STATE)
 
 
 def check_loop(estimate: Estimate, record: Record, settings: LoopTests | None = None) -> LoopCheck:
@@ -51,7 +49,7 @@ def check_loop(estimate: Estimate, record: Record, settings: LoopTests | None = 
                 "this record determines."
             )
         values[p.name] = p.value
-    freed = [p.name for p in estimate.parameters if not p.of_joint and p.name not in _INITIAL]
+    freed = [p.name for p in estimate.parameters if not p.of_joint and p.name not in INITIAL]
     free = {p.name for p in estimate.parameters if p.free}
     kept = tuple(p if p.name in free else p.fixed(values[p.name]) for p in problem.parameters)
     solved = replace(problem, parameters=kept).freeing(*freed)

@@ -28,12 +28,14 @@ from jointid.common.progress import Progress, silent
 from jointid.common.text import number
 from jointid.data.record import Record
 from jointid.data.signals import Filtering
+from jointid.data.transmission import Transmission, transmission_lines
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.exploration import FASTEST
 from jointid.estimation.problem import Problem
 from jointid.estimation.starts import pseudo_regular
 from jointid.inference.uncertainty import stationary
 from jointid.inference.verdict import StiffnessBound
+from jointid.model.joints import acts_on_whole
 from jointid.model.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.simulation.closed_loop import Outcome
 
@@ -75,6 +77,7 @@ class Revealing:
         pulses: what pulses tell, by load share. height: of them, N or N m. width: s.
         encoder: what a load encoder tells, likewise. step: of it, m or rad.
         unit, position_unit: of torque and position.
+        transmission: on whose `side` all numbers are.
     """
 
     record: str
@@ -85,6 +88,7 @@ class Revealing:
     step: float
     unit: str
     position_unit: str
+    transmission: Transmission | None = None
 
     def __str__(self) -> str:
         """Return a line for each test, and one on what the record itself excludes."""
@@ -94,7 +98,8 @@ class Revealing:
         pulses = f"pulses of {self.height:.0f} {self.unit} and {1e3 * self.width:.3g} ms added to this motion"
         encoder = f"a load encoder of steps of {number(self.step, 2)} {self.position_unit}"
         tests = (_sentence(pulses, self.pulses), _sentence(encoder, self.encoder))
-        return "\n".join([f"This record excludes a mode below {known};", f"{tests[0]};", f"{tests[1]}."])
+        excluded = f"This record excludes a mode below {known};"
+        return "\n".join([*transmission_lines(self.transmission), excluded, f"{tests[0]};", f"{tests[1]}."])
 
 
 def _sentence(name: str, told: tuple[Told, ...]) -> str:
@@ -182,7 +187,7 @@ def revealing(
         estimate.record,
         tuple(told(rung, bound, False) for bound in bounds),
         tuple(told(wide, bound, True) for bound in bounds),
-        height, width, step, unit, POSITION_UNIT[kind],
+        height, width, step, unit, POSITION_UNIT[kind], estimate.joint.transmission,
     )  # fmt: skip
 
 
@@ -213,4 +218,4 @@ def _rigid(estimate: Estimate) -> dict[str, float]:
     """Return what a refused estimate tells of the whole joint, as a rigid joint's values."""
     assert estimate.known is not None
     found = {known.combination.name.removeprefix("total "): known.value for known in estimate.known.physical}
-    return found | {p.name: p.value or 0.0 for p in estimate.parameters if p.name == "offset" or not p.of_joint}
+    return found | {p.name: p.value or 0.0 for p in estimate.parameters if acts_on_whole(p.name) or not p.of_joint}

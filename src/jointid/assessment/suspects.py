@@ -28,9 +28,10 @@ from jointid.common.progress import silent
 from jointid.data.record import FloatArray
 from jointid.estimation.descent import Descent, refined
 from jointid.estimation.problem import Problem
-from jointid.estimation.surroundings import surrounding, with_numbers
+from jointid.estimation.surroundings import surrounding
 from jointid.inference.repeatable import Cells, by_place, cells, repeatable
 from jointid.inference.uncertainty import larger, robust
+from jointid.model.controllers import with_numbers
 from jointid.model.parameters import Quantity, unit_of
 
 _NEARLY = 6.0  # twice the logarithm of a likelihood ratio of 20
@@ -190,13 +191,19 @@ def _freed(problem: Problem, suspect: Suspect) -> tuple[Problem, float]:
         parameters = tuple(replace(p, free=p.free or p.name == OFFSET) for p in problem.parameters)
         return replace(problem, parameters=parameters), start
     if suspect.name == LIMIT:  # what is declared may be infinite, where no search can begin
-        start = (suspect.shape or 0.0) / getattr(problem.loop.controller, "gain", 1.0)
-        loop = with_numbers(problem.loop, {LIMIT: start})
+        start = (suspect.shape or 0.0) / _torque_per_unit(problem)
+        loop = replace(problem.loop, controller=with_numbers(problem.loop.controller, {LIMIT: start}))
         law = loop.controller.law(problem.experiment.sample_time)
         problem = replace(problem, loop=loop, experiment=problem.experiment.with_law(law))
     wider = problem.freeing(suspect.name)
     p = next(p for p in wider.parameters if p.name == suspect.name)
     return wider, max(start, p.lower)
+
+
+def _torque_per_unit(problem: Problem) -> float:
+    """Return the torque on the joint for one unit of the controller."""
+    controller = problem.loop.controller
+    return float(getattr(controller, "gain", 1.0) * abs(getattr(controller, "ratio", 1.0)))
 
 
 def _finding(state: _State, after: _State, found: _Tested, level: float) -> Finding:
@@ -216,7 +223,7 @@ def _finding(state: _State, after: _State, found: _Tested, level: float) -> Find
         return Finding(suspect, None, rivals, changes)
     value = values[suspect.name]
     if suspect.name == LIMIT:
-        return Finding(suspect, value * getattr(state.problem.loop.controller, "gain", 1.0), rivals, changes)
+        return Finding(suspect, value * _torque_per_unit(state.problem), rivals, changes)
     residual, slopes = after.problem.linearised(after.x)
     columns = _own(after, -slopes)
     covariance, where = robust(columns, columns, residual), _cells(after)

@@ -14,6 +14,7 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.data.checks import check_record
 from jointid.data.record import FloatArray, Record
+from jointid.data.transmission import Transmission, transmission_lines
 from jointid.estimation.estimate import (
     Estimate,
     IdentifiedJoint,
@@ -23,7 +24,7 @@ from jointid.estimation.estimate import (
     relative_error,
 )
 from jointid.estimation.inverse_model import idim_channels, motion_of
-from jointid.estimation.problem import Problem, initial_of
+from jointid.estimation.problem import Problem, initial_of, with_torque
 from jointid.estimation.regression import least_squares
 from jointid.estimation.starts import initial_state, reconstructed_position
 from jointid.estimation.surroundings import INITIAL_STATE
@@ -59,6 +60,7 @@ class Validation:
         autocorrelation: (lags + 1,) of the filtered torque error, 1 at lag 0; a white one stays within `white_band`.
         rows: of the filtered torque error.
         motor: motion the error is plotted against: simulated for DIDIM, measured for IDIM.
+        transmission: on whose `side` torque and motion are.
         warnings: what the reader must know, one sentence each.
     """
 
@@ -81,6 +83,7 @@ class Validation:
     autocorrelation: FloatArray
     rows: int
     motor: Motion
+    transmission: Transmission | None = None
     warnings: tuple[str, ...] = ()
 
     @property
@@ -100,6 +103,7 @@ class Validation:
         lines = [
             f"{self.test.capitalize()} test on {self.record}, of the joint identified from {self.identified_from}; "
             f"torque {how}",
+            *transmission_lines(self.transmission),
             f"torque error    {100 * self.relative_error:.4f} % raw ({left_out}), "
             f"{100 * self.filtered_error:.4f} % filtered",
         ]
@@ -169,6 +173,7 @@ def _inverse(identified: IdentifiedJoint, record: Record) -> Validation:
         autocorrelation=autocorrelation(error[: error.size // len(model.torque)]),
         rows=error.size // len(model.torque),
         motor=model.motor,
+        transmission=identified.joint.transmission,
     )
 
 
@@ -180,7 +185,9 @@ def _simulated(identified: IdentifiedJoint, record: Record) -> Validation:
     fixed = tuple(p.fixed(identified.values[p.name]) for p in loop.joint.parameters)
     experiment = prepare(loop, record)
     measured = record.torque.values[: experiment.samples]
-    problem = Problem(loop, experiment, (*fixed, *INITIAL_STATE), measured, filtering)
+    problem = Problem(
+        loop, experiment, (*fixed, *with_torque(INITIAL_STATE, experiment, measured)), measured, filtering
+    )
     x, runs = _initial_fit(problem)
     run = require_finished(problem.simulate(x))
     error = problem.filtered(np.column_stack([measured - run.torque, measured]))
@@ -204,6 +211,7 @@ def _simulated(identified: IdentifiedJoint, record: Record) -> Validation:
         autocorrelation=autocorrelation(error[:, 0]),
         rows=len(error),
         motor=Motion(run.motor_position, run.motor_velocity, run.motor.acceleration),
+        transmission=identified.joint.transmission,
         warnings=_warnings(identified, loop),
     )
 

@@ -63,7 +63,7 @@ def pulsed(problem: Problem, height: float, width: float) -> Variation:
     period = experiment.law.period
     more = pulses(experiment.after_limit.size, period, height, width, _EVERY * width, seed=0)
     unit = problem.loop.joint.torque_unit or TORQUE_UNIT[problem.loop.joint.kind]
-    again = "more " if np.any(experiment.after_limit) or np.any(experiment.before_limit) else ""
+    again = "more " if experiment.injected else ""
     said = f"{again}pulses of {height:.2g} {unit} and {1e3 * width:.3g} ms, one in {_EVERY * width:.2g} s"
     changed = replace(experiment, after_limit=experiment.after_limit + more)
     return Variation(f"{again}pulses", said, changed, experiment.samples)

@@ -32,23 +32,13 @@ def advise(
     from jointid import answers
     from jointid.assessment.advice import advise as run
     from jointid.assessment.revealing import revealing
-    from jointid.cli.console import check_outputs, progress, ready, show
-    from jointid.estimation.identify import identify
+    from jointid.cli.console import check_outputs, identified, progress, show
     from jointid.jointfile import load
 
     listener = progress(quiet)
     check_outputs(None, json)
     file = load(joint).overridden(method="didim")
-    logged = file.record(record)
-    ready(listener)
-    estimate = identify(
-        logged,
-        file.loop or file.joint,
-        file.method,
-        filtering=file.filtering,
-        parameters=file.parameters,
-        progress=listener,
-    )
+    logged, estimate = identified(file, record, listener)
     if estimate.bounds:
         found = revealing(estimate, logged, encoder_step=encoder_step, noise=noise, progress=listener)
         show(found)

@@ -16,6 +16,7 @@ from jointid.cli.compare import compare
 from jointid.cli.demo import demo
 from jointid.cli.identify import identify
 from jointid.cli.intervals import intervals
+from jointid.cli.loop import loop
 from jointid.cli.reproduce import reproduce
 from jointid.cli.simulate import simulate
 from jointid.cli.together import together
@@ -31,7 +32,7 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (demo, identify, together, intervals, compare, validate, advise, simulate, reproduce):
+for command in (demo, loop, identify, together, intervals, compare, validate, advise, simulate, reproduce):
     app.command(command)
 
 

@@ -1,12 +1,18 @@
-"""What commands print, and where: answers on standard output, progress on standard error."""
+"""What commands have in common: where they print, what they may write, and that they identify first."""
 
 from __future__ import annotations
 
 import sys
 import threading
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jointid.common.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from jointid.data.record import Record
+    from jointid.estimation.estimate import Estimate
+    from jointid.jointfile import JointFile
 
 _PATIENCE = 2.0  # seconds after which the simulation is not being loaded but compiled
 
@@ -39,6 +45,32 @@ def ready(listener: Progress) -> None:
         warm_up()
     finally:
         timer.cancel()
+
+
+def identified(file: JointFile, record: Path | None, listener: Progress) -> tuple[Record, Estimate]:
+    """Identify a joint as its file says, and return the record, too.
+
+    Args:
+        file: the joint file.
+        record: instead of the one the joint file names.
+        listener: is told the progress.
+
+    Raises:
+        JointidError: the record cannot be read, or the joint cannot be identified from it.
+    """
+    from jointid.estimation.identify import identify
+
+    logged = file.record(record)
+    ready(listener)
+    estimate = identify(
+        logged,
+        file.loop or file.joint,
+        file.method,
+        filtering=file.filtering,
+        parameters=file.parameters,
+        progress=listener,
+    )
+    return logged, estimate
 
 
 def check_outputs(figure: Path | None = None, *files: Path | None) -> None:

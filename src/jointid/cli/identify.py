@@ -50,9 +50,8 @@ def identify(
     from jointid import answers
     from jointid.assessment.loop import with_loop_verdict
     from jointid.assessment.revealing import what_would_tell_more
-    from jointid.cli.console import check_outputs, progress, ready, show
+    from jointid.cli.console import check_outputs, identified, progress, show
     from jointid.estimation.flexible import FlexibleDIDIM
-    from jointid.estimation.identify import identify as run
     from jointid.jointfile import load
 
     listener = progress(quiet)
@@ -68,16 +67,7 @@ def identify(
         period=period,
         drift=drift,
     )
-    logged = file.record(record)
-    ready(listener)
-    estimate = run(
-        logged,
-        file.loop or file.joint,
-        file.method,
-        filtering=file.filtering,
-        parameters=file.parameters,
-        progress=listener,
-    )
+    logged, estimate = identified(file, record, listener)
     if not isinstance(file.method, FlexibleDIDIM) or file.method.minimiser == "least-squares":
         estimate = with_loop_verdict(estimate, logged)  # the paper's search need not end where least squares would
     show(estimate)

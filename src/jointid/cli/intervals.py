@@ -29,19 +29,13 @@ def intervals(
         quiet: say nothing of the progress.
     """
     from jointid.assessment.intervals import intervals as run
-    from jointid.cli.console import progress, ready, show
+    from jointid.cli.console import identified, progress, show
     from jointid.common.errors import MethodError
-    from jointid.estimation.identify import identify
     from jointid.jointfile import load
 
     if not of and not bootstrap:
         raise MethodError("There is nothing to do without --of or --bootstrap; give --of stiffness, say.")
     listener = progress(quiet)
     file = load(joint).overridden(method="didim")
-    logged = file.record(record)
-    ready(listener)
-    assert file.loop is not None
-    estimate = identify(
-        logged, file.loop, file.method, filtering=file.filtering, parameters=file.parameters, progress=listener
-    )
+    logged, estimate = identified(file, record, listener)
     show(run(estimate, logged, of or (), bootstrap=bootstrap or refit, refit=refit, progress=listener))

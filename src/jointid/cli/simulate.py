@@ -61,6 +61,7 @@ def _joint(
     from jointid import answers
     from jointid.cli.console import progress, ready, show
     from jointid.common.errors import MethodError
+    from jointid.data.transmission import transmission_lines
     from jointid.jointfile import load
     from jointid.simulation.closed_loop import require_finished, simulate
     from jointid.simulation.experiment import prepare
@@ -82,6 +83,8 @@ def _joint(
     ready(listener)
     simulation = require_finished(simulate(file.loop, prepare(file.loop, logged), values))
     peak = float(abs(simulation.torque).max())
+    for line in transmission_lines(file.joint.transmission):
+        show(line)
     show(
         f"{simulation.torque.size} samples of {simulation.sample_time:g} s: peak torque {peak:.5g}, "
         f"{simulation.events} reversals, stops and starts, {100 * simulation.at_limit:.2f} % of the time at the limit"
@@ -90,7 +93,7 @@ def _joint(
         from jointid.data.reading import write
         from jointid.simulation.synthesis import as_record
 
-        write(as_record(logged, simulation), out)
+        write(file.logged(as_record(logged, simulation)), out)
     if json is not None:
         answers.write(answers.simulation_answer(simulation, file.joint, values, logged.name), json)
 

@@ -44,7 +44,7 @@ def together(
     estimate = identify_together(
         logged,
         loops,
-        added_inertia=[run.added_inertia for one in each for run in one.runs],
+        added_inertia=[more for one in each for more in one.added_inertias],
         own=[run.own for one in each for run in one.runs],
         free=file.free,
         method=file.method,

@@ -2,14 +2,19 @@
 
 A unit is a name, a dimension and a factor to SI. A joint's *motor unit* is the unit its torque is kept in: N or
 N m, or the drive's own A or V while the torque constant is unknown; parameters then come per ampere or per volt.
+Encoder counts and shares of a rated torque are units of one drive; `data.drive` takes them to SI.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 from jointid.common.errors import JointidError
+
+Kind: TypeAlias = Literal["prismatic", "revolute"]
+"""How a joint, or one side of its transmission, moves."""
 
 
 class UnitError(JointidError):
@@ -31,6 +36,9 @@ def _family(dimension: str, si: str, **factors: float) -> dict[str, Unit]:
     return {name: Unit(name, dimension, factor, si) for name, factor in names.items()}
 
 
+COUNTS = "encoder counts"
+SHARE = "share of the rated torque"
+
 _DEGREE = math.pi / 180
 _TURN = 2 * math.pi
 
@@ -43,14 +51,16 @@ _UNITS: dict[str, Unit] = {
     **_family("torque", "N m", N_m=1.0, Nm=1.0, mN_m=1e-3, mNm=1e-3, kN_m=1e3, kNm=1e3, N_cm=1e-2),
     **_family("current", "A", A=1.0, mA=1e-3),
     **_family("voltage", "V", V=1.0, mV=1e-3),
+    **_family(COUNTS, "counts", counts=1.0),
+    **_family(SHARE, "rated torque", permille=1e-3, per_mille=1e-3, **{"%": 1e-2}),
     **_family("time", "s", s=1.0, ms=1e-3, us=1e-6, ns=1e-9, min=60.0, h=3600.0),
 }
 
-POSITION_UNITS = {"prismatic": "length", "revolute": "angle"}
-VELOCITY_UNITS = {"prismatic": "linear velocity", "revolute": "angular velocity"}
+POSITION_UNITS = {"prismatic": ("length", COUNTS), "revolute": ("angle", COUNTS)}
+VELOCITY_UNITS = {"prismatic": ("linear velocity",), "revolute": ("angular velocity",)}
 TORQUE_UNITS = {
-    "prismatic": ("force", "current", "voltage"),
-    "revolute": ("torque", "current", "voltage"),
+    "prismatic": ("force", "current", "voltage", SHARE),
+    "revolute": ("torque", "current", "voltage", SHARE),
 }
 
 

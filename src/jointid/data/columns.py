@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from jointid.common import units
 from jointid.common.errors import RecordError
 from jointid.data.record import InjectionPoint, Tap, Timing
+from jointid.data.transmission import SIDES, Side
 
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 
@@ -18,7 +19,7 @@ class Column:
     """How one channel is found in a file: its values are `sign` x `gain` x column, in `unit`.
 
     Attributes:
-        column: the column's name.
+        column: the column's name; "" leaves it to the drive's profile.
         unit: unit of the values. None takes the one in the column's name ("pos [mm]") if gain is 1; or else
             m, m/s and N, or rad, rad/s and N m, by the kind of the joint; for injected, the torque's unit.
         gain: what the column is multiplied by to be in `unit`, positive.
@@ -26,24 +27,33 @@ class Column:
         timing: what a value says about the time around its sample. None is held for torque and injected,
             sampled for positions and velocities.
         sample_time: this channel's own time between samples [s], where it differs from the record's.
-        tap: where in the drive the torque was logged (torque only).
+        tap: where in the drive the torque was logged (torque only); None is the controller's output.
         at: where the known signal is added to the controller's output (injected only).
         in_torque: whether the logged torque contains the known signal (injected only).
+        side: of the transmission, "motor" or "load"; None is the load's for load_position, the motor's for the others.
+        wrap: where the column, in its own numbers, wraps round: 65536 for an encoder of 16 bits, 360 for an
+            angle in degrees (positions only).
+        update_time: time between refreshes [s] of a column that is logged more often than that; it becomes a
+            channel of that sample time, from the first refresh on.
         optional: whether a file without this column is read without this channel.
 
     Raises:
-        RecordError: gain or sample_time is not positive and finite, or sign is not 1 or -1.
+        RecordError: gain, sample_time, wrap or update_time is not positive and finite, sign is not 1 or -1, or there is
+            no such side.
     """
 
-    column: str
+    column: str = ""
     unit: str | None = None
     gain: float = 1.0
     sign: int = 1
     timing: Timing | None = None
     sample_time: float | None = None
-    tap: Tap = Tap.COMMAND
+    tap: Tap | None = None
     at: InjectionPoint = InjectionPoint.AFTER_LIMIT
     in_torque: bool = True
+    side: Side | None = None
+    wrap: float | None = None
+    update_time: float | None = None
     optional: bool = False
 
     def __post_init__(self) -> None:
@@ -54,10 +64,18 @@ class Column:
         if self.sign not in (1, -1):
             faults.append(f'The sign of column "{self.column}" is 1 or -1; got {self.sign}: use gain to scale it.')
         faults += period_faults(f'sample time of column "{self.column}"', self.sample_time)
+        faults += period_faults(f'update time of column "{self.column}"', self.update_time)
+        if self.wrap is not None and not (math.isfinite(self.wrap) and self.wrap > 0):
+            faults.append(
+                f'The wrap of column "{self.column}" is a positive number; got {self.wrap:g}: give the value at which '
+                "the encoder begins again, or leave it out."
+            )
+        if self.side not in (None, *SIDES):
+            faults.append(f'The side of column "{self.column}" is "motor" or "load"; got "{self.side}": correct it.')
         if faults:
             raise RecordError(faults)
         object.__setattr__(self, "timing", None if self.timing is None else Timing(self.timing))
-        object.__setattr__(self, "tap", Tap(self.tap))
+        object.__setattr__(self, "tap", None if self.tap is None else Tap(self.tap))
         object.__setattr__(self, "at", InjectionPoint(self.at))
 
     def stated_unit(self, known: tuple[str, ...]) -> str | None:
@@ -68,10 +86,12 @@ class Column:
     def misplaced(self, channel: str) -> list[str]:
         """Return the faults of settings that belong to other channels than `channel`."""
         faults = []
-        if channel != "torque" and self.tap is not Tap.COMMAND:
+        if channel != "torque" and self.tap is not None:
             faults.append(f"{channel} has tap = {self.tap}, which says where a torque was logged; leave it out.")
         if channel != "injected" and not (self.in_torque and self.at is InjectionPoint.AFTER_LIMIT):
             faults.append(f"{channel} has at or in_torque, which are for an injected signal; leave them out.")
+        if self.wrap is not None and channel not in ("reference", "motor_position", "load_position"):
+            faults.append(f"{channel} has a wrap of {self.wrap:g}, which is for a position; leave it out.")
         return faults
 
 
@@ -80,7 +100,7 @@ def unit_in_name(column: str, known: tuple[str, ...]) -> str | None:
     match = _IN_BRACKETS.search(column)
     if match is None or match[1].isdigit():  # "phi[0]" is an element
         return None
-    # "q [counts]" is to be refused, not to be read as metres; "q (filtered)" has a remark.
+    # "q [clicks]" is to be refused, not to be read as metres; "q (filtered)" has a remark.
     return match[1] if match[1] in known or column.rstrip().endswith("]") else None
 
 
@@ -89,7 +109,7 @@ def known_units(channel: str, kind: str) -> tuple[str, ...]:
     if channel in ("torque", "injected"):
         return units.units_of(*units.TORQUE_UNITS[kind])
     dimensions = units.VELOCITY_UNITS if channel == "reference_velocity" else units.POSITION_UNITS
-    return units.units_of(dimensions[kind])
+    return units.units_of(*dimensions[kind])
 
 
 def period_faults(what: str, sample_time: float | None) -> list[str]:

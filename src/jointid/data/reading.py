@@ -6,17 +6,23 @@ import difflib
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from jointid.common import units
 from jointid.common.errors import RecordError
+from jointid.data.axes import other_axes
 from jointid.data.checks import CLOCK_TOLERANCE, clock_faults, finite_faults, scale_faults
 from jointid.data.columns import Column, known_units, period_faults, unit_in_name
+from jointid.data.conditioning import unwrapped, wrap_faults
+from jointid.data.drive import Drive
 from jointid.data.formats import Table, read_table, write_table
+from jointid.data.profiles import side_of
 from jointid.data.record import CHANNELS, Channel, FloatArray, Injection, Record, Tap, Timing
+from jointid.data.refreshing import Refreshed, begun_together
+from jointid.data.transmission import Transmission
 
 RATE_TOLERANCE = 1e-3
 """How far a given sample time may be from that of the time stamps, as a share of it.
@@ -24,18 +30,21 @@ RATE_TOLERANCE = 1e-3
 Clocks of drives and computers differ by 0.01 %; a wrong rate is wrong by far more.
 """
 
+_MOVES = 0.01  # of this axis's travel: an axis that moves less is held
 _LISTED = 20  # columns that a message lists; some MAT files have thousands
 _TIME = re.compile(r"(?:t|time)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
 
 
 def read(
     path: str | os.PathLike[str],
-    columns: Mapping[str, str | Column],
+    columns: Mapping[str, str | Column] | None = None,
     *,
+    drive: Drive | None = None,
     time: str | None = None,
     time_unit: str | None = None,
     sample_time: float | None = None,
     kind: str = "prismatic",
+    transmission: Transmission | None = None,
     name: str | None = None,
     clock_tolerance: float = CLOCK_TOLERANCE,
     **options: object,
@@ -48,11 +57,14 @@ def read(
 
     Args:
         path: the file; its suffix tells the format.
-        columns: channel -> its column, by name or as a `Column`; the channels are those of `CHANNELS`.
+        columns: channel -> its column, by name or as a `Column`; the channels are those of `CHANNELS`. With a profile
+            of the drive, those that are left out are found by its names.
+        drive: the numbers behind counts, shares of a rated torque and ampere, and the profile of its traces.
         time: name of the time column.
         time_unit: unit of the time column; None takes the one in its name, or else s.
         sample_time: time between samples [s]; given together with `time`, the two must agree.
         kind: "prismatic" (m, m/s, N unless a column says otherwise) or "revolute" (rad, rad/s, N m).
+        transmission: between motor and load; it then says both kinds, and every channel is referred to its `side`.
         name: what reports call the record; None takes the file's name without its suffix.
         clock_tolerance: largest jitter of the time stamps, as a share of the sample time.
         options: options of the format's reader; see `jointid.data.formats.Csv`.
@@ -61,6 +73,7 @@ def read(
         RecordError: the file cannot be read, or does not hold what it is declared to hold; `faults` has a
             sentence for each missing column, wrong unit, gap, jump of the clock and impossible scale.
     """
+    drive, columns = drive or Drive(), columns or {}
     unknown = [channel for channel in columns if channel not in CHANNELS]
     if unknown:
         raise RecordError(f"No channel is called {', '.join(unknown)}; there are {', '.join(CHANNELS)}.")
@@ -70,15 +83,23 @@ def read(
     table = read_table(path, **options)
     if any(column.sample_time for column in wanted.values()):
         table = _without_tails(table)
-    reading = _Reading(table, kind, [])
-    found = reading.found(wanted)
+    reading = _Reading(table, kind, transmission, drive, [])
+    found = reading.found(reading.profiled(wanted))
     clock = _Clock(sample_time)
+    if time is None and sample_time is None and drive.traces is not None:
+        time = drive.traces.time_column(table.columns)
     if time is not None or any(column.sample_time is None for column in found.values()):
         clock = reading.clock(time, time_unit, sample_time, clock_tolerance)
-    channels = {channel: reading.channel(channel, found, clock) for channel in found}
+    read_in = {channel: reading.channel(channel, found, clock) for channel in found}
     if reading.faults:
         raise RecordError(reading.faults)
-    record = _record({n: c for n, c in channels.items() if c is not None}, found, name or Path(path).stem)
+    logged = {n: Refreshed(c, found[n].update_time) for n, c in read_in.items() if c is not None}
+    others = {n: Refreshed(c) for n, c in reading.others(found, clock).items()}
+    channels, faults = begun_together({**logged, **others})
+    if faults:
+        raise RecordError(faults)
+    apart = {n: channels.pop(n) for n in others}
+    record = replace(_record(channels, found, name or Path(path).stem), other_axes=apart)
     faults = scale_faults(record)
     if faults:
         raise RecordError(faults)
@@ -89,7 +110,7 @@ def write(record: Record, path: str | os.PathLike[str]) -> None:
     """Write a record to a file: the time as column "t" [s], and every channel in SI under its own name.
 
     `read` gives it back to the last bit once told what a table of numbers does not hold: the joint's kind, a
-    torque in A or V, and what differs from the defaults of `Column`.
+    torque in A or V, and what differs from the defaults of `Column`. The positions of other axes are not written.
 
     Args:
         record: the record; its channels share one rate and have at least two samples.
@@ -122,7 +143,35 @@ class _Reading:
 
     table: Table
     kind: str
+    transmission: Transmission | None
+    drive: Drive
     faults: list[str]
+
+    def profiled(self, wanted: Mapping[str, Column]) -> Mapping[str, Column]:
+        """Return the columns with what the drive's profile knows; one that nothing names is a fault."""
+        profile = self.drive.traces
+        if profile is not None:
+            kinds = {channel: self.kind_of(channel, wanted.get(channel)) for channel in CHANNELS}
+            found, faults = profile.found(wanted, self.table.columns, self.drive.axis, kinds, self.table.source)
+            self.faults.extend(faults)
+            self.faults.extend(self.uncertain(wanted, found))
+            return found
+        unnamed = [channel for channel, column in wanted.items() if not column.column]
+        if unnamed:
+            self.faults.append(f"{' and '.join(unnamed)} has no column; name it, or give the drive a profile.")
+        return {channel: column for channel, column in wanted.items() if column.column}
+
+    def uncertain(self, wanted: Mapping[str, Column], found: Mapping[str, Column]) -> list[str]:
+        """Return the fault of a current that only the profile takes for the torque: nobody asked for results in A."""
+        torque = found.get("torque")
+        if torque is None or torque.unit != "A" or self.drive.torque_constant is not None:
+            return []
+        if "torque" in wanted and wanted["torque"].unit == "A":
+            return []
+        return [
+            f'torque (column "{torque.column}") is in A by profile "{self.drive.profile}"; give the drive\'s '
+            f'torque_constant, or unit = "A" with the column to identify per ampere.'
+        ]
 
     def found(self, wanted: Mapping[str, Column]) -> dict[str, Column]:
         """Return the columns that are there; one that is not is a fault unless it is optional."""
@@ -157,7 +206,7 @@ class _Reading:
                 "rename the column."
             )
             return _Clock()
-        unit = self.unit(f'time (column "{column}")', time_unit or unit_in_name(column, known) or "s", known)
+        unit = self.unit(f'time (column "{column}")', time_unit or unit_in_name(column, known) or "s", known, self.kind)
         if unit is None:
             return _Clock()
         stamps = self.table.columns[column] * unit.factor
@@ -189,10 +238,20 @@ class _Reading:
         self.faults.append(f"{source} has {fact}; give sample_time, or the name of the time column as time.")
         return None
 
-    def unit(self, what: str, name: str, known: tuple[str, ...]) -> units.Unit | None:
-        """Return the unit of that name; one that is not among `known` is a fault."""
+    def kind_of(self, channel: str, column: Column | None) -> str:
+        """Return how the side moves on which a channel is measured."""
+        if self.transmission is None:
+            return self.kind
+        return self.transmission.kind_of(side_of(channel, column, self.drive.traces, self.drive.axis))
+
+    def unit(self, what: str, name: str, known: tuple[str, ...], kind: str) -> units.Unit | None:
+        """Return the unit of that name on a side that moves so; one that is not among `known` is a fault."""
         if name in known:
-            return units.unit(name)
+            try:
+                return self.drive.resolved(units.unit(name), kind)
+            except units.UnitError as error:
+                self.faults.append(f'{what} is in "{name}", {error}.')
+                return None
         expected = ", ".join(known)
         self.faults.append(f'{what} is in "{name}"; expected one of {expected}: give its unit, and the gain to it.')
         return None
@@ -208,24 +267,53 @@ class _Reading:
             lengths = f"{values.size} samples, the time {stamps.size}"
             self.faults.append(f"{what} has {lengths}; name columns of one length.")
             stamps = None
-        self.faults.extend(finite_faults(what, values, stamps))
-        self.faults.extend(column.misplaced(name))
+        faults = [*finite_faults(what, values, stamps), *column.misplaced(name)]
+        if column.wrap is not None and not faults:
+            faults = wrap_faults(what, values, column.wrap)
+            values = unwrapped(values, column.wrap)
+        self.faults.extend(faults)
 
-        known = known_units(name, self.kind)
+        gear, kind = self.transmission, self.kind_of(name, column)
+        if gear is None and column.side is not None:
+            self.faults.append(
+                f'{what} has side = "{column.side}", but no transmission is given; give it, or leave side out.'
+            )
+        known = known_units(name, kind)
         default = known[0]
         if name == "injected" and "torque" in found:
-            default = found["torque"].stated_unit(known) or default
-        unit = self.unit(what, column.stated_unit(known) or default, known)
+            stated = found["torque"].stated_unit(known)  # on another side of a transmission it may be no unit here
+            default = stated if stated in known else default
+        unit = self.unit(what, column.stated_unit(known) or default, known, kind)
         if unit is None or period is None:
             return None
         held = name in ("torque", "injected")
-        return Channel(
+        channel = Channel(
             values * (column.sign * column.gain * unit.factor),
             unit.si,
             period,
             column.timing or (Timing.HELD if held else Timing.SAMPLED),
             f"{self.table.source}: {column.column}",
         )
+        return (
+            gear.referred(name, channel, side_of(name, column, self.drive.traces, self.drive.axis)) if gear else channel
+        )
+
+    def others(self, found: Mapping[str, Column], clock: _Clock) -> dict[str, Channel]:
+        """Return the positions of other axes that moved, by their columns; one that cannot be read is left out."""
+        position = next((channel for channel in ("motor_position", "reference") if channel in found), None)
+        own = position and replace(self, faults=[]).channel(position, found, clock)
+        made: dict[str, Channel] = {}
+        if not (position and own):
+            return made
+        # A profile knows the side of this axis's column, and nothing of the others'.
+        side = side_of(position, found[position], self.drive.traces, self.drive.axis)
+        alike = replace(found[position], side=None if self.transmission is None else side)
+        for name in other_axes({channel: column.column for channel, column in found.items()}, self.table.columns):
+            apart = replace(self, faults=[])
+            other = apart.channel(position, {**found, position: replace(alike, column=name)}, clock)
+            if other and not apart.faults and np.ptp(other.values) > _MOVES * np.ptp(own.values):
+                made[name] = other
+        return made
 
 
 def _without_tails(table: Table) -> Table:
@@ -255,7 +343,7 @@ def _record(channels: Mapping[str, Channel], found: Mapping[str, Column], name: 
         )
     return Record(
         torque=torque,
-        tap=Tap.COMMAND if torque is None else found["torque"].tap,
+        tap=Tap.COMMAND if torque is None else found["torque"].tap or Tap.COMMAND,
         reference=channels.get("reference"),
         reference_velocity=channels.get("reference_velocity"),
         motor_position=channels.get("motor_position"),

@@ -6,8 +6,8 @@ log the *average* over the period that ends at the sample. Reading one as anothe
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from typing import Any, TypeAlias
 
@@ -127,6 +127,8 @@ class Record:
         load_position: load encoder.
         injected: a known signal added to the controller's output.
         name: what reports call this record.
+        other_axes: positions of other axes that were logged too and moved, by their columns; no joint's model reads
+            them, and the coupling that they bring is not in it.
 
     Raises:
         RecordError: channels at one rate have unequal lengths, or durations differ by more than a sample.
@@ -140,6 +142,7 @@ class Record:
     load_position: Channel | None = None
     injected: Injection | None = None
     name: str = "record"
+    other_axes: Mapping[str, Channel] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tap", Tap(self.tap))
@@ -208,7 +211,7 @@ def record_of(
         )
         for key, array in values.items()
     }
-    allowed = {field.name for field in fields(Record)} - {"tap", "injected", "name"}
+    allowed = {each.name for each in fields(Record)} - {"tap", "injected", "name", "other_axes"}
     unknown = set(made) - allowed
     if unknown:
         raise RecordError(f"No channel is called {', '.join(sorted(unknown))}; there are {', '.join(sorted(allowed))}.")

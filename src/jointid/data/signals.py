@@ -145,6 +145,18 @@ def _both_ways(sections: FloatArray, values: FloatArray, order: int) -> FloatArr
     return np.asarray(sosfiltfilt(sections, values, axis=0, padlen=padding))
 
 
+def picked(channel: Channel, sample_time: float) -> Channel:
+    """Return a sampled channel at a clock that is a whole number of times slower: every so many samples; else as it is.
+
+    Nothing is filtered first: a position moves slowly against a torque's clock, and what noise it has is folded down.
+    """
+    ratio = sample_time / channel.sample_time
+    every = round(ratio)
+    if channel.timing is not Timing.SAMPLED or every < 2 or abs(ratio / every - 1) > 1e-9:
+        return channel
+    return replace(channel, values=channel.values[::every], sample_time=sample_time)
+
+
 def derivative(values: FloatArray, sample_time: float) -> FloatArray:
     """Return central differences, one-sided at the two ends; along the first axis."""
     return np.asarray(np.gradient(values, sample_time, axis=0))

@@ -7,6 +7,7 @@ rules of MATLAB's ``fminsearch``, restarted because it stops early.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,12 +17,13 @@ from jointid.common.progress import Progress
 from jointid.data.record import FloatArray
 from jointid.estimation.estimate import Iteration
 from jointid.estimation.problem import Problem
+from jointid.inference.bounded import arrived
 
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
 
 _EVALUATIONS = 60  # of one refinement
-_REASONS = {2: "the criterion", 3: "the parameters", 4: "the criterion and the parameters"}
+_REASONS = {-2: "the criterion", 2: "the criterion", 3: "the parameters", 4: "the criterion and the parameters"}
 _IMPROVED = 1e-4  # of the criterion: a restart that gains less was not needed
 
 
@@ -62,22 +64,41 @@ class Descent:
             self.progress(f"iteration {number}: torque error {100 * norm / self.size:.4f} %")
 
 
-def reason(end: OptimizeResult, tolerance: float) -> tuple[str, bool]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Refined:
+    """Where a descent by least squares ended.
+
+    Attributes:
+        x: the free parameters. fun: (rows,) the residual there. jac: (rows, free) its derivatives.
+        status: why it ended there, as SciPy numbers it; nfev: evaluations.
+    """
+
+    x: FloatArray
+    fun: FloatArray
+    jac: FloatArray
+    status: int
+    nfev: int
+
+
+def reason(status: int, evaluations: int, tolerance: float) -> tuple[str, bool]:
     """Return why a descent by least squares ended, in a sentence, and whether that is a good end."""
-    if end.status not in _REASONS:
-        return f"not converged after {end.nfev} evaluations", False
-    return f"converged: {_REASONS[end.status]} changed by less than {100 * tolerance:g} %", True
+    if status not in _REASONS:
+        return f"not converged after {evaluations} evaluations", False
+    return f"converged: {_REASONS[status]} changed by less than {100 * tolerance:g} %", True
 
 
-def refined(descent: Descent, x: FloatArray, tolerance: float, evaluations: int = _EVALUATIONS) -> OptimizeResult:
-    """Return SciPy's result of one least-squares descent within the bounds.
+def refined(descent: Descent, x: FloatArray, tolerance: float, evaluations: int = _EVALUATIONS) -> Refined:
+    """Return where one least-squares descent within the bounds ends.
 
     Each parameter is searched in units of its start, and the residual in units of the torque, so that the search is
     the same in any units. From where nothing can be simulated there is no way down: the start comes back.
     """
     from scipy.optimize import least_squares
 
+    x = np.clip(x, *(np.array([getattr(p, side) for p in descent.problem.free]) for side in ("lower", "upper")))
     error, J = descent.linearised(x)
+    if J.any() and arrived(descent.problem.free, x, error, J, tolerance):
+        return Refined(x, error, J, status=2, nfev=1)
     norms = np.linalg.norm(J, axis=0)
     sizes = float(np.linalg.norm(error)) / np.where(norms > 0, norms, np.inf)
     unit, size = np.where(x != 0.0, np.abs(x), np.where(sizes > 0, sizes, 1.0)), descent.size or 1.0
@@ -89,6 +110,13 @@ def refined(descent: Descent, x: FloatArray, tolerance: float, evaluations: int 
         return descent.linearised(y * unit)[1] * (unit / size)
 
     free = descent.problem.free
+
+    def step(intermediate_result: OptimizeResult) -> None:
+        at = np.asarray(intermediate_result.x * unit)
+        descent.note(at, size * math.sqrt(2 * float(intermediate_result.cost)))
+        if arrived(free, at, *descent.linearised(at), tolerance):
+            raise StopIteration
+
     found = least_squares(
         residual,
         x / unit,
@@ -99,13 +127,15 @@ def refined(descent: Descent, x: FloatArray, tolerance: float, evaluations: int 
         ftol=tolerance,
         gtol=None,
         max_nfev=evaluations if J.any() else 1,
-        callback=lambda intermediate_result: descent.note(
-            intermediate_result.x * unit, size * math.sqrt(2 * float(intermediate_result.cost))
-        ),
+        callback=step,
     )
-    found.x, found.fun, found.cost = found.x * unit, found.fun * size, float(found.cost) * size**2
-    found.jac = np.asarray(found.jac) * (size / unit)
-    return found
+    return Refined(
+        np.asarray(found.x * unit),
+        np.asarray(found.fun * size),
+        np.asarray(found.jac) * (size / unit),
+        int(found.status),
+        int(found.nfev),
+    )
 
 
 def with_free(
@@ -132,7 +162,7 @@ def with_free(
     values = descent.problem.values(x)
     descent.problem = descent.problem.freeing(*names)
     end = refined(descent, descent.problem.vector(values), tolerance)
-    return np.asarray(end.x), *reason(end, tolerance)
+    return end.x, *reason(end.status, end.nfev, tolerance)
 
 
 def by_simplex(

@@ -24,18 +24,19 @@ from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering
 from jointid.estimation.estimate import (
     Estimate,
-    EstimatedParameter,
     Iteration,
     fingerprint,
     poor_fit,
     relative_error,
 )
+from jointid.estimation.estimated import EstimatedParameter
 from jointid.estimation.first_stage import Judgement, judged
 from jointid.estimation.prescribed import CURRENT_LAG, MotionProblem, motion_problem
 from jointid.estimation.surroundings import LOG_DELAY
 from jointid.inference.bands import band_words, with_bands
 from jointid.inference.bounded import Bottom, descend
 from jointid.inference.uncertainty import Covariance, sandwich, words
+from jointid.model.joints import acts_on_whole
 from jointid.model.parameters import Parameter
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.drive_side import LOAD_STATE, DriveSide
@@ -152,8 +153,9 @@ def _starts(problem: MotionProblem, settings: DriveSideFit) -> tuple[list[FloatA
 def _linear(problem: MotionProblem, frequency: float | None) -> tuple[float, dict[str, float]]:
     """Return what a joint with that motor-locked frequency leaves of the torque, and its parameters: one regression.
 
-    The load is frictionless in the simulation, so that its inertia multiplies one column. The log's delay is the
-    factor of the measured torque's slope.
+    The load is frictionless and weighs nothing in the simulation, so that its inertia multiplies one column; what it
+    weighs is then a column, too, and a counterbalance is part of it. The log's delay is the factor of the measured
+    torque's slope.
     """
     flexible = frequency is not None
     inertia, prefix = ("motor_inertia", "motor_") if flexible else ("inertia", "")
@@ -162,7 +164,8 @@ def _linear(problem: MotionProblem, frequency: float | None) -> tuple[float, dic
     if frequency is not None:
         rate = 2 * math.pi * frequency
         unit |= {"load_inertia": 1.0, "stiffness": rate**2, "damping": 2 * _DAMPING * rate}
-    names = (inertia, *friction, "offset")
+    forces = tuple(p.name for p in problem.joint.parameters if p.free and acts_on_whole(p.name))
+    names = (inertia, *friction, *forces)
     trial = replace(problem, parameters=tuple(_told(p, names, unit[p.name]) for p in problem.parameters))
     x = np.array([unit[p.name] for p in trial.free])
     error, J = trial.linearised(x)

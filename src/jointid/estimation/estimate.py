@@ -14,6 +14,8 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.text import aligned, number
 from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
+from jointid.data.transmission import transmission_lines
+from jointid.estimation.estimated import EstimatedParameter, known_on_other_side, on_other_side, shown
 from jointid.estimation.regression import Conditioning
 from jointid.inference.endogeneity import ChiSquareTest
 from jointid.inference.identifiability import Identifiability, Known
@@ -21,38 +23,15 @@ from jointid.inference.residuals import ResidualReport
 from jointid.inference.verdict import StiffnessBound, Verdict
 from jointid.model.effects import Effect
 from jointid.model.joints import Joint
+from jointid.model.sides import OtherSide
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.experiment import ClosedLoop
 
 _LOST = 1000.0  # %: a deviation so much larger than its value says nothing in percent
+_PERIOD = 1e-4  # s, at which two controllers without one of their own are compared
 _POOR = 0.15  # of the filtered torque: the EMPS axis leaves 0.045, the paper's 0.08
 
 MethodName: TypeAlias = Literal["didim", "idim", "drive_side", "open_loop"]
-
-
-@dataclass(frozen=True, slots=True)
-class EstimatedParameter:
-    """One line of the table.
-
-    Attributes:
-        name, symbol, unit: what it is.
-        value: the estimate; None when it is refused.
-        std: its standard deviation; None for a parameter that was kept fixed, or refused.
-        free: whether it was identified.
-        identifiable: whether the record determines it; a fixed parameter does not say.
-        lower_bound: what the record supports when the value is refused.
-        of_joint: False for what surrounds the joint (the initial state).
-    """
-
-    name: str
-    symbol: str
-    unit: str
-    value: float | None
-    std: float | None
-    free: bool
-    identifiable: bool
-    lower_bound: float | None = None
-    of_joint: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,6 +198,17 @@ class Estimate:
         return {p.name: p.value for p in self.parameters if p.of_joint and p.value is not None}
 
     @property
+    def other(self) -> OtherSide | None:
+        """What takes these values to the other side of the transmission; None without one."""
+        gear = self.joint.transmission
+        return None if gear is None else OtherSide(gear, self.torque_unit)
+
+    @property
+    def other_side(self) -> tuple[EstimatedParameter, ...]:
+        """The parameters as they are on the other side of the transmission, in the same order; none without one."""
+        return on_other_side(self.parameters, self.other)
+
+    @property
     def iterations(self) -> int:
         """How many steps were taken."""
         return max(len(self.trace) - 1, 0)
@@ -236,12 +226,9 @@ class Estimate:
         lines = [
             f"{self.joint.model.capitalize()} joint, {self.variant}, of {self.record}",
             f"read: {', '.join(self.channels)}",
+            *transmission_lines(self.joint.transmission),
             "",
-            aligned(
-                ("symbol", "parameter", "value", "2 sigma", "sigma %", "unit"),
-                [_row(p) for p in self.parameters],
-                (False, False, True, True, True, False),
-            ),
+            self._table(),
             "",
             f"{self.compared} error".ljust(13) + f" {100 * self.relative_error:.4f} % raw ({left_out}), "
             f"{100 * self.filtered_error:.4f} % filtered ({self.rows} rows)",
@@ -255,21 +242,38 @@ class Estimate:
             lines.append(f"effort        {self.iterations} iterations, {self.simulations} simulations")
         lines += [f"stopped       {self.stop}", f"intervals     {self.intervals}"]
         if self.known is not None and self.known.physical:
-            lines += ["", "known together", *(_together(known) for known in self.known.physical)]
+            lines += ["", "known together", *self._known_together(self.known.physical)]
         if self.bounds:
             lines += ["", "K12 is at least, by the load's share of the inertia (95 %, lightly damped mode)"]
-            lines += [_bound(bound, self["stiffness"].unit) for bound in self.bounds]
+            lines += [_bound(bound, self["stiffness"].unit, self.other) for bound in self.bounds]
         if self.verdicts:
             lines += ["", "verdicts", *map(str, self.verdicts), ""]
         lines += [f"test          {test.name}: {test.sentence}" for test in self.tests]
         lines += [f"warning       {warning}" for warning in self.warnings]
         return "\n".join(lines)
 
+    def _table(self) -> str:
+        """Return the table of the parameters; with a transmission, beside what they are on its other side."""
+        header, right = (
+            ("symbol", "parameter", "value", "2 sigma", "sigma %", "unit"),
+            (False, False, *[True] * 3, False),
+        )
+        rows = [_row(p) for p in self.parameters]
+        if self.other is None:
+            return aligned(header, rows, right)
+        there = [(shown(p), p.unit) for p in self.other_side]
+        wider = [(*row, *cells) for row, cells in zip(rows, there, strict=True)]
+        return aligned((*header, f"{self.other.side} side", "unit"), wider, (*right, True, False))
+
+    def _known_together(self, physical: Sequence[Known]) -> list[str]:
+        """Return a line for each combination."""
+        there = known_on_other_side(physical, self.other) or (None,) * len(physical)
+        return [_together(known) + _there(other, self.other) for known, other in zip(physical, there, strict=True)]
+
 
 def _row(p: EstimatedParameter) -> tuple[str, ...]:
     if p.value is None:
-        bound = "not identifiable" if p.lower_bound is None else f"> {number(p.lower_bound)}"
-        return p.symbol, _words(p), bound, "-", "-", p.unit
+        return p.symbol, _words(p), shown(p), "-", "-", p.unit
     if not p.free:
         return p.symbol, _words(p), number(p.value), "fixed", "-", p.unit
     if p.std is None:
@@ -290,10 +294,23 @@ def _together(known: Known) -> str:
     return f"{c.formula:14} {number(known.value):>11} +- {number(2 * known.std, 2)} {c.unit}"
 
 
-def _bound(bound: StiffnessBound, unit: str) -> str:
+def _there(known: Known | None, side: OtherSide | None) -> str:
+    """Return the rest of a line: what a combination is on the other side, if there is one."""
+    if known is None or side is None:
+        return ""
+    return f"  ({number(known.value)} {known.combination.unit} on the {side.side} side)"
+
+
+def _bound(bound: StiffnessBound, unit: str, side: OtherSide | None) -> str:
     if bound.stiffness is None:
         return f"share {bound.share:4.2f}  not bounded by this record"
-    return f"share {bound.share:4.2f}  {number(bound.stiffness, 2):>8} {unit}, a mode at {bound.frequency:.0f} Hz"
+    there = ""
+    if side is not None:
+        value = number(side.ratio**2 * bound.stiffness, 2)
+        there = f" ({value} {side.unit(unit)} on the {side.side} side)"
+    return (
+        f"share {bound.share:4.2f}  {number(bound.stiffness, 2):>8} {unit}{there}, a mode at {bound.frequency:.0f} Hz"
+    )
 
 
 def _words(p: EstimatedParameter) -> str:
@@ -306,10 +323,10 @@ def fingerprint(torque: FloatArray) -> str:
 
 
 def law_fingerprint(loop: ClosedLoop) -> str:
-    """Return the SHA-256 of a loop's controller at a period of 1 s: two loops with the same one have the same law."""
-    law = loop.controller.law(1.0)
+    """Return the SHA-256 of a loop's controller at a fixed period: two loops with the same one have the same law."""
+    law = loop.controller.law(_PERIOD)
     digest = hashlib.sha256()
-    for array in (law.A, law.B, law.C, law.D, np.array([law.limit, law.period, law.delay])):
+    for array in (law.A, law.B, law.C, law.D, law.E, law.F, law.limits, np.array([law.period, law.delay])):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
 

@@ -25,9 +25,9 @@ from jointid.estimation.didim import DIDIM, identify_didim
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.problem import Problem
 from jointid.estimation.starts import pseudo_regular
-from jointid.estimation.surroundings import INITIAL_STATE
+from jointid.estimation.surroundings import INITIAL
 from jointid.model.controllers import SampledLaw
-from jointid.model.joints import FlexibleJoint, RigidJoint, frequencies
+from jointid.model.joints import FlexibleJoint, frequencies
 from jointid.model.parameters import Quantity
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.experiment import ClosedLoop
@@ -42,7 +42,6 @@ _LOWER = (4.0, 4.0)  # times lower cut-offs are tried where a rigid joint cannot
 _RATIO = 1.25  # of neighbouring frequencies of the grid
 _HALF, _SHARES = 0.5, (0.25, 0.75)  # of the load in the inertia: first the halves of (13), then at the best frequencies
 _NARROWED = 3  # frequencies at which other shares are tried
-_INITIAL = tuple(p.name for p in INITIAL_STATE)
 _ROUGH = DIDIM(tolerance=1e-3, step_tolerance=1e-2, iterations=6)  # a start needs no more
 
 
@@ -59,7 +58,7 @@ def rigid_estimate(record: Record, loop: ClosedLoop, cutoff: float | None, progr
     record.require(loop.channels, "DIDIM")
     assert record.torque is not None
     sample_time = record.torque.sample_time
-    joint = RigidJoint(loop.joint.kind, loop.joint.friction, loop.joint.torque_unit)
+    joint = loop.joint.rigid
     rigid = ClosedLoop(joint, loop.controller)
 
     def identified(edge: float) -> Estimate:
@@ -129,7 +128,7 @@ def explored(
     order = sorted(apart if len(frequencies) > 1 else costs, key=lambda at: costs[at])
     progress(f"tried {len(costs)} flexible joints; the best has its mode near {order[0][0]:.3g} Hz")
     starts = [(at[0], started(problem, rigid, *at)) for at in order if costs[at] < math.inf]
-    given = {p.name: p.start for p in problem.free if p.start is not None and p.name not in _INITIAL}
+    given = {p.name: p.start for p in problem.free if p.start is not None and p.name not in INITIAL}
     if not given:
         return starts, len(costs)
     # Starts that come with the parameters are tried first, and are no reason to try no others.
@@ -141,7 +140,7 @@ def explored(
 def started(problem: Problem, rigid: Mapping[str, float], frequency: float, share: float) -> dict[str, float]:
     """Return the start (13) for the free parameters, within their bounds, with the fixed ones as they are."""
     fixed = {p.name: p.start or 0.0 for p in problem.parameters if not p.free}
-    state = {p.name: p.start or 0.0 for p in problem.parameters if p.name in _INITIAL}
+    state = {p.name: p.start or 0.0 for p in problem.parameters if p.name in INITIAL}
     nothing = {p.name: p.start or 0.0 for p in problem.parameters}
     return _inside(problem, nothing | pseudo_regular(rigid, frequency, share) | state | fixed)
 

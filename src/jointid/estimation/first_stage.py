@@ -37,6 +37,7 @@ _WHOLE = 6  # steps; then halves of them, since where the load's direction flips
 _LONGEST = 0.3  # of an inertia or the stiffness: the longest step
 _ACCEPTED = 0.01  # a contrast that noise alone would reach less often is none of noise
 _BLIND = 0.05  # of a parameter: a bias that a test should be able to see
+_ANY = 10.0  # of a parameter: a bias beyond this is of any size
 _PHYSICAL = ("inertia", "motor_inertia", "stiffness", "load_inertia")
 
 
@@ -103,14 +104,15 @@ def judged(record: Record, problem: MotionProblem, bottom: Bottom, instruments: 
             )
         return Judgement(warnings=(_UNTESTED,))
     found = solved(problem, _Shadow.of(record, problem), bottom)
-    if not found.converged:
+    if not found.converged or not np.isin([p.name for p in problem.free], _PHYSICAL)[found.moving].any():
         return Judgement(warnings=(_NOT_CONVERGED,), channels=channels, simulations=3 * found.steps)
     probability, blind = contrast(problem, bottom, found)
     progress(f"instruments from {' and '.join(channels)}: probability of the contrast {probability:.2g}")
     biased = probability < _ACCEPTED
     warnings = [_words(problem, bottom, found, probability)] if biased else []
     if blind > _BLIND:
-        tested = "" if biased else f", and a bias of least squares by {100 * blind:.0f} % would not have been noticed"
+        size = f"by {100 * blind:.0f} %" if blind < _ANY else "of any size"
+        tested = "" if biased else f", and a bias of least squares {size} would not have been noticed"
         warnings.append(f"the instruments are weak: they know less than least squares{tested}")
     verdict = Judgement(None, None, tuple(warnings), channels, 3 * found.steps, probability)
     if not (biased or instruments == "always"):
@@ -119,8 +121,8 @@ def judged(record: Record, problem: MotionProblem, bottom: Bottom, instruments: 
 
 
 _NOT_CONVERGED = (
-    "the instruments are too weak to converge; least squares is kept, and whether the motion is correlated with the "
-    "error was not tested"
+    "the instruments are too weak to converge within the bounds; least squares is kept, and whether the motion is "
+    "correlated with the error was not tested"
 )
 _UNTESTED = (
     "the motion is taken as measured: if the motor was under control, what disturbed it biases the inertias, and this "
@@ -209,7 +211,8 @@ def solved(problem: MotionProblem, shadow: _Shadow, bottom: Bottom) -> Instrumen
             moving &= ~outwards
         if converged or steps == _ITERATIONS:
             return Instrumental(x, moving, error, J[:, moving], Z[:, moving], steps, converged)
-        far = float(np.max(np.abs(step[physical]) / np.abs(x[physical])))
+        near = physical & (x != 0)  # at a bound of 0 there is no sign to keep
+        far = float(np.max(np.abs(step[near]) / np.abs(x[near]), initial=0.0))
         step *= min(1.0, _LONGEST / max(far, 1e-300))  # a joint of another sign cannot be simulated
         step *= 0.5 if steps >= _WHOLE else 1.0
         after = np.minimum(np.maximum(x + step, lower), upper)

@@ -14,10 +14,8 @@ and the best few are refined: half of such a grid is unstable for a fast loop, a
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -25,19 +23,13 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering
+from jointid.estimation.answer import answer
 from jointid.estimation.descent import Descent, by_simplex, reason, refined, with_free
-from jointid.estimation.didim import answer
 from jointid.estimation.estimate import Estimate
-from jointid.estimation.exploration import (
-    FASTEST,
-    WIDE,
-    explored,
-    frequencies_to_try,
-    frequency_of,
-    rigid_estimate,
-    started,
-)
+from jointid.estimation.exploration import rigid_estimate
+from jointid.estimation.flexible_search import End, by_least_squares, by_nelder_mead, or_moving
 from jointid.estimation.problem import Problem, torque_problem
+from jointid.estimation.starts import resting_position
 from jointid.estimation.surroundings import INITIAL_STATE
 from jointid.estimation.visibility import Visibility, visible
 from jointid.inference.combination import Combination
@@ -45,23 +37,13 @@ from jointid.inference.identifiability import Known
 from jointid.inference.repeatable import uncertainty
 from jointid.inference.uncertainty import Covariance
 from jointid.inference.verdict import Verdict
-from jointid.model.joints import RigidJoint
+from jointid.model.joints import FlexibleJoint, acts_on_whole
 from jointid.model.parameters import Parameter
 from jointid.simulation.experiment import ClosedLoop
 
-if TYPE_CHECKING:
-    from scipy.optimize import OptimizeResult
-
-_REFINED = 6  # starts that are refined at most, until two of them end together
-_ROUGHLY, _FEW = 1e-5, 30  # tolerance and evaluations of a refinement that only has to show where it leads
-_BESIDE = 3  # times an end that no second start led to is begun again beside itself
 _LOWER = (4.0, 16.0)  # times lower cut-offs of the rigid start, where no end explains the torque
-_TOGETHER = 1e-3  # of a frequency, and of what remains: ends closer than this are one
-_REST = 1e-4  # of the torque: what remains of a record without noise, and is not compared
-_MODES = 2.0  # the cut-off is that many free-free frequencies, or more
 _TOLERANCE, _SIMPLEX_TOLERANCE = 1e-8, 1e-4  # the latter is that of fminsearch
 _NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
-_MOVING = 9.0  # times the residual's variance: what a velocity at the first sample must explain to be believed
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,27 +125,13 @@ def identify_flexible(
         MethodError: the loop cannot be simulated at any start.
     """
     settings = settings or FlexibleDIDIM()
-    paper = settings.minimiser == "nelder-mead"
     rigid = rigid_estimate(record, loop, settings.rigid_cutoff, progress)
     problem = torque_problem(record, loop, filtering, parameters, _at_rest(record, settings))
+    problem = problem if loop.joint.gravity is None else _hanging(problem)
     descent = Descent(problem, progress)
-    solved = _by_nelder_mead if paper else _by_least_squares
-    end = solved(descent, filtering, rigid, settings)
-    assert rigid.filtering.cutoff is not None
-    edge, simulations = rigid.filtering.cutoff, rigid.simulations
-    for lower in () if paper or settings.rigid_cutoff else _LOWER:
-        if np.linalg.norm(descent.residual(end.x)) <= _NOTHING * descent.size:
-            break
-        # A mode near the cut-off of the rigid start makes it a poor one, and all that is explored from it.
-        progress("the search ended where the model explains little; beginning again, below a lower frequency")
-        descent.problem = problem
-        rigid = rigid_estimate(record, loop, edge / lower, progress)
-        simulations += rigid.simulations
-        end = solved(descent, filtering, rigid, settings)
-    if rigid["initial_velocity"].free:  # below its resonance the axis seemed to move at the first sample
-        end = _or_moving(descent, end, rigid, settings)
+    end, simulations = _searched(descent, record, loop, rigid, filtering, settings)
     if settings.free:
-        end = _End(*with_free(descent, end.x, settings.free, stopping_tolerance(settings)), end.led)
+        end = End(*with_free(descent, end.x, settings.free, stopping_tolerance(settings)), end.led)
     problem, x = descent.problem, end.x
     error, J = descent.linearised(x)
     run = problem.simulate(x)
@@ -173,6 +141,7 @@ def identify_flexible(
         stop, converged = f"no answer: the search ended where the model explains little of the torque ({stop})", False
     names = [p.name for p in problem.free]
     known = uncertainty(J, J, error, problem.cells(run), names, problem.torque_unit)
+    paper = settings.minimiser == "nelder-mead"
     how = "Nelder-Mead" if paper else "least squares"
     if settings.statistics == "inverse-model":
         found = answer(record, problem, x, run, (stop, converged), known, J)
@@ -192,14 +161,39 @@ def identify_flexible(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _End:
-    """Where a search ended, why, whether that is a good end, and how many of how many starts led there."""
+def _searched(
+    descent: Descent, record: Record, loop: ClosedLoop, rigid: Estimate, filtering: Filtering, settings: FlexibleDIDIM
+) -> tuple[End, int]:
+    """Return where the search ends, from a rough rigid joint or lower ones, and the simulations that these took."""
+    paper, tolerance = settings.minimiser == "nelder-mead", stopping_tolerance(settings)
+    problem, progress = descent.problem, descent.progress
 
-    x: FloatArray
-    stop: str
-    converged: bool
-    led: tuple[int, int] = (1, 1)
+    def down(start: FloatArray) -> End:
+        if paper:
+            return End(*by_simplex(descent, start, tolerance, settings.simulations, settings.restarts))
+        found = refined(descent, start, tolerance)
+        return End(np.asarray(found.x), *reason(found.status, found.nfev, tolerance))
+
+    def solved(rigid: Estimate) -> End:
+        if paper:
+            return by_nelder_mead(descent, rigid, settings.frequency, down)
+        return by_least_squares(descent, filtering, rigid, settings.frequency, tolerance)
+
+    end = solved(rigid)
+    assert rigid.filtering.cutoff is not None
+    edge, simulations = rigid.filtering.cutoff, rigid.simulations
+    for lower in () if paper or settings.rigid_cutoff else _LOWER:
+        if np.linalg.norm(descent.residual(end.x)) <= _NOTHING * descent.size:
+            break
+        # A mode near the cut-off of the rigid start makes it a poor one, and all that is explored from it.
+        progress("the search ended where the model explains little; beginning again, below a lower frequency")
+        descent.problem = problem
+        rigid = rigid_estimate(record, loop, edge / lower, progress)
+        simulations += rigid.simulations
+        end = solved(rigid)
+    if rigid["initial_velocity"].free:  # below its resonance the axis seemed to move at the first sample
+        end = or_moving(descent, end, rigid, not paper, down)
+    return end, simulations
 
 
 def refused(estimate: Estimate, spring: Visibility) -> Estimate:
@@ -207,10 +201,11 @@ def refused(estimate: Estimate, spring: Visibility) -> Estimate:
 
     What a rigid joint tells takes its place: the sums of both sides.
     """
+    assert isinstance(estimate.joint, FlexibleJoint)
     whole = tuple(
         Known(_sum_of(p, estimate.joint.unit(p)), spring.rigid[p.name], std, std / (abs(spring.rigid[p.name]) or 1.0))
-        for p in RigidJoint(estimate.joint.kind, estimate.joint.friction, estimate.joint.torque_unit).parameters
-        if (std := spring.rigid_std.get(p.name)) is not None and p.name != "offset"
+        for p in estimate.joint.rigid.parameters
+        if (std := spring.rigid_std.get(p.name)) is not None and not acts_on_whole(p.name)
     )
     parted = ("motor_", "load_", "stiffness", "damping")
     lost = tuple(
@@ -246,96 +241,6 @@ def with_paper_statistics(estimate: Estimate, covariance: Covariance, joint: int
     )
 
 
-def _by_least_squares(descent: Descent, filtering: Filtering, rigid: Estimate, settings: FlexibleDIDIM) -> _End:
-    """Explore, refine the best starts until two end together, and go down from there to the full tolerance.
-
-    Where no cut-off is asked for, it follows the mode: the exploration sees the whole band of the log, a refinement
-    twice the frequency it starts from.
-    """
-    problem = descent.problem
-    wide = problem if filtering.cutoff else on_band(problem, filtering, math.inf)
-    law, sample_time = problem.experiment.law, problem.experiment.sample_time
-    frequencies = [settings.frequency] if settings.frequency else None
-    frequencies = frequencies or frequencies_to_try(law, rigid.values["inertia"], sample_time)
-    starts, used = explored(wide, rigid.values, frequencies, descent.progress)
-    descent.simulations += used
-    ends: list[tuple[float, float, FloatArray]] = []
-    for frequency, values in starts[:_REFINED]:
-        descent.problem = problem if filtering.cutoff else on_band(problem, filtering, frequency)
-        x = np.asarray(refined(descent, descent.problem.vector(values), _ROUGHLY, _FEW).x)
-        descent.simulations += 1
-        ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(problem.values(x)), x))
-        cost, mode, _ = min(ends, key=lambda end: end[0])
-        as_good = (1 + _TOGETHER) * cost + _REST * float(np.linalg.norm(wide.filtered(wide.measured)))
-        together = sum(abs(f / mode - 1) < _TOGETHER and c < as_good for c, f, _ in ends)
-        if together > 1:
-            break
-    _, mode, x = min(ends, key=lambda end: end[0])
-    descent.problem = problem if filtering.cutoff else on_band(problem, filtering, mode)
-    descent.size = float(np.linalg.norm(descent.problem.filtered(problem.measured)))
-    found, tried = refined(descent, x, stopping_tolerance(settings)), len(ends)
-    for _ in range(_BESIDE if together < 2 else 0):
-        beside, tried = _from_beside(descent, np.asarray(found.x)), tried + 1
-        left, other = (float(np.linalg.norm(end.fun)) for end in (found, beside))
-        if other < (1 - _TOGETHER) * left - _REST * descent.size:  # the way back led further down
-            found, together = refined(descent, np.asarray(beside.x), stopping_tolerance(settings)), 1
-            continue
-        modes = [frequency_of(descent.problem.values(np.asarray(end.x))) for end in (found, beside)]
-        back = abs(modes[1] / modes[0] - 1) < 10 * _TOGETHER
-        together += back and other < (1 + _TOGETHER) * left + _REST * descent.size
-        break
-    stop, converged = reason(found, stopping_tolerance(settings))
-    return _End(np.asarray(found.x), f"{stop}; {together} of {tried} starts led there", converged, (together, tried))
-
-
-def _from_beside(descent: Descent, x: FloatArray) -> OptimizeResult:
-    """Return where a start beside an end leads: softer, more damped, with more of the inertia on the load."""
-    values = descent.problem.values(x)
-    moved = 0.2 * values["load_inertia"] if values["load_inertia"] < values["motor_inertia"] else 0.0
-    aside = {"stiffness": 0.8 * values["stiffness"], "load_inertia": values["load_inertia"] + moved}
-    aside |= {"motor_inertia": values["motor_inertia"] - moved, "damping": 1.5 * values["damping"]}
-    start, trace = descent.problem.vector(values | aside), list(descent.trace)
-    end = refined(descent, start, _ROUGHLY, _FEW)
-    descent.trace = trace  # the way back is no part of the way there
-    return end
-
-
-def on_band(problem: Problem, filtering: Filtering, mode: float) -> Problem:
-    """Return the problem filtered for a mode at that frequency: the default cut-off, or twice the mode.
-
-    What seems to be a mode too fast for the log is none, and no reason to look at more than by default.
-    """
-    sample_time = problem.experiment.sample_time
-    if FASTEST / sample_time < mode < math.inf:
-        mode = 0.0
-    default = Filtering().resolved(sample_time, "flexible").cutoff
-    assert default is not None
-    cutoff = min(max(default, _MODES * mode), WIDE / sample_time)
-    return replace(problem, filtering=replace(filtering, cutoff=cutoff).resolved(sample_time, "flexible"))
-
-
-def _by_nelder_mead(descent: Descent, filtering: Filtering, rigid: Estimate, settings: FlexibleDIDIM) -> _End:
-    """Search as the paper did: from (13) at its frequency, or where that loop is unstable from the best start."""
-    problem = descent.problem
-    law, sample_time = problem.experiment.law, problem.experiment.sample_time
-    values: Mapping[str, float] | None = None
-    if settings.frequency is not None:
-        values = started(problem, rigid.values, settings.frequency, 0.5)
-        descent.simulations += 1
-        if np.linalg.norm(problem.residual(problem.vector(values))) > descent.size:
-            descent.progress("the halved inertia (13) makes an unstable loop here; starting from another load share")
-            values = None
-    if values is None:
-        known = [settings.frequency] if settings.frequency else None
-        tried = known or frequencies_to_try(law, rigid.values["inertia"], sample_time)
-        starts, used = explored(problem, rigid.values, tried, descent.progress)
-        descent.simulations += used
-        values = starts[0][1]
-    x = problem.vector(values)
-    descent.scales = _scales(x)
-    return _End(*by_simplex(descent, x, stopping_tolerance(settings), settings.simulations, settings.restarts))
-
-
 def _at_rest(record: Record, settings: FlexibleDIDIM) -> tuple[Parameter, ...]:
     """Return the initial state at rest: on the reference for Nelder-Mead, which should search no more than it must.
 
@@ -348,31 +253,11 @@ def _at_rest(record: Record, settings: FlexibleDIDIM) -> tuple[Parameter, ...]:
     return known, velocity.fixed(0.0)
 
 
-def _or_moving(descent: Descent, end: _End, rigid: Estimate, settings: FlexibleDIDIM) -> _End:
-    """Return the better of two answers, the motor at rest at the first sample or moving: see `didim`."""
-    resting, tolerance = descent.problem, stopping_tolerance(settings)
-    error = descent.residual(end.x)
-    free = settings.minimiser == "least-squares"
-    values = resting.values(end.x) | {p.name: rigid[p.name].value or 0.0 for p in INITIAL_STATE}
-    state = tuple(replace(p, start=values[p.name], free=free) for p in INITIAL_STATE)
-    descent.problem = replace(resting, parameters=(*resting.parameters[: -len(INITIAL_STATE)], *state))
-    start = descent.problem.vector(values)
-    if free:
-        found = refined(descent, start, tolerance)
-        moving = _End(np.asarray(found.x), *reason(found, tolerance), end.led)
-    else:
-        moving = _End(*by_simplex(descent, start, tolerance, settings.simulations, settings.restarts))
-    gained = float(error @ error) - float(np.sum(descent.residual(moving.x) ** 2))
-    if gained > _MOVING * float(error @ error) / error.size:
-        return moving
-    descent.problem = resting
-    return end
-
-
-def _scales(x: FloatArray) -> FloatArray:
-    """Return the size each parameter is searched on; a friction that came out at zero still needs one."""
-    sizes = np.abs(x)
-    return np.asarray(np.where(sizes > 0, sizes, np.max(sizes) * 1e-6))
+def _hanging(problem: Problem) -> Problem:
+    """Return the problem with the motor, at the first sample, where its load makes it hang."""
+    home = resting_position(problem)
+    begun = (replace(p, start=home) if p.name == "initial_position" else p for p in problem.parameters)
+    return replace(problem, parameters=tuple(begun))
 
 
 def inverse_model_covariance(problem: Problem, x: FloatArray, error: FloatArray) -> Covariance:

@@ -9,8 +9,10 @@ from typing import TypeAlias
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.checks import check_record
+from jointid.data.notes import record_notes
 from jointid.data.record import Record
 from jointid.data.signals import Filtering
+from jointid.estimation.coupled import record_warnings
 from jointid.estimation.didim import DIDIM, identify_didim
 from jointid.estimation.drive_side import DriveSideFit, identify_drive_side
 from jointid.estimation.estimate import Estimate
@@ -76,17 +78,18 @@ def identify(
     estimate = _identified(record, joint, loop, chosen, filtering or Filtering(), wanted, progress)
     bounds: list[str] = []
     simulations = estimate.simulations
-    while (beyond := _beyond(estimate, wanted)) is not None:
+    while (beyond := _beyond(record, estimate, wanted)) is not None:
         value, p = beyond
         bounds.append(f"{p.name} is at its bound: without it, it would be {value:.4g} {joint.unit(p)}")
         progress(bounds[-1])
         wanted = tuple(_at_bound(q, value) if q.name == p.name else q for q in wanted)
         estimate = _identified(record, joint, loop, chosen, filtering or Filtering(), wanted, progress)
         simulations += estimate.simulations
-    return replace(estimate, simulations=simulations, warnings=(*bounds, *estimate.warnings))
+    warnings = (*bounds, *estimate.warnings, *record_warnings(record, estimate))
+    return replace(estimate, simulations=simulations, warnings=warnings)
 
 
-def _beyond(estimate: Estimate, wanted: tuple[Parameter, ...]) -> tuple[float, Parameter] | None:
+def _beyond(record: Record, estimate: Estimate, wanted: tuple[Parameter, ...]) -> tuple[float, Parameter] | None:
     """Return the free parameter that is farthest beyond its bounds, in its own deviations, with its value.
 
     Raises:
@@ -95,9 +98,10 @@ def _beyond(estimate: Estimate, wanted: tuple[Parameter, ...]) -> tuple[float, P
     found = [(estimate.values[p.name], p) for p in wanted if p.free and p.name in estimate.values]
     for value, p in found:
         if p.quantity is Quantity.INERTIA and value <= 0:
+            known = "".join(f"; {note}" for note in record_notes(record, estimate.channels))
             raise MethodError(
                 f"The record gives {p.name} = {value:.4g}, which no joint has: the torque or the motion has the wrong "
-                "sign (set sign = -1), or they do not belong together."
+                f"sign (set sign = -1), or they do not belong together{known}."
             )
     outside = [(value, p) for value, p in found if not p.lower <= value <= p.upper]
     return max(outside, key=lambda pair: _excess(pair[0], pair[1], estimate), default=None)
@@ -125,7 +129,7 @@ def _identified(
     if isinstance(method, OpenLoopFit):
         return identify_open_loop(record, OpenLoop(joint), parameters, filtering, method, progress)
     if isinstance(method, IDIM):
-        delay = loop.controller.law(1.0).delay if loop else 0.0
+        delay = loop.controller.law(record.torque.sample_time).delay if loop and record.torque else 0.0
         return identify_idim(record, joint, parameters, filtering, delay, method, loop)
     if loop is None:
         raise MethodError(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
@@ -15,14 +16,16 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.data.record import FloatArray, Record, Timing
 from jointid.data.signals import Filtering
-from jointid.estimation.estimate import Estimate, EstimatedParameter, fingerprint, poor_fit, relative_error
+from jointid.estimation.estimate import Estimate, fingerprint, poor_fit, relative_error
+from jointid.estimation.estimated import EstimatedParameter
 from jointid.estimation.instruments import Instrumented, by_instruments, simulated_instruments
 from jointid.estimation.inverse_model import InverseModel, idim_channels, motion_of
 from jointid.estimation.linear import Rows, Solution, ordinary, robust, weighted
+from jointid.estimation.problem import require_free
 from jointid.estimation.ripple import PeriodColumn, is_searched, moved, with_periods
 from jointid.inference.uncertainty import words
 from jointid.model.effects import Effect, effect_parameters, require_effects
-from jointid.model.joints import Joint
+from jointid.model.joints import Joint, acts_on_whole
 from jointid.model.parameters import Parameter
 from jointid.simulation.experiment import ClosedLoop
 
@@ -36,6 +39,7 @@ _VARIANTS = {
 }
 _LINEARISATIONS = 10  # of the force by a period, at most
 _SETTLED = 1e-3  # deviations of the period
+_ALIKE = 0.99  # a correlation that says two forces are known only together
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,9 +170,8 @@ def regress(
 
 
 def _rows(parameters: tuple[Parameter, ...], model: InverseModel, filtering: Filtering, sample_time: float) -> Rows:
+    require_free(parameters)
     free = [i for i, p in enumerate(parameters) if p.free]
-    if not free:
-        raise MethodError("Every parameter of the joint is fixed, so there is nothing to identify; free one of them.")
     Y, W = model.decimated(filtering, sample_time, _kept(parameters))
     return Rows(Y, W[:, free], tuple(parameters[i].name for i in free), len(model.torque))
 
@@ -246,7 +249,10 @@ def _answer(
         stop=_stop(settings, found),
         converged=iv.converged if iv else True,
         intervals=f"of the regression, {words(solution.covariance)}",
-        warnings=_warnings(record, filtering, solution.fit.relative_error),
+        warnings=(
+            *_warnings(record, filtering, solution.fit.relative_error),
+            *_like_gravity(regression.rows.names, solution.covariance.correlation),
+        ),
         fingerprint=fingerprint(record.torque.values),
         delay=delay,
         correlation=solution.covariance.correlation,
@@ -286,6 +292,17 @@ def _stop(settings: IDIM, found: _Found) -> str:
     lost = 100 * float(np.mean(solution.shares == 0.0))
     without = f"; {lost:.2g} % of the rows do not fit and weigh nothing" if settings.estimator == "robust" else ""
     return f"{solution.steps} reweightings until nothing changes{without}"
+
+
+def _like_gravity(names: tuple[str, ...], correlation: FloatArray) -> tuple[str, ...]:
+    """Return a sentence on each two of the forces on the load, and the offset, that a short travel makes alike."""
+    forces = [i for i, name in enumerate(names) if acts_on_whole(name)]
+    return tuple(
+        f"{names[i]} and {names[j]} are hard to tell apart in this record (correlation {correlation[i, j]:+.3f}); let "
+        "the load travel further, or give one of them a value"
+        for i, j in combinations(forces, 2)
+        if abs(correlation[i, j]) > _ALIKE
+    )
 
 
 def _warnings(record: Record, filtering: Filtering, error: float) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ from jointid.data.signals import (
     derivative,
     differences,
     lowpass,
+    picked,
     windowed,
     windowed_torque,
 )
@@ -141,7 +142,7 @@ def motion_of(
     torque = motor_torque(record)
     positions = []
     for name in needed[1:]:
-        position: Channel = getattr(record, name)
+        position = picked(getattr(record, name), torque.sample_time)
         if position.timing is not Timing.SAMPLED:
             raise RecordError(f"IDIM needs a sampled {name}; this one is {position.timing.value}.")
         if abs(position.sample_time / torque.sample_time - 1.0) > 1e-9:

@@ -27,14 +27,14 @@ from jointid.estimation.drive_side import (
     unsure,
     warnings_of,
 )
-from jointid.estimation.estimate import Estimate, EstimatedParameter, fingerprint, poor_fit, relative_error
-from jointid.estimation.inverse_model import motor_torque
-from jointid.estimation.prescribed import require_one_rate
+from jointid.estimation.estimate import Estimate, fingerprint, poor_fit, relative_error
+from jointid.estimation.estimated import EstimatedParameter
+from jointid.estimation.prescribed import torque_and_position
 from jointid.estimation.surroundings import INITIAL_STATE, LOG_DELAY
 from jointid.inference.bands import band_words
 from jointid.inference.bounded import Bottom, descend
 from jointid.inference.uncertainty import words
-from jointid.model.joints import Joint, require_units
+from jointid.model.joints import Joint
 from jointid.model.parameters import Parameter
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.drive_side import DriveSide
@@ -44,6 +44,7 @@ _DRIFT = 0.03  # of the cut-off: positions slower than that are drift
 _ORDER = 4  # of the filter that takes it off, each way
 _REST = 0.01  # of the root mean square speed: a motor slower than that at the first sample rests
 _MOST_LATE = 20.0  # samples that the log may be late, or early
+_CONSTANT = ("offset", "gravity_constant")  # forces that push the same way wherever the motor is
 _AWAY = 20.0  # times the record's travel: a motor that leaves never turns round, and knows no Coulomb friction
 _FAILED = 1e3  # times the position: the error of a candidate that cannot be simulated
 
@@ -161,13 +162,7 @@ def position_problem(
         RecordError: a channel is missing, or at another rate.
         MethodError: no parameter of the joint is free.
     """
-    record.require(closing.channels, "Open-loop identification")
-    require_units(record, closing.joint)
-    if not any(p.free for p in parameters):
-        raise MethodError("Every parameter of the joint is fixed, so there is nothing to identify; free one of them.")
-    torque, position = motor_torque(record), record.motor_position
-    assert position is not None
-    require_one_rate(torque, position, "Open-loop identification")
+    torque, position = torque_and_position(record, closing, parameters, "Open-loop identification")
     size, period = min(len(torque), len(position)), torque.sample_time
     filtering = filtering.resolved(period, closing.joint.model)
     assert filtering.cutoff is not None
@@ -175,7 +170,7 @@ def position_problem(
     late, most = _MOST_LATE * period, float(np.max(np.abs(torque.values)))
     # A constant force makes a drift, which is not compared: without a bound nothing would hold it.
     parameters = tuple(
-        replace(p, lower=max(p.lower, -most), upper=min(p.upper, most)) if p.name == "offset" and p.free else p
+        replace(p, lower=max(p.lower, -most), upper=min(p.upper, most)) if p.name in _CONSTANT and p.free else p
         for p in parameters
     )
     delay = replace(LOG_DELAY, free=True, lower=-late, upper=late)

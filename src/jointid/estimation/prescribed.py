@@ -15,10 +15,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jointid.common.errors import MethodError, RecordError
+from jointid.common.errors import RecordError
 from jointid.data.record import Channel, FloatArray, Record, Tap, Timing
-from jointid.data.signals import Filtering, decimate, lowpass, windowed_parts, windowed_torque
+from jointid.data.signals import Filtering, decimate, lowpass, picked, windowed_parts, windowed_torque
 from jointid.estimation.inverse_model import motor_torque
+from jointid.estimation.problem import require_free
 from jointid.estimation.surroundings import LOG_DELAY
 from jointid.model.joints import Joint, require_units
 from jointid.model.parameters import Parameter, Quantity
@@ -31,6 +32,7 @@ from jointid.simulation.drive_side import (
     prescribed_motion,
     simulate_drive_side,
 )
+from jointid.simulation.open_loop import OpenLoop
 
 CURRENT_LAG = Parameter("current_lag", "T i", Quantity.TIME, free=False, start=0.0, lower=0.0)
 """Time constant between the log and the torque, beside the delay: a command is logged before the current loop that
@@ -175,13 +177,7 @@ def motion_problem(
         RecordError: a channel is missing, or at another rate.
         MethodError: no parameter of the joint is free.
     """
-    record.require(closing.channels, "Drive-side identification")
-    require_units(record, closing.joint)
-    if not any(p.free for p in parameters):
-        raise MethodError("Every parameter of the joint is fixed, so there is nothing to identify; free one of them.")
-    torque, position = motor_torque(record), record.motor_position
-    assert position is not None
-    require_one_rate(torque, position, "Drive-side identification")
+    torque, position = torque_and_position(record, closing, parameters, "Drive-side identification")
     sample_time, size = torque.sample_time, min(len(torque), len(position))
     filtering = filtering.resolved(sample_time, closing.joint.model)
     assert filtering.position_cutoff is not None
@@ -202,13 +198,33 @@ def motion_problem(
     )
 
 
-def require_one_rate(torque: Channel, position: Channel, method: str) -> None:
-    """Raise a `RecordError` if a motor position is not sampled at the torque's rate."""
+def torque_and_position(
+    record: Record, closing: DriveSide | OpenLoop, parameters: tuple[Parameter, ...], method: str
+) -> tuple[Channel, Channel]:
+    """Return the torque on the motor and its position, once both are sampled at one rate and a parameter is free.
+
+    Args:
+        record: with both.
+        closing: the joint, and the channels it needs.
+        parameters: of the joint.
+        method: as an error names it.
+
+    Raises:
+        RecordError: a channel is missing, in another unit, or at another rate.
+        MethodError: no parameter of the joint is free.
+    """
+    record.require(closing.channels, method)
+    require_units(record, closing.joint)
+    require_free(parameters)
+    torque, position = motor_torque(record), record.motor_position
+    assert position is not None
+    position = picked(position, torque.sample_time)
     if position.timing is not Timing.SAMPLED or abs(position.sample_time / torque.sample_time - 1.0) > 1e-9:
         raise RecordError(
             f"{method} needs a sampled motor_position at the torque's rate; this one is {position.timing.value} every "
             f"{position.sample_time:g} s, and the torque comes every {torque.sample_time:g} s: resample it."
         )
+    return torque, position
 
 
 def weights_of(motion: PrescribedMotion) -> FloatArray:

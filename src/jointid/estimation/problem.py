@@ -15,8 +15,9 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering, decimate
-from jointid.estimation.surroundings import INITIAL_STATE, of_law, surrounding, with_numbers
+from jointid.estimation.surroundings import INITIAL_STATE, INITIAL_TORQUE, of_law, surrounding
 from jointid.inference.repeatable import Cells, cells
+from jointid.model.controllers import number, with_numbers
 from jointid.model.joints import RigidJoint
 from jointid.model.parameters import TORQUE_UNIT, Parameter
 from jointid.simulation.closed_loop import Initial, Outcome, Response, Simulation, simulate, simulate_torque
@@ -85,7 +86,7 @@ class Problem:
         Raises:
             MethodError: nothing around the joint has that name.
         """
-        new = [surrounding(name, self.loop.controller) for name in names]
+        new = [surrounding(name, self.loop.controller, self.experiment.law.period) for name in names]
         kept = tuple(p for p in self.parameters if p.name not in names)
         return replace(self, parameters=(*kept, *new))
 
@@ -214,8 +215,8 @@ class Problem:
         gain = values.get("drive_gain", 1.0)
         numbers = {n: v for n, v in values.items() if n not in own and of_law(n)}
         loop, experiment = self.loop, self.experiment
-        if any(v != getattr(loop.controller, n) for n, v in numbers.items()):
-            loop = with_numbers(loop, numbers)
+        if any(v != number(loop.controller, n) for n, v in numbers.items()):
+            loop = replace(loop, controller=with_numbers(loop.controller, numbers))
             experiment = experiment.with_law(loop.controller.law(experiment.sample_time))
         joint = {n: values[n] / gain for n in own}
         return _Candidate(
@@ -250,7 +251,16 @@ def _shifted(signal: FloatArray, samples: int) -> FloatArray:
 
 def initial_of(values: Mapping[str, float]) -> Initial:
     """Return the initial state among a problem's values; on the reference, at rest, where there is none."""
-    return Initial(values.get("initial_position"), values.get("initial_velocity"))
+    return Initial(values.get("initial_position"), values.get("initial_velocity"), values.get("initial_torque"))
+
+
+def with_torque(
+    surroundings: Sequence[Parameter], experiment: Experiment, measured: FloatArray
+) -> tuple[Parameter, ...]:
+    """Return them with the torque at the first sample, from the log, if the law has an integral and they have none."""
+    if not experiment.law.integrates or any(p.name == INITIAL_TORQUE.name for p in surroundings):
+        return tuple(surroundings)
+    return (*surroundings, replace(INITIAL_TORQUE, start=float(measured[0])))
 
 
 def torque_problem(
@@ -268,14 +278,19 @@ def torque_problem(
     """
     record.require(loop.channels, "DIDIM")
     assert record.torque is not None
-    if not any(p.free for p in parameters):
-        raise MethodError("Every parameter of the joint is fixed, so there is nothing to identify; free one of them.")
+    require_free(parameters)
     experiment = prepare(loop, record)
     measured = record.torque.values[: experiment.samples]
     return Problem(
         loop,
         experiment,
-        (*parameters, *surroundings),
+        (*parameters, *with_torque(surroundings, experiment, measured)),
         measured,
         filtering.resolved(experiment.sample_time, loop.joint.model),
     )
+
+
+def require_free(parameters: tuple[Parameter, ...]) -> None:
+    """Raise a `MethodError` if no parameter of a joint is free."""
+    if not any(p.free for p in parameters):
+        raise MethodError("Every parameter of the joint is fixed, so there is nothing to identify; free one of them.")

@@ -85,7 +85,7 @@ def _refuse_collinear(W: FloatArray, norms: FloatArray, names: tuple[str, ...]) 
     if idle:
         raise MethodError(
             f"Nothing in this record excites {', '.join(idle)}; fix {'it' if len(idle) == 1 else 'them'}, or use a "
-            "motion that moves at several speeds, both ways."
+            "motion that moves at several speeds, both ways; if it does, correct units, gains and sides of the loop."
         )
     _, sizes, directions = np.linalg.svd(W / norms, full_matrices=False)
     if sizes[-1] > _RANK * sizes[0]:

@@ -17,9 +17,10 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
+from jointid.data.transmission import Side
 from jointid.estimation.inverse_model import InverseModel, through_window
 from jointid.estimation.linear import Rows
-from jointid.model.effects import Effect, PositionHarmonics, Side, effect_columns
+from jointid.model.effects import Effect, PositionHarmonics, effect_columns
 from jointid.model.joints import Motion
 from jointid.model.parameters import Parameter, Quantity
 

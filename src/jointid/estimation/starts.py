@@ -14,8 +14,9 @@ from jointid.data.record import Channel, FloatArray, Tap, Timing
 from jointid.estimation.idim import regress
 from jointid.estimation.inverse_model import InverseModel, inverse_model
 from jointid.estimation.problem import Problem
-from jointid.model.controllers import POSITION, REFERENCE, REFERENCE_VELOCITY, invert
-from jointid.model.joints import RigidJoint
+from jointid.model.controllers import POSITION, REFERENCE, invert
+from jointid.model.joints import RigidJoint, acts_on_whole
+from jointid.simulation.experiment import known_memory
 
 _DAMPING = 0.02  # of a flexible mode, to begin with (ours: the paper gives none)
 _SETTLED = 5.0  # periods of the position filter's cut-off after which a fault is forgotten
@@ -37,7 +38,7 @@ class Start:
 
 
 def reconstructed_position(problem: Problem) -> FloatArray:
-    """Return the motor position that the known controller must have seen to put out the logged torque, (samples,).
+    """Return the motor position the known controller must have seen to put out the logged torque, (samples,).
 
     ``position = reference - C^-1(torque)``: no guess is needed, and because the controller's gain is large the result
     is finer than most encoders. The law's memory of what was before the record is a guess, so the first samples,
@@ -46,45 +47,73 @@ def reconstructed_position(problem: Problem) -> FloatArray:
     Raises:
         MethodError: the log does not show the output of every period once, or the law cannot be inverted.
     """
-    law, inputs = problem.experiment.law, problem.experiment.inputs
+    experiment = problem.experiment
+    law, inputs = experiment.law, experiment.inputs
+    command = _command(problem)
+    if experiment.every > 1:  # the log shows some of the periods: between them the torque is taken as a straight line
+        command = np.interp(np.arange(experiment.periods) / experiment.every, np.arange(command.size), command)
+    element = law.tap if experiment.tap is Tap.COMMAND else law.output
     slope = (inputs[1, REFERENCE] - inputs[0, REFERENCE]) / law.period
-    state = (
-        law.memory(REFERENCE, inputs[0, REFERENCE], slope)
-        + law.memory(REFERENCE_VELOCITY, inputs[0, REFERENCE_VELOCITY], 0.0)
-        + law.memory(POSITION, inputs[0, REFERENCE], slope)
-    )
-    return invert(law, _command(problem) - problem.experiment.before_limit, inputs, state)
+    state = known_memory(law, inputs) + law.memory(POSITION, inputs[0, REFERENCE], slope)
+    integral = law.integral()
+    if integral is not None:
+        there = inputs[0] + inputs[0, REFERENCE] * (np.arange(inputs.shape[1]) == POSITION)
+        first = law.C[0, law.output] @ state + law.D[0, law.output] @ there
+        state = state + integral * (command[0] - first)
+    return invert(law, command, inputs, state, element)[:: experiment.every][: experiment.samples]
 
 
 def _command(problem: Problem) -> FloatArray:
-    """Return the controller's output after its limit, period by period, from the logged torque."""
+    """Return the controller's output as the log shows it, (samples,), without what is added behind its limit."""
     experiment = problem.experiment
     whole = np.all(experiment.lags == experiment.lags[0])
     averaged, measured = experiment.timing is Timing.AVERAGED, experiment.tap is Tap.MEASURED
-    if experiment.every > 1 or experiment.repeat > 1 or (averaged and measured and not whole):
+    if (
+        experiment.repeat > 1
+        or ((averaged or measured) and experiment.every > 1)
+        or (averaged and measured and not whole)
+    ):
         raise MethodError(
-            "The controller can be turned round only when the log shows the output of each of its periods once; "
+            "The controller can be turned round only when the log shows the output of its periods, each once at most; "
             'choose start = "regular".'
         )
     # A measured torque shows an output when it acts, an averaged one when its period is over.
     late = int(averaged) + (int(experiment.lags[0]) if measured else 0)
     output = np.concatenate([problem.measured[late:], np.full(late, problem.measured[-1])])
-    return np.asarray(output - (experiment.after_limit if measured else experiment.logged))
+    added = experiment.after_limit if measured else experiment.logged
+    return np.asarray(output - added[:: experiment.every][: output.size])
 
 
 def initial_state(problem: Problem, position: FloatArray) -> dict[str, float]:
     """Return where a reconstructed motion begins: a line through its first usable samples."""
     law = problem.experiment.law
-    skip = law.C.size + 1
+    skip, sample_time = law.order // problem.experiment.every + 1, problem.experiment.sample_time
     first = position[skip : skip + _SLOPE]
-    slope, value = np.polyfit(np.arange(first.size) * law.period, first, 1)
-    return {"initial_position": float(value - slope * skip * law.period), "initial_velocity": float(slope)}
+    slope, value = np.polyfit(np.arange(first.size) * sample_time, first, 1)
+    return {"initial_position": float(value - slope * skip * sample_time), "initial_velocity": float(slope)}
+
+
+def resting_position(problem: Problem) -> float:
+    """Return where a motor at rest has the controller put out the first logged torque; else its reference.
+
+    A proportional loop lets a load that weighs something sag by the torque that carries it, over its gain. A search
+    that begins beside it may not find it: friction holds the motor where it begins.
+    """
+    experiment = problem.experiment
+    law = experiment.feedback
+    home = float(experiment.inputs[0, REFERENCE])
+    if law.integrates:  # its integral carries the load, and the motor is where it is asked to be
+        return home
+    gain = law.C[0, law.output] @ experiment.memory[:, 0] + law.D[0, law.output, POSITION]
+    asked = problem.measured[0] - experiment.shown[0] - experiment.feedforward[law.output, 0]
+    return float(asked / gain) if gain != 0.0 else home
 
 
 def inversion_start(problem: Problem) -> Start:
     """Return what IDIM finds on the reconstructed position: nearly what it finds on a measured one."""
     joint, position = _rigid(problem), reconstructed_position(problem)
-    acting = _command(problem) + problem.experiment.after_limit
+    command = _command(problem)
+    acting = command + problem.experiment.after_limit[:: problem.experiment.every][: command.size]
     found = _regressed(problem, joint, acting, position, _unlimited(problem), problem.experiment.law.delay)
     return Start(_kept(problem, found | initial_state(problem, position)), None)
 
@@ -126,7 +155,7 @@ def pseudo_regular(rigid: Mapping[str, float], frequency: float, share: float = 
     """
     start = {}
     for name, value in rigid.items():
-        if name == "offset":
+        if acts_on_whole(name):
             start[name] = value
         else:
             start |= {f"{side}_{name}": 0.5 * value for side in ("motor", "load")}
@@ -145,7 +174,7 @@ def _unlimited(problem: Problem) -> NDArray[np.bool_]:
     output = np.abs(_command(problem))
     cutoff = problem.filtering.position_cutoff
     assert cutoff is not None
-    reach = experiment.law.C.size + round(_SETTLED / (cutoff * experiment.sample_time))
+    reach = experiment.law.order + round(_SETTLED / (cutoff * experiment.sample_time))
     at_limit = output >= experiment.law.limit * (1 - 1e-9)
     limited = np.convolve(at_limit, np.ones(2 * reach + 1))[reach : reach + at_limit.size] > 0.5
     return ~limited if np.mean(limited) < 0.5 else np.ones_like(limited)

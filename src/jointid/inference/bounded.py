@@ -16,11 +16,13 @@ import numpy as np
 from jointid.common.progress import Progress
 from jointid.data.record import FloatArray
 from jointid.inference.criterion import Criterion
+from jointid.model.parameters import Parameter
 
 _EVALUATIONS = 60  # of one descent
 _DAMPING, _LEAST, _MOST = 1e-3, 1e-12, 1e12  # of the first step, in columns of norm 1; and its range
 _EASIER, _HARDER = 0.1, 5.0  # factors on the damping after a step that went down, and one that did not
 _IDLE = 1e-2  # of the residual
+_THERE = 1e-2  # of a tolerance
 _SAME = 1e-4  # of the criterion: two ends so near are one
 
 
@@ -44,6 +46,24 @@ class Bottom:
     converged: bool
     path: tuple[FloatArray, ...]
     norms: tuple[float, ...]
+
+
+def arrived(free: Sequence[Parameter], x: FloatArray, error: FloatArray, J: FloatArray, tolerance: float) -> bool:
+    """Whether a start could gain so much less than the tolerance that a step from there would only follow rounding.
+
+    Args:
+        free: parameters, with their bounds.
+        x: (free,) the start.
+        error: (rows,) residual there.
+        J: (rows, free) its derivatives.
+        tolerance: relative, on the criterion.
+    """
+    lower, upper = (np.array([getattr(p, side) for p in free]) for side in ("lower", "upper"))
+    slope = J.T @ error
+    moving = ~(((x <= lower) & (slope > 0)) | ((x >= upper) & (slope < 0)))
+    columns = J[:, moving] / np.maximum(np.linalg.norm(J[:, moving], axis=0), 1e-300)
+    step = np.linalg.lstsq(columns, error, rcond=1e-12)[0]
+    return bool(np.sum((columns @ step) ** 2) < _THERE * tolerance * max(float(error @ error), 1e-300))
 
 
 def descend(criterion: Criterion, starts: Sequence[FloatArray], tolerance: float, progress: Progress) -> Bottom:

@@ -1,7 +1,9 @@
 """The joint file (TOML): what is identified, from which record, and how; checked completely before anything runs."""
 
 from jointid.jointfile.contents import JointFile, Run, Source
-from jointid.jointfile.loading import dumps, load, loads, save
+from jointid.jointfile.loading import controller_text, dumps, load, loads, save, with_controller
 from jointid.jointfile.schema import json_schema
 
-__all__ = ["JointFile", "Run", "Source", "dumps", "json_schema", "load", "loads", "save"]
+__all__ = [
+    "JointFile", "Run", "Source", "controller_text", "dumps", "json_schema", "load", "loads", "save", "with_controller",
+]  # fmt: skip

@@ -13,17 +13,25 @@ from typing import Any, Self, TypeVar
 from pydantic import ValidationError
 
 from jointid.common.errors import JointFileError
-from jointid.jointfile.fitting import method_faults, parameter_faults, record_faults, unit_faults
-from jointid.jointfile.laws import LAWS
+from jointid.data.drive import Drive
+from jointid.data.record import CHANNELS
+from jointid.data.transmission import Side
+from jointid.jointfile.channels import channel_faults, reachable
+from jointid.jointfile.fitting import free_faults, gravity_refusal, method_faults, parameter_faults, record_faults
+from jointid.jointfile.gearing import TransmissionTable, side_faults, transmission_faults
+from jointid.jointfile.laws import LAWS, LawTable
 from jointid.jointfile.schema import (
     DIDIMS,
     ChannelsTable,
     ChannelTable,
+    DriveTable,
     FileTable,
+    GravityTable,
     JointTable,
     MethodTable,
     ParameterTable,
     RunTable,
+    TogetherTable,
 )
 from jointid.jointfile.table import Table, sentences
 from jointid.model.controllers import Controller
@@ -57,46 +65,66 @@ class _Draft:
 
     Attributes:
         joint: what is identified.
+        gravity: of its load.
+        heavy: whether the file has gravity, right or not.
         kinds: its kind; every kind, while that is not known.
         model: its model, while that is known.
+        transmission: between motor and load.
+        geared: whether there is one, right or not.
         channels: the channels that are right.
-        named: names of those and of the others.
-        controller: the controller's law.
+        named: names of those and of the others, and of those that the drive's profile may find.
+        drive: whose traces the channels are.
+        law: the controller's table.
         controlled: whether the file has a controller, right or not.
         method: how to identify.
         parameters: the parameters that are right.
         bare: names of those that are given by a bare number.
         runs: the records that are identified together and are right, by their place.
+        together: how they are.
     """
 
     joint: JointTable | None
+    gravity: GravityTable | None
+    heavy: bool
     kinds: Collection[Kind]
     model: str | None
+    transmission: TransmissionTable | None
+    geared: bool
     channels: Mapping[str, ChannelTable]
     named: Collection[str]
-    controller: Controller | None
+    drive: Drive | None
+    law: LawTable | None
     controlled: bool
     method: MethodTable | None
     parameters: Mapping[str, ParameterTable]
     bare: Collection[str]
     runs: Mapping[int, RunTable]
+    together: TogetherTable | None
 
     @classmethod
     def of(cls, raw: Mapping[str, Any]) -> Self:
         kind, controller = _table(raw, "joint").get("kind"), raw.get("controller")
+        drives = _part(DriveTable, raw.get("drive", {}))
+        drive = drives.drive() if drives else None
         channels, parameters = _table(raw, "record", "channels"), _table(raw, "parameters")
         law = next(filter(None, (_part(law, controller) for law in LAWS)), None)
         return cls(
             joint=_part(JointTable, raw.get("joint")),
+            gravity=_part(GravityTable, raw.get("gravity")),
+            heavy="gravity" in raw,
             kinds=[known for known in _KINDS if known == kind] or _KINDS,
             model=_model(raw.get("joint")),
+            transmission=_part(TransmissionTable, raw.get("transmission")),
+            geared="transmission" in raw,
             channels={
                 name: getattr(table, name)
                 for name, value in channels.items()
                 if (table := _part(ChannelsTable, {name: value}))
             },
-            named=channels.keys(),
-            controller=law.controller() if law else None,
+            # Of a drive that is wrong nobody knows which channels its profile finds.
+            named=reachable(channels, drive) if drive is not None else CHANNELS,
+            drive=drive,
+            law=law,
             controlled=controller is not None,
             method=_part(MethodTable, raw.get("method", {})),
             parameters={
@@ -104,16 +132,43 @@ class _Draft:
             },
             bare=[name for name, value in parameters.items() if not isinstance(value, dict)],
             runs={k: run for k, value in enumerate(_list(raw, "records")) if (run := _part(RunTable, value))},
+            together=_part(TogetherTable, raw.get("together", {})),
         )
+
+    @property
+    def controller(self) -> Controller | None:
+        """The controller's law."""
+        return self.law.controller() if self.law else None
+
+    @property
+    def _sides(self) -> Mapping[str, Side]:
+        """The sides that are named, by their tables."""
+        named = {f"record.channels.{name}": table.side for name, table in self.channels.items() if table.side}
+        law = self.law
+        return named | ({"controller": law.side} if law and "side" in law.model_fields_set else {})
 
     def faults(self) -> Iterator[str]:
         """Yield what is wrong between the tables."""
-        yield from unit_faults(self.channels, self.kinds)
+        if self.transmission is not None:
+            yield from transmission_faults(self.transmission, self.kinds)
+        elif not self.geared:
+            yield from side_faults(self._sides)
+        # Behind a transmission that is not right, a motor may move in any way.
+        kinds = _KINDS if self.geared and not self.transmission else self.kinds
+        yield from channel_faults(self.channels, kinds, self.transmission, self.drive)
         if self.method is not None:
             yield from method_faults(self.method, self.named, self.controller, self.controlled, self.model)
-        if self.joint is not None:
-            yield from parameter_faults(self.joint, self.parameters, self.bare)
-        yield from record_faults(self.joint, self.controller, self.controlled, self.runs)
+            yield from free_faults("method.free", self.method.free, self.controller)
+        refused = None if self.joint is None else gravity_refusal(self.joint, self.gravity)
+        if refused:
+            yield f"gravity{refused}"
+        # Of a gravity that is wrong nobody knows which parameters it has.
+        model = None if refused or (self.heavy and self.gravity is None) else self.joint
+        if model is not None:
+            yield from parameter_faults(model, self.gravity, self.parameters, self.bare)
+        yield from record_faults(model, self.gravity, self.controller, self.controlled, self.runs)
+        if self.together is not None:
+            yield from free_faults("together.free", self.together.free, self.controller)
 
 
 def _part(model: type[T], raw: object) -> T | None:

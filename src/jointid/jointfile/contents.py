@@ -11,16 +11,19 @@ from typing import Any, Literal, Self
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.data.checks import CLOCK_TOLERANCE, check_record
 from jointid.data.columns import Column
+from jointid.data.drive import Drive
+from jointid.data.profiles import side_of
 from jointid.data.reading import read
 from jointid.data.record import Record
 from jointid.data.signals import Filtering
 from jointid.estimation.identify import Method
 from jointid.estimation.idim import IDIM
 from jointid.jointfile import written
+from jointid.jointfile.channels import reachable, torque_unit
 from jointid.jointfile.checking import checked
-from jointid.jointfile.fitting import changed, chosen_method, needed_channels, torque_unit, with_other
+from jointid.jointfile.fitting import changed, chosen_method, needed_channels
 from jointid.jointfile.schema import CLOSINGS, RecordTable, RunTable
-from jointid.model.controllers import Controller
+from jointid.model.controllers import Controller, with_numbers
 from jointid.model.joints import Joint
 from jointid.model.parameters import Parameter
 from jointid.simulation.experiment import ClosedLoop
@@ -58,7 +61,7 @@ class Run:
 
     Attributes:
         file: path of the record, from the joint file's folder.
-        added_inertia: known, on the load, on top of what is shared.
+        added_inertia: known, on the load and as it is there, on top of what is shared.
         own: names of parameters that the others do not share.
         controller: numbers of the controller that were others in it, by name.
     """
@@ -80,11 +83,12 @@ class JointFile:
 
     Attributes:
         joint: the model; its torque is in A or V where the torque's channel is.
-        columns: the channels, and where they are found.
+        columns: the channels, and where they are found; with a profile of the drive it finds the others.
         method: `DIDIM` (rigid), `FlexibleDIDIM` or `IDIM` with its settings.
-        controller: the controller's law, None while it is not known.
+        controller: the controller's law as the joint sees it through its transmission, None while it is not known.
         filtering: how signals are filtered.
         parameters: changes to the joint's parameters by name, as `identify` takes them.
+        drive: whose traces the record is made of, and the numbers behind its units.
         source: the file of the record.
         name: what reports call the joint.
         runs: records that are identified together.
@@ -111,6 +115,7 @@ class JointFile:
     controller: Controller | None = None
     filtering: Filtering = field(default_factory=Filtering)
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    drive: Drive = field(default_factory=Drive)
     source: Source = field(default_factory=Source)
     name: str | None = None
     runs: tuple[Run, ...] = ()
@@ -130,18 +135,21 @@ class JointFile:
             JointFileError: with one sentence for each fault.
         """
         file = checked(tables)
-        channels = file.record.channels.given()
-        joint = file.joint.joint(torque_unit(channels, file.joint.kind))
-        method = chosen_method(file.method.name, channels, file.controller is not None, joint.model)
+        channels, gear, drive = file.record.channels.given(), file.transmission, file.drive.drive()
+        transmission = gear.transmission(file.joint.kind) if gear else None
+        joint = file.joint.joint(torque_unit(channels, file.joint.kind, gear, drive), transmission, file.gravity)
+        named = reachable(channels, drive)
+        method = chosen_method(file.method.name, named, file.controller is not None, joint.model)
         assert method is not None
         known = {parameter.name: parameter for parameter in joint.parameters}
         return cls(
             joint=joint,
             columns={name: table.declared() for name, table in channels.items()},
             method=file.method.method(method, joint.model),
-            controller=file.controller.controller() if file.controller else None,
+            controller=file.controller.referred(transmission) if file.controller else None,
             filtering=file.filtering.filtering(),
             parameters={name: changed(known[name], table) for name, table in file.parameters.items()},
+            drive=drive,
             source=Source.of(file.record),
             name=file.joint.name,
             runs=tuple(map(Run.of, file.records)),
@@ -175,19 +183,38 @@ class JointFile:
             path = self.path.parent / self.source.file
         needed = {*needed_channels(self._method_name, self.controller, self.joint.model), "injected"}
         columns = {n: c if n in needed else replace(c, optional=True) for n, c in self.columns.items()}
+        if self.drive.traces is not None:  # it is to find what the method needs and the file does not name
+            columns |= {n: Column() for n in needed if n not in columns and n != "injected"}
         source = self.source
         record = read(
             path,
             columns,
+            drive=self.drive,
             time=source.time,
             time_unit=source.time_unit,
             sample_time=source.sample_time,
             kind=self.joint.kind,
+            transmission=self.joint.transmission,
             clock_tolerance=source.clock_tolerance,
             **source.options,
         )
-        check_record(record, limit=None if self.controller is None else self.controller.law(1.0).limit)
+        controller, torque = self.controller, record.torque
+        limit = controller.law(torque.sample_time).limit if controller is not None and torque is not None else None
+        check_record(record, limit=limit)
         return record
+
+    def logged(self, record: Record) -> Record:
+        """Return a record on the joint's side of its transmission as the drive logs it: each channel on its own."""
+        gear = self.joint.transmission
+        sides = {n: side_of(n, self.columns.get(n), self.drive.traces, self.drive.axis) for n in record.channels}
+        return record if gear is None else gear.logged(record, sides)
+
+    @property
+    def added_inertias(self) -> tuple[float, ...]:
+        """What each run adds, which is said of the load, as it is on the joint's side."""
+        gear = self.joint.transmission
+        factor = 1.0 if gear is None else gear.torque("load") ** 2
+        return tuple(factor * run.added_inertia for run in self.runs)
 
     def each(self, paths: Sequence[Path] = ()) -> tuple[JointFile, ...]:
         """Return this file once for each record that is identified together, as if it were of that record alone.
@@ -208,7 +235,7 @@ class JointFile:
             replace(
                 self,
                 source=replace(self.source, file=file),
-                controller=None if self.controller is None else with_other(self.controller, run.controller),
+                controller=None if self.controller is None else with_numbers(self.controller, run.controller),
                 runs=(run,),
             )
             for file, run in zip(files, runs, strict=True)
@@ -290,8 +317,15 @@ class JointFile:
         record = {**written.settings(self.source, "options"), **self.source.options, "channels": channels}
         tables = {
             "joint": written.joint_table(self.joint, self.name),
+            "transmission": written.transmission_table(self.joint.transmission),
+            "gravity": {}
+            if self.joint.gravity is None
+            else written.gravity_table(self.joint.gravity, self.joint.transmission),
             "record": record,
-            "controller": {} if self.controller is None else written.controller_table(self.controller),
+            "drive": written.settings(self.drive),
+            "controller": {}
+            if self.controller is None
+            else written.controller_table(self.controller, self.joint.transmission),
             "filtering": written.filtering_table(self.filtering),
             "method": written.method_table(self.method, self.joint.model),
             "parameters": parameters,

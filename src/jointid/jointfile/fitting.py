@@ -8,71 +8,33 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 
-from jointid.common import units
-from jointid.data.columns import known_units
 from jointid.estimation.inverse_model import idim_channels
-from jointid.estimation.surroundings import numbers_of
+from jointid.estimation.surroundings import surrounding
 from jointid.jointfile import wording
 from jointid.jointfile.schema import (
     CLOSINGS,
     OF_IDIM,
-    ChannelTable,
+    GravityTable,
     JointTable,
     MethodTable,
     ParameterTable,
     RunTable,
 )
 from jointid.jointfile.table import refusal
-from jointid.model.controllers import Controller
+from jointid.model.controllers import Controller, numbers_of, with_numbers
+from jointid.model.gravity import GRAVITY_PARAMETERS
 from jointid.model.joints import FRICTIONS, Joint
-from jointid.model.parameters import TORQUE_UNIT, Kind, Parameter
-
-
-def unit_faults(channels: Mapping[str, ChannelTable], kinds: Collection[Kind]) -> Iterator[str]:
-    """Yield the units that a joint of none of these kinds can have, and torques that differ in theirs."""
-    for name, table in channels.items():
-        known = tuple(dict.fromkeys(unit for kind in kinds for unit in known_units(name, kind)))
-        stated = table.declared().stated_unit(known)
-        if stated is not None and stated not in known:
-            where = "unit is" if table.unit is not None else "column names the unit"
-            yield f'record.channels.{name}.{where} "{stated}"{_misfit(name, stated, known, kinds)}'
-    if "injected" in channels:
-        pairs = {(_si_unit("injected", channels, kind), _si_unit("torque", channels, kind)) for kind in kinds}
-        if len(pairs) == 1 and None not in (pair := pairs.pop()) and pair[0] != pair[1]:
-            yield f"record.channels.injected is in {pair[0]}, but the torque in {pair[1]}: give both in one unit."
-
-
-def torque_unit(channels: Mapping[str, ChannelTable], kind: Kind) -> str | None:
-    """Return "A" or "V" for a torque in the drive's own units, None for one in N or N m."""
-    unit = _si_unit("torque", channels, kind)
-    return None if unit == TORQUE_UNIT[kind] else unit
-
-
-def _si_unit(channel: str, channels: Mapping[str, ChannelTable], kind: Kind) -> str | None:
-    """Return the unit in which a channel will be read, None if it cannot be."""
-    known = known_units(channel, kind)
-    stated = channels[channel].declared().stated_unit(known) if channel in channels else None
-    if stated is None:
-        return _si_unit("torque", channels, kind) if channel == "injected" else known[0]
-    return units.unit(stated).si if stated in known else None
-
-
-def _misfit(channel: str, unit: str, known: Collection[str], kinds: Collection[Kind]) -> str:
-    """Return the end of the sentence on a unit that a channel cannot have."""
-    expected = f"expected one of {', '.join(known)}"
-    try:
-        dimension = units.unit(unit).dimension
-    except units.UnitError:
-        otherwise = "give one of them, and the gain that takes the column to it"
-        return f", which is not known; {expected}: {wording.guessed(unit, known, otherwise)}"
-    fitting = [kind for kind in TORQUE_UNIT if kind not in kinds and unit in known_units(channel, kind)]
-    remedy = "".join(f', or set joint.kind = "{kind}"' for kind in fitting)
-    return f", a unit of {dimension}; {expected}: give one of them{remedy}."
-
+from jointid.model.parameters import Parameter
 
 _NEXT_TO_ZERO = 1e-200
-_NO_OFFSET = (
+_BESIDE_LOAD = (
+    " cannot be identified beside a constant load: torque and motor position only know the sum of both; give it a "
+    "value, or leave [gravity] out."
+)
+_KNOWN = " is known, and not identified; give it a value, or change it in gravity.counterbalance."
+_BESIDE_FRICTION = (
     " cannot be identified beside asymmetric friction: a constant adds to the Coulomb force forwards and takes as much "
     'from it backwards, so the two cannot be told apart; give it a value, or set joint.friction = "symmetric".'
 )
@@ -183,20 +145,30 @@ def _not_its_own(table: MethodTable, name: str | None, model: str | None) -> Ite
             yield key, wording.beside_preset(value, str(table.preset))
 
 
+def gravity_refusal(joint: JointTable, gravity: GravityTable | None) -> str | None:
+    """Return the rest of the sentence on a gravity that this joint cannot have."""
+    return refusal(lambda: joint.joint(None, gravity=gravity))
+
+
 def record_faults(
-    joint: JointTable | None, controller: Controller | None, controlled: bool, runs: Mapping[int, RunTable]
+    joint: JointTable | None,
+    gravity: GravityTable | None,
+    controller: Controller | None,
+    controlled: bool,
+    runs: Mapping[int, RunTable],
 ) -> Iterator[str]:
     """Yield names of own parameters that the model does not have, and numbers that the controller cannot have.
 
     Args:
         joint: whose parameters, if that is known.
+        gravity: of its load.
         controller: the law, if it is known and right.
         controlled: whether there is one, right or not.
         runs: the records that are right in themselves, by their place.
     """
     for place, run in runs.items():
         path = wording.dotted(["records", place])
-        known = () if joint is None else tuple(p.name for p in joint.joint(None).parameters)
+        known = () if joint is None else tuple(p.name for p in joint.joint(None, gravity=gravity).parameters)
         for name in run.own:
             if joint is not None and name not in known:
                 otherwise = "leave it out"
@@ -216,30 +188,36 @@ def _no_change(controller: Controller, numbers: Mapping[str, float]) -> str | No
     for name in numbers:
         if name not in known:
             return f".{wording.dotted([name])}{wording.unknown(name, known)}"
-    return refusal(lambda: with_other(controller, numbers))
+    return refusal(lambda: with_numbers(controller, numbers))
 
 
-def with_other(controller: Controller, numbers: Mapping[str, float]) -> Controller:
-    """Return a controller with other numbers."""
-    changed: Controller = replace(controller, **numbers)  # type: ignore[type-var]
-    return changed
+def free_faults(key: str, names: Collection[str], controller: Controller | None) -> Iterator[str]:
+    """Yield names of what nothing around the joint is called, or what cannot be freed of this controller."""
+    if controller is None:
+        return
+    for name in names:
+        if refused := refusal(partial(surrounding, name, controller)):
+            yield f"{key}{refused}"
 
 
-def parameter_faults(joint: JointTable, tables: Mapping[str, ParameterTable], bare: Collection[str]) -> Iterator[str]:
+def parameter_faults(
+    joint: JointTable, gravity: GravityTable | None, tables: Mapping[str, ParameterTable], bare: Collection[str]
+) -> Iterator[str]:
     """Yield parameters that the model does not have, and values that they cannot have.
 
     Args:
         joint: whose parameters.
+        gravity: of its load.
         tables: what the file says of each, by name.
         bare: names of those given by a bare number.
     """
-    known = {parameter.name: parameter for parameter in joint.joint(None).parameters}
+    known = {parameter.name: parameter for parameter in joint.joint(None, gravity=gravity).parameters}
     for name, table in tables.items():
         path = wording.dotted(["parameters", name])
         if name not in known:
-            yield path + _no_parameter(name, joint, known)
+            yield path + _no_parameter(name, joint, gravity, known)
             continue
-        for key, sentence in _misgiven(known[name], table):
+        for key, sentence in _misgiven(known[name], table, gravity):
             yield path + (f".{key}" if key and name not in bare else "") + sentence
 
 
@@ -257,10 +235,11 @@ def _bounds(parameter: Parameter, table: ParameterTable) -> tuple[float, float]:
     return lower, upper
 
 
-def _misgiven(parameter: Parameter, table: ParameterTable) -> Iterator[tuple[str, str]]:
+def _misgiven(parameter: Parameter, table: ParameterTable, gravity: GravityTable | None) -> Iterator[tuple[str, str]]:
     """Yield the key and the rest of the sentence on what a parameter cannot be given."""
     if not parameter.free and table.value is None:
-        yield "", _NO_OFFSET
+        beside = _BESIDE_LOAD if gravity is not None and gravity.load == "constant" else _BESIDE_FRICTION
+        yield "", beside if parameter.name == "offset" else _KNOWN
         return
     lower, upper = _bounds(parameter, table)
     if not lower < upper:
@@ -286,13 +265,16 @@ def _open(lower: float) -> float:
     return 0.0 if 0.0 < lower < _NEXT_TO_ZERO else lower
 
 
-def _no_parameter(name: str, joint: JointTable, known: Collection[str]) -> str:
+def _no_parameter(name: str, joint: JointTable, gravity: GravityTable | None, known: Collection[str]) -> str:
     """Return the rest of the sentence on a parameter that this model does not have."""
     remedy = wording.guessed(name, known, "leave it out")
     for key, choices in (("model", ("rigid", "flexible")), ("friction", FRICTIONS)):
         for choice in choices:
-            other: Joint = joint.model_copy(update={key: choice}).joint(None)
+            other: Joint = joint.model_copy(update={key: choice}).joint(None, gravity=None)
             if name in [parameter.name for parameter in other.parameters]:
                 remedy = f'leave it out, or set joint.{key} = "{choice}".'
+    for load, names in GRAVITY_PARAMETERS.items():
+        if gravity is None and name in names:
+            remedy = f'leave it out, or set gravity.load = "{load}".'
     model = f"a {joint.model} joint with {joint.friction} friction"
     return f" is not known for {model}; expected one of {', '.join(known)}: {remedy}"

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field
 
+from jointid.data.transmission import Side, Transmission
+from jointid.jointfile.filters import FilterTable, FilterTables, filters
 from jointid.jointfile.table import Table, refusal
 from jointid.jointfile.values import (
-    Coefficients,
     Limit,
     LoopGain,
     Matrix,
@@ -20,26 +22,10 @@ from jointid.jointfile.values import (
     OutputGain,
     Positive,
 )
-from jointid.model.controllers import PD, Cascade, Controller, DigitalFilter, StateSpaceController
+from jointid.model.controllers import PD, PID, Cascade, Controller, StateSpaceController
 
-
-class FilterTable(Table):
-    """[controller.velocity_filter]: a digital filter; a bare list is its numerator."""
-
-    shorthand = "numerator"
-
-    numerator: Coefficients = Field(description="b0, b1, ...")
-    denominator: Coefficients = Field([1.0], description="a0, a1, ...")
-
-    def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that there is no such filter."""
-        if refused := refusal(lambda: DigitalFilter(tuple(self.numerator), tuple(self.denominator))):
-            yield "denominator", refused
-
-    def filter(self) -> DigitalFilter | tuple[float, ...]:
-        """Return the filter, or the numerator alone where no denominator is given."""
-        whole = DigitalFilter(tuple(self.numerator), tuple(self.denominator))
-        return whole if "denominator" in self.model_fields_set else whole.numerator
+AntiWindup = Literal["hold", "track", "none"]
+ReferenceVelocity = Literal["difference", "channel", "none"]
 
 
 class LawTable(Table):
@@ -50,48 +36,99 @@ class LawTable(Table):
     limit: Limit | None = Field(None, description="limit of the output [controller units]")
     period: Positive | None = Field(None, description="period of the controller [s]")
     delay: NotNegative = Field(0.0, description="from the sampled position to the torque [s]")
+    interpolation: Literal["hold", "linear", "cubic"] | None = Field(
+        None, description="how a reference that is slower than the controller is filled in"
+    )
+    side: Side = Field("motor", description="of the transmission, whose positions and torque its numbers are in")
 
     @abstractmethod
     def controller(self) -> Controller:
-        """Return the controller."""
+        """Return the controller, on its own side."""
+
+    def referred(self, transmission: Transmission | None) -> Controller:
+        """Return the controller as a joint sees it through its transmission."""
+        made = self.controller()
+        if transmission is None:
+            return made
+        seen: Controller = replace(made, ratio=transmission.torque(self.side))  # type: ignore[type-var]
+        return seen
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield that there is no such law; what depends on the period is seen where the file has one."""
+        period = self.period
+        if refused := refusal(lambda: self.controller() if period is None else self.controller().law(period)):
+            yield "", refused
 
 
-class DifferenceTable(LawTable):
+class DrawnTable(LawTable):
     """What those laws have that difference the position."""
 
+    reference_delay: NotNegative = Field(0.0, description="by which the law sees the reference later [s]")
     velocity_filter: FilterTable | None = Field(None, description="filter of the difference")
+    torque_filters: FilterTables = Field([], description="filters of the torque, one after the other")
+    filters_at: Literal["before_limit", "after_limit"] = Field("before_limit", description="where they stand")
+    acceleration_feedforward: NotNegative = Field(0.0, description="[controller units per m/s2 or rad/s2]")
+    viscous_feedforward: NotNegative = Field(0.0, description="[controller units per m/s or rad/s]")
+    coulomb_feedforward: NotNegative = Field(0.0, description="in the direction of motion [controller units]")
+    constant_feedforward: Number = Field(0.0, description="[controller units]")
+    torque_feedforward_delay: NotNegative = Field(0.0, description="by which these see the reference later [s]")
 
     def settings(self) -> dict[str, Any]:
         """Return what the law is made of."""
-        filtered = {} if self.velocity_filter is None else {"velocity_filter": self.velocity_filter.filter()}
-        return self.given("law", "velocity_filter") | filtered
+        found = self.given("law", "side", "velocity_filter", "torque_filters")
+        if self.velocity_filter is not None:
+            found["velocity_filter"] = self.velocity_filter.filter()
+        return found | ({"torque_filters": filters(self.torque_filters)} if self.torque_filters else {})
 
 
-class CascadeTable(DifferenceTable):
-    """[controller] with law = "cascade": ``u = kv (kp (reference - position) - velocity)``."""
+class CascadeTable(DrawnTable):
+    """[controller] with law = "cascade": ``u = kv (w - v + ki I)``, ``w = kp (reference - position)`` and more."""
 
     law: Literal["cascade"] = Field(description="the controller's law")
     kp: LoopGain = Field(description="position gain [1/s]")
     kv: LoopGain = Field(description="velocity gain [controller units per m/s or rad/s]")
+    ki: LoopGain = Field(0.0, description="integral gain of the velocity loop [1/s]")
+    anti_windup: AntiWindup = Field("hold", description="what becomes of the integral at the limit")
+    velocity_feedforward: NotNegative = Field(0.0, description="share of the reference's velocity")
+    velocity_feedforward_delay: NotNegative = Field(0.0, description="by which it sees the reference later [s]")
+    reference_velocity: Literal["difference", "channel"] = Field(
+        "difference", description="where the reference's velocity comes from"
+    )
+    velocity_limit: Limit | None = Field(None, description="limit of the velocity command [m/s or rad/s]")
+    position_period: Positive | None = Field(None, description="period of the position loop [s]")
+    position_offset: NotNegative = Field(0.0, description="until the position loop's next evaluation [s]")
 
     def controller(self) -> Cascade:
         """Return the controller."""
         return Cascade(**self.settings())
 
 
-class PDTable(DifferenceTable):
+class PDTable(DrawnTable):
     """[controller] with law = "pd": ``u = kp (reference - position) + kd (reference velocity - velocity)``."""
 
     law: Literal["pd"] = Field(description="the controller's law")
     kp: LoopGain = Field(description="position gain [controller units per m or rad]")
     kd: LoopGain = Field(description="velocity gain [controller units per m/s or rad/s]")
-    reference_velocity: Literal["difference", "channel", "none"] = Field(
-        "difference", description="where the reference's velocity comes from"
-    )
+    reference_velocity: ReferenceVelocity = Field("difference", description="where the reference's velocity comes from")
 
     def controller(self) -> PD:
         """Return the controller."""
         return PD(**self.settings())
+
+
+class PIDTable(DrawnTable):
+    """[controller] with law = "pid": that of "pd" with an integral of the position error."""
+
+    law: Literal["pid"] = Field(description="the controller's law")
+    kp: LoopGain = Field(description="position gain [controller units per m or rad]")
+    ki: LoopGain = Field(description="integral gain [controller units per m s or rad s]")
+    kd: LoopGain = Field(description="velocity gain [controller units per m/s or rad/s]")
+    anti_windup: AntiWindup = Field("hold", description="what becomes of the integral at the limit")
+    reference_velocity: ReferenceVelocity = Field("difference", description="where the reference's velocity comes from")
+
+    def controller(self) -> PID:
+        """Return the controller."""
+        return PID(**self.settings())
 
 
 class InputColumns(Table):
@@ -125,15 +162,15 @@ class StateSpaceTable(LawTable):
         if len({len(row) for row in self.A}) > 1:
             lengths = ", ".join(str(len(row)) for row in self.A)
             yield "A", f" has rows of {lengths} numbers; expected rows of one length: complete them."
-        elif refused := refusal(self.controller):
-            yield "", refused
+        else:
+            yield from super().faults()
 
     def controller(self) -> StateSpaceController:
         """Return the controller."""
-        return StateSpaceController(B=self.B.given(), D=self.D.given(), **self.given("law", "B", "D"))
+        return StateSpaceController(B=self.B.given(), D=self.D.given(), **self.given("law", "side", "B", "D"))
 
 
-LAWS: tuple[type[LawTable], ...] = (CascadeTable, PDTable, StateSpaceTable)
+LAWS: tuple[type[LawTable], ...] = (CascadeTable, PDTable, PIDTable, StateSpaceTable)
 """The tables of the laws there are."""
 
-ControllerTable: TypeAlias = Annotated[CascadeTable | PDTable | StateSpaceTable, Field(discriminator="law")]
+ControllerTable: TypeAlias = Annotated[CascadeTable | PDTable | PIDTable | StateSpaceTable, Field(discriminator="law")]

@@ -11,10 +11,15 @@ from typing import Any
 import tomli_w
 
 from jointid.common.errors import JointFileError
+from jointid.data.transmission import Transmission
 from jointid.jointfile.contents import JointFile
+from jointid.jointfile.written import controller_table
+from jointid.model.controllers import Controller
 from jointid.model.parameters import TORQUE_UNIT
 
 _PLACE = re.compile(r"(?P<reason>.*) \(at (line (?P<line>\d+), column (?P<column>\d+)|end of document)\)", re.DOTALL)
+
+_OF_CONTROLLER = re.compile(r"\s*\[{1,2}\s*(controller|\"controller\"|'controller')\s*[.\]]")
 
 
 def load(path: str | os.PathLike[str]) -> JointFile:
@@ -54,7 +59,7 @@ def dumps(file: JointFile) -> str:
     """
     tables = file.tables()
     read_back = JointFile.of(tables)
-    if read_back.joint != file.joint:
+    if read_back.joint.torque_unit != file.joint.torque_unit:
         joints, channels = (joint.torque_unit or TORQUE_UNIT[joint.kind] for joint in (file.joint, read_back.joint))
         raise JointFileError(
             f"The joint's torque is in {joints}, but its channel's in {channels}; give both in one unit."
@@ -73,6 +78,75 @@ def save(file: JointFile, path: str | os.PathLike[str]) -> None:
         Path(path).write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
         raise JointFileError(f"{path} cannot be written ({_reason(error)}); check the folder.") from error
+
+
+def controller_text(controller: Controller, transmission: Transmission | None = None) -> str:
+    """Return the table [controller] of a joint file as TOML.
+
+    Args:
+        controller: any of the laws there are.
+        transmission: between the joint and the controller, if there is one.
+
+    Raises:
+        JointFileError: a joint file has no word for the controller.
+    """
+    return tomli_w.dumps({"controller": controller_table(controller, transmission)})
+
+
+def with_controller(text: str, controller: Controller, transmission: Transmission | None = None) -> str:
+    """Return the text of a joint file with its [controller] replaced, or added at its end; all else stays as it is.
+
+    Where the controller is written without a heading of its own, as ``controller = { ... }``, the whole file is written
+    anew and its comments are lost.
+
+    Args:
+        text: TOML; it need not be a joint file that is complete.
+        controller: what takes the place of the one there.
+        transmission: between the joint and the controller, if there is one.
+
+    Raises:
+        JointFileError: the text is no TOML, or a joint file has no word for the controller.
+    """
+    tables, written = _parsed(text), controller_text(controller, transmission)
+    made = _joined(_sections(text), written)
+    expected = tables | tomllib.loads(written)
+    try:
+        return made if tomllib.loads(made) == expected else tomli_w.dumps(expected)
+    except tomllib.TOMLDecodeError:  # two controllers: the old one has no heading
+        return tomli_w.dumps(expected)
+
+
+def _sections(text: str) -> list[str]:
+    """Return a TOML text cut before each heading; what begins with a bracket inside a list is none."""
+    lines, sections, begin = text.splitlines(keepends=True), [], 0
+    for at, line in enumerate(lines):
+        if line.lstrip().startswith("[") and _is_whole("".join(lines[begin:at])):
+            sections.append("".join(lines[begin:at]))
+            begin = at
+    return [*sections, "".join(lines[begin:])]
+
+
+def _is_whole(text: str) -> bool:
+    try:
+        tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return False
+    return True
+
+
+def _joined(sections: list[str], controller: str) -> str:
+    """Return the sections with those of the controller replaced, in the first one's place, or at the end."""
+    kept: list[str] = []
+    place = None
+    for section in sections:
+        if _OF_CONTROLLER.match(section):
+            place = len(kept) if place is None else place
+        else:
+            kept.append(section)
+    if place is None:
+        return "".join(kept).rstrip("\n") + "\n\n" * bool("".join(kept).strip()) + controller
+    after = "".join(kept[place:])
+    return "".join(kept[:place]) + controller + ("\n" if after else "") + after
 
 
 def _parsed(text: str) -> dict[str, Any]:

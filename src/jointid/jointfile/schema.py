@@ -17,9 +17,12 @@ from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
 
 from jointid.data.checks import CLOCK_TOLERANCE
 from jointid.data.columns import Column
+from jointid.data.drive import Drive
 from jointid.data.formats import Csv, format_of
+from jointid.data.profiles import profile_named, profile_names
 from jointid.data.record import Channel, Injection
 from jointid.data.signals import Filtering
+from jointid.data.transmission import Side, Transmission
 from jointid.estimation.didim import DIDIM
 from jointid.estimation.drive_side import DriveSideFit
 from jointid.estimation.flexible import FlexibleDIDIM
@@ -27,12 +30,14 @@ from jointid.estimation.identify import Method
 from jointid.estimation.idim import IDIM
 from jointid.estimation.open_loop import OpenLoopFit
 from jointid.jointfile import wording
+from jointid.jointfile.gearing import TransmissionTable
 from jointid.jointfile.laws import ControllerTable
 from jointid.jointfile.table import Table, accepted, refusal
 from jointid.jointfile.values import (
     Borders,
     Bound,
     ColumnGain,
+    ControllerNumbers,
     Count,
     Flag,
     Names,
@@ -46,6 +51,7 @@ from jointid.jointfile.values import (
 )
 from jointid.jointfile.wording import Says
 from jointid.model.effects import Drift, Effect, PositionHarmonics
+from jointid.model.gravity import Counterbalance, Gravity
 from jointid.model.joints import FRICTIONS, FlexibleJoint, Joint, RigidJoint, friction_named
 
 OF_IDIM = ("estimator", "harmonics", "period", "drift")
@@ -82,21 +88,57 @@ class JointTable(Table):
     )
     name: Text | None = Field(None, description="what reports call the joint")
 
-    def joint(self, torque_unit: str | None) -> Joint:
+    def joint(
+        self, torque_unit: str | None, transmission: Transmission | None = None, gravity: GravityTable | None = None
+    ) -> Joint:
         """Return the joint; `torque_unit` is "A" or "V" for a torque in the drive's units."""
         made = FlexibleJoint if self.model == "flexible" else RigidJoint
-        return made(self.kind, friction_named(self.friction), torque_unit)
+        kind = self.kind if transmission is None else transmission.kind
+        weight = None if gravity is None else gravity.gravity(transmission)
+        return made(kind, friction_named(self.friction), torque_unit, transmission=transmission, gravity=weight)
+
+
+class CounterbalanceTable(Table):
+    """[gravity.counterbalance]: what a known counterbalance takes off the load, on the side that is reported."""
+
+    constant: Number = Field(0.0, description="wherever the joint is [N or N m]")
+    cos: Number = Field(0.0, description="times the cosine of the link's angle [N m]")
+    sin: Number = Field(0.0, description="times the sine of the link's angle [N m]")
+    rate: Number = Field(0.0, description="times the position, of a spring or a cylinder [N/m or N m/rad]")
+
+
+class GravityTable(Table):
+    """[gravity]: what the load weighs."""
+
+    load: Literal["constant", "link"] = Field(description="a vertical axis, or a body that turns in a vertical plane")
+    angle: Number = Field(1.0, description="of the link, per unit of the joint's position")
+    counterbalance: CounterbalanceTable = Field(
+        default_factory=CounterbalanceTable, description="the known part that something else carries"
+    )
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield that there is no such gravity."""
+        if refused := refusal(self.gravity):
+            yield "angle", refused
+
+    def gravity(self, transmission: Transmission | None = None) -> Gravity:
+        """Return the gravity, as a joint has it on its side of the transmission."""
+        angle = self.angle if transmission is None else self.angle * transmission.torque("load")
+        return Gravity(self.load, Counterbalance(**self.counterbalance.given()), angle)
 
 
 class ChannelTable(Table):
     """[record.channels.reference] and its like: the column of one channel."""
 
-    column: Text = Field(description="name of the column in the record's file")
+    column: Text | None = Field(None, description="name of the column in the record's file")
     unit: Text | None = Field(None, description="unit of gain x column")
     gain: ColumnGain = Field(1.0, description="what takes the column to the unit")
     sign: Sign = Field(1, description="-1 turns the channel round")
     timing: Literal["sampled", "held", "averaged"] | None = Field(None, description="what one value stands for")
     sample_time: Positive | None = Field(None, description="own time between samples [s]")
+    side: Side | None = Field(None, description="of the transmission, on which it is measured")
+    wrap: Positive | None = Field(None, description="where the column wraps round, in its own numbers")
+    update_time: Positive | None = Field(None, description="time between refreshes, if longer [s]")
     optional: Flag = Field(False, description="whether a record may lack this column")
 
     def declared(self) -> Column:
@@ -107,7 +149,7 @@ class ChannelTable(Table):
 class TorqueTable(ChannelTable):
     """[record.channels.torque]."""
 
-    tap: Literal["command", "filtered", "measured"] = Field("command", description="where the torque was logged")
+    tap: Literal["command", "filtered", "measured"] | None = Field(None, description="where the torque was logged")
 
 
 class InjectedTable(ChannelTable):
@@ -155,6 +197,29 @@ class RecordTable(Table):
     def options(self) -> dict[str, Any]:
         """Return the options of the format's reader that are given."""
         return {key: value for key, value in self.given().items() if key in OPTIONS}
+
+
+class DriveTable(Table):
+    """[drive]: whose traces the record is made of, and the numbers behind the drive's own units."""
+
+    profile: Annotated[Text, accepted(profile_named)] | None = Field(
+        None, description="of the traces", json_schema_extra={"enum": list(profile_names())}
+    )
+    axis: Count | None = Field(None, description="which one, where a trace has several")
+    rated_torque: Positive | None = Field(None, description="what per mille are of [N m or N]")
+    rated_current: Positive | None = Field(None, description="likewise, as a current [A]")
+    torque_constant: Positive | None = Field(None, description="torque per current [N m/A or N/A]")
+    counts_per_turn: Positive | None = Field(None, description="of the encoder, revolute")
+    counts_per_metre: Positive | None = Field(None, description="of the encoder, prismatic")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield that the numbers contradict each other."""
+        if refused := refusal(self.drive):
+            yield "", refused
+
+    def drive(self) -> Drive:
+        """Return what is known of the drive."""
+        return Drive(**self.given())
 
 
 class FilteringTable(Table):
@@ -279,9 +344,11 @@ class RunTable(Table):
     """[[records]]: one of several records that are identified together, and what is known to differ in it."""
 
     file: RecordFile = Field(description="path of the record, from the joint file's folder")
-    added_inertia: NotNegative = Field(0.0, description="known, on the load, beyond what is shared [kg or kg m2]")
+    added_inertia: NotNegative = Field(
+        0.0, description="known, on the load, beyond what is shared [kg or kg m2, load side]"
+    )
     own: Names = Field([], description="names of parameters that the other records do not share")
-    controller: dict[str, Number] = Field(
+    controller: ControllerNumbers = Field(
         default_factory=dict, description="numbers of the controller that were others, by key"
     )
 
@@ -299,7 +366,10 @@ class FileTable(Table):
     decided_by: ClassVar = {"controller": "law"}
 
     joint: JointTable = Field(description="what is identified")
+    transmission: TransmissionTable | None = Field(None, description="what lies between motor and load")
+    gravity: GravityTable | None = Field(None, description="what its load weighs, if that matters")
     record: RecordTable = Field(default_factory=RecordTable, description="the file of the record, and its channels")
+    drive: DriveTable = Field(default_factory=DriveTable, description="whose traces they are, and its own units")
     controller: ControllerTable | None = Field(None, description="the controller's law, if it is known")
     filtering: FilteringTable = Field(default_factory=FilteringTable, description="how signals are filtered")
     method: MethodTable = Field(default_factory=MethodTable, description="how the joint is identified")

@@ -50,6 +50,11 @@ class Table(BaseModel):
         keys = [key for key in type(self).model_fields if key in self.model_fields_set and key not in without]
         return {key: getattr(self, key) for key in keys}
 
+    def lacks(self, key: str) -> str:
+        """Return the rest of the sentence on a key that is needed beside the others and not there."""
+        field = type(self).model_fields[key]
+        return wording.missing(_said(field).expected, field.description or "")
+
     @model_validator(mode="wrap")
     @classmethod
     def _checked(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:

@@ -30,8 +30,13 @@ class Says:
 
 
 def dotted(location: Iterable[int | str]) -> str:
-    """Return the path of a key, its parts quoted where TOML quotes them; tables of one name are counted from 1."""
-    parts = (str(key + 1) if isinstance(key, int) else key for key in location)
+    """Return the path of a key, its parts quoted where TOML quotes them; tables of one name are counted from 1.
+
+    Filters are counted from 0, as in the names of their numbers.
+    """
+    path = list(location)
+    firsts = [0 if key == "torque_filters" else 1 for key in [None, *path]]
+    parts = (str(key + first) if isinstance(key, int) else key for key, first in zip(path, firsts, strict=False))
     return ".".join(key if _BARE.fullmatch(key) else json.dumps(key) for key in parts)
 
 
@@ -76,6 +81,11 @@ def unknown(key: str, known: Iterable[str]) -> str:
     """Return the rest of the sentence on a key that is not known."""
     keys = list(known)
     return f" is not a known key; expected one of {', '.join(keys)}: {guessed(key, keys, 'leave it out')}"
+
+
+def foreign(kind: str, known: Iterable[str]) -> str:
+    """Return the rest of the sentence on a key of another kind."""
+    return f' is not a key of the kind "{kind}"; expected one of {", ".join(known)}: leave it out, or change the kind.'
 
 
 def no_choice(value: object, choices: Iterable[str]) -> str:

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, fields
+from dataclasses import MISSING, Field, fields, replace
 from typing import Any
 
 import numpy as np
 
 from jointid.common.errors import JointFileError
 from jointid.data.signals import Filtering
+from jointid.data.transmission import SIDES, Transmission
 from jointid.estimation.identify import Method
 from jointid.estimation.idim import IDIM
+from jointid.jointfile.filters import FILTERS
 from jointid.jointfile.schema import CLOSINGS, DIDIMS, FILTERINGS
-from jointid.model.controllers import PD, Cascade, Controller, DigitalFilter, StateSpaceController
+from jointid.model.controllers import PD, PID, Cascade, Controller, DigitalFilter, StateSpaceController
 from jointid.model.effects import Drift, Effect, PositionHarmonics
+from jointid.model.gravity import Gravity
 from jointid.model.joints import FRICTIONS, Joint
 from jointid.model.parameters import Parameter
 
-_LAWS: Mapping[type, str] = {Cascade: "cascade", PD: "pd", StateSpaceController: "state_space"}
+_KINDS: Mapping[type, str] = {made: kind for kind, made in FILTERS.items()}
+_LAWS: Mapping[type, str] = {Cascade: "cascade", PD: "pd", PID: "pid", StateSpaceController: "state_space"}
 
 
 def settings(made: Any, *without: str) -> dict[str, Any]:
@@ -37,18 +41,40 @@ def joint_table(joint: Joint, name: str | None) -> dict[str, Any]:
     if not frictions:
         law = type(joint.friction).__name__
         raise JointFileError(f"A joint file has no word for the friction {law}; use {' or '.join(FRICTIONS)}.")
-    table = {"kind": joint.kind, "model": joint.model, "friction": frictions[0]}
+    kind = joint.kind if joint.transmission is None else joint.transmission.load
+    table = {"kind": kind, "model": joint.model, "friction": frictions[0]}
     return table if name is None else {**table, "name": name}
 
 
-def controller_table(controller: Controller) -> dict[str, Any]:
+def transmission_table(transmission: Transmission | None) -> dict[str, Any]:
+    """Return [transmission]."""
+    return {} if transmission is None else settings(transmission, "load")
+
+
+def gravity_table(gravity: Gravity, transmission: Transmission | None) -> dict[str, Any]:
+    """Return [gravity]; its angle is that of the load, whatever the side."""
+    angle = gravity.angle if transmission is None else gravity.angle / transmission.torque("load")
+    balance = settings(gravity.counterbalance)
+    return settings(replace(gravity, angle=angle), "counterbalance") | ({"counterbalance": balance} if balance else {})
+
+
+def controller_table(controller: Controller, transmission: Transmission | None = None) -> dict[str, Any]:
     """Return [controller]."""
     law = _LAWS.get(type(controller))
     if law is None:
         raise JointFileError(
             f"A joint file has no word for the controller {type(controller).__name__}; give a StateSpaceController."
         )
-    return {"law": law, **settings(controller)}
+    ratio: float = getattr(controller, "ratio", 1.0)
+    seen = {"motor": 1.0} if transmission is None else {side: transmission.torque(side) for side in SIDES}
+    sides = [side for side, through in seen.items() if through == ratio]
+    if not sides:
+        raise JointFileError(
+            f"The controller's ratio is {ratio:g}; expected one of {', '.join(f'{r:g}' for r in seen.values())}, as "
+            "its joint's transmission has it."
+        )
+    side = {} if sides[0] == "motor" else {"side": sides[0]}
+    return {"law": law, **settings(controller, "ratio"), **side}
 
 
 def filtering_table(filtering: Filtering) -> dict[str, Any]:
@@ -108,6 +134,8 @@ def _plain(value: Any) -> Any:
     """Return a value as TOML has it."""
     if isinstance(value, DigitalFilter):  # without its denominator it would be read as a mere numerator
         return {"numerator": list(value.numerator), "denominator": list(value.denominator)}
+    if type(value) in _KINDS:
+        return {"kind": _KINDS[type(value)], **settings(value)}
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple | np.ndarray):

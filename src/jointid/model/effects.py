@@ -9,16 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, TypeAlias
+from typing import Literal, Protocol
 
 import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.data.record import FloatArray
+from jointid.data.transmission import Side
 from jointid.model.joints import Joint, Motion
 from jointid.model.parameters import Parameter, Quantity
-
-Side: TypeAlias = Literal["motor", "load"]
 
 
 class Effect(Protocol):

@@ -8,6 +8,8 @@ Flexible, (2) of the paper, motor 1 and load 12, elastic deflection q2 = q12 - q
 
     tau = ZZ1 a1  + Fv1 v1  + Fc1 sign(v1)  - K12 q2 - F12 v2 + offset
     0   = ZZ2 a12 + Fv2 v12 + Fc2 sign(v12) + K12 q2 + F12 v2
+
+Gravity, where a joint has it, adds g(q) to (1), and g(q12) to the second equation of (2): see `gravity`.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ import numpy as np
 
 from jointid.common.errors import MethodError, RecordError
 from jointid.data.record import CHANNELS, FloatArray, Record
+from jointid.data.transmission import Transmission
 from jointid.model.friction import AsymmetricFriction, Friction, SymmetricFriction
+from jointid.model.gravity import Gravity
 from jointid.model.parameters import POSITION_UNIT, TORQUE_UNIT, Kind, Parameter, Quantity, unit_of
 
 _TINY = 1e-300  # keeps a bound on inertias open: a mass of zero has no motion
@@ -36,9 +40,30 @@ class Motion:
     acceleration: FloatArray
 
 
-def _offset(friction: Friction) -> Parameter:
+def _offset(friction: Friction, gravity: Gravity | None) -> Parameter:
+    """Return the offset; it is fixed where another parameter is a constant, too."""
     offset = Parameter("offset", "offset", Quantity.FORCE)
-    return offset if friction.symmetric else offset.fixed(0.0)
+    told = friction.symmetric and (gravity is None or gravity.load != "constant")
+    return offset if told else offset.fixed(0.0)
+
+
+def _gravity_parameters(gravity: Gravity | None) -> tuple[Parameter, ...]:
+    return () if gravity is None else gravity.parameters
+
+
+def _gravity_columns(gravity: Gravity | None, position: FloatArray) -> FloatArray:
+    return np.zeros((position.size, 0)) if gravity is None else gravity.columns(position)
+
+
+def _gravity_constant(gravity: Gravity | None, values: Mapping[str, float]) -> float:
+    return 0.0 if gravity is None else gravity.coefficients(values)[0]
+
+
+def _gravity_coefficients(gravity: Gravity | None, values: Mapping[str, float], of_load: bool) -> FloatArray | None:
+    """Return what of gravity depends on the position, as the simulation sees it; None where nothing does."""
+    if gravity is None or not gravity.varies:
+        return None
+    return np.array([*gravity.coefficients(values)[1:], gravity.angle, float(of_load)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,14 +76,21 @@ class RigidJoint:
         kind: "prismatic" (m, N) or "revolute" (rad, N m).
         friction: the same in both directions, or not (its offset is then fixed at 0).
         torque_unit: the torque's unit when it is not the kind's own: "A" or "V".
+        transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
+        gravity: of what the joint carries; a constant load takes the place of the offset, which is then fixed at 0.
     """
 
     kind: Kind = "prismatic"
     friction: Friction = field(default_factory=SymmetricFriction)
     torque_unit: str | None = None
+    transmission: Transmission | None = None
+    gravity: Gravity | None = None
 
     def __post_init__(self) -> None:
-        _require_kind(self.kind)
+        _require_kind(self.kind, self.transmission)
+        if self.gravity is not None:
+            moves = self.kind if self.transmission is None else self.transmission.load
+            self.gravity.require(moves, self.friction.symmetric)
 
     @property
     def model(self) -> str:
@@ -67,11 +99,12 @@ class RigidJoint:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Inertia, friction, offset."""
+        """Inertia, friction, offset, gravity."""
         return (
             Parameter("inertia", "ZZ", Quantity.INERTIA, lower=_TINY),
             *self.friction.parameters("", ""),
-            _offset(self.friction),
+            _offset(self.friction, self.gravity),
+            *_gravity_parameters(self.gravity),
         )
 
     def unit(self, parameter: Parameter) -> str:
@@ -83,13 +116,18 @@ class RigidJoint:
 
         The load of a rigid joint moves with the motor, so its motion is not read.
         """
-        ones = np.ones_like(motor.velocity)
-        return np.column_stack([motor.acceleration, self.friction.columns(motor.velocity), ones])[np.newaxis]
+        ones, gravity = np.ones_like(motor.velocity), _gravity_columns(self.gravity, motor.position)
+        return np.column_stack([motor.acceleration, self.friction.columns(motor.velocity), ones, gravity])[np.newaxis]
 
     def coefficients(self, values: Mapping[str, float]) -> FloatArray:
         """Return the drive as the simulation sees it (`simulation.kernels`): a motor, and a load nothing moves."""
         friction = self.friction.directions(values, "")
-        return np.array([values["inertia"], 1.0, 0.0, 0.0, *friction, 0.0, 0.0, 0.0, 0.0, values["offset"], 0.0])
+        offset = values["offset"] + _gravity_constant(self.gravity, values)
+        return np.array([values["inertia"], 1.0, 0.0, 0.0, *friction, 0.0, 0.0, 0.0, 0.0, offset, 0.0])
+
+    def gravity_coefficients(self, values: Mapping[str, float]) -> FloatArray | None:
+        """Return what of gravity depends on the position, (5,), as the simulation sees it; None where nothing does."""
+        return _gravity_coefficients(self.gravity, values, of_load=False)
 
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
         """Return the state at rest or in steady motion: position and velocity (the load's are not used)."""
@@ -104,14 +142,21 @@ class FlexibleJoint:
         kind: "prismatic" (m, N) or "revolute" (rad, N m).
         friction: the law of both sides, symmetric or asymmetric (the offset is then fixed at 0).
         torque_unit: the torque's unit when it is not the kind's own: "A" or "V"; stiffness is then in A/rad, ...
+        transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
+        gravity: of the load; a constant load takes the place of the offset, which is then fixed at 0.
     """
 
     kind: Kind = "prismatic"
     friction: Friction = field(default_factory=SymmetricFriction)
     torque_unit: str | None = None
+    transmission: Transmission | None = None
+    gravity: Gravity | None = None
 
     def __post_init__(self) -> None:
-        _require_kind(self.kind)
+        _require_kind(self.kind, self.transmission)
+        if self.gravity is not None:
+            moves = self.kind if self.transmission is None else self.transmission.load
+            self.gravity.require(moves, self.friction.symmetric)
 
     @property
     def model(self) -> str:
@@ -120,7 +165,7 @@ class FlexibleJoint:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Motor side, spring and damper, load side, offset: the order of (5) in the paper."""
+        """Motor side, spring and damper, load side, offset: the order of (5) in the paper; then gravity."""
         return (
             Parameter("motor_inertia", "ZZ1", Quantity.INERTIA, lower=_TINY),
             *self.friction.parameters("motor_", "1"),
@@ -128,8 +173,14 @@ class FlexibleJoint:
             Parameter("damping", "F12", Quantity.VISCOUS, lower=0.0),
             Parameter("load_inertia", "ZZ2", Quantity.INERTIA, lower=_TINY),
             *self.friction.parameters("load_", "2"),
-            _offset(self.friction),
+            _offset(self.friction, self.gravity),
+            *_gravity_parameters(self.gravity),
         )
+
+    @property
+    def rigid(self) -> RigidJoint:
+        """The joint whose spring does not give: what this one is far below its resonance."""
+        return RigidJoint(self.kind, self.friction, self.torque_unit, self.transmission, self.gravity)
 
     def unit(self, parameter: Parameter) -> str:
         """Return the unit of a parameter of this joint."""
@@ -151,8 +202,9 @@ class FlexibleJoint:
         zeros, ones = np.zeros_like(motor.velocity), np.ones_like(motor.velocity)
         deflection, slip = load.position - motor.position, load.velocity - motor.velocity
         motor_friction, load_friction = (self.friction.columns(side.velocity) for side in (motor, load))
-        first = [motor.acceleration, motor_friction, -deflection, -slip, zeros, np.zeros_like(load_friction), ones]
-        second = [zeros, np.zeros_like(motor_friction), deflection, slip, load.acceleration, load_friction, zeros]
+        gravity = _gravity_columns(self.gravity, load.position)
+        first = [motor.acceleration, motor_friction, -deflection, -slip, zeros, 0 * load_friction, ones, 0 * gravity]
+        second = [zeros, 0 * motor_friction, deflection, slip, load.acceleration, load_friction, zeros, gravity]
         return np.stack([np.column_stack(first), np.column_stack(second)])
 
     def coefficients(self, values: Mapping[str, float]) -> FloatArray:
@@ -166,16 +218,27 @@ class FlexibleJoint:
                 *self.friction.directions(values, "motor_"),
                 *self.friction.directions(values, "load_"),
                 values["offset"],
-                0.0,
+                _gravity_constant(self.gravity, values),
             ]
         )
 
+    def gravity_coefficients(self, values: Mapping[str, float]) -> FloatArray | None:
+        """Return what of gravity depends on the load's position, (5,), as in `RigidJoint`."""
+        return _gravity_coefficients(self.gravity, values, of_load=True)
+
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
-        """Return the state of steady motion: the load moves with the motor, dragged by the spring."""
+        """Return the state at rest or in steady motion: the load moves with the motor, carried by the spring.
+
+        At rest the load's Coulomb force may carry any part of it up to its own size; it is taken to carry nothing.
+        """
         forwards, backwards, coulomb, coulomb_back = self.friction.directions(values, "load_")
-        drag = forwards * velocity + coulomb if velocity > 0 else backwards * velocity - coulomb_back
-        stiffness = values["stiffness"]
-        deflection = drag / stiffness if velocity != 0.0 and stiffness > 0.0 else 0.0
+        drag = 0.0
+        if velocity != 0.0:
+            drag = forwards * velocity + coulomb if velocity > 0 else backwards * velocity - coulomb_back
+        deflection, stiffness = 0.0, values["stiffness"]
+        if stiffness > 0.0:
+            hung = None if self.gravity is None else self.gravity.hung(values, stiffness, position, drag)
+            deflection = drag / stiffness if hung is None else hung
         return np.array([position, velocity, position - deflection, velocity])
 
 
@@ -195,9 +258,19 @@ def require_units(record: Record, joint: Joint) -> None:
         )
 
 
-def _require_kind(kind: str) -> None:
+def _require_kind(kind: str, transmission: Transmission | None) -> None:
     if kind not in POSITION_UNIT:
         raise MethodError(f'A joint is "prismatic" or "revolute"; received "{kind}".')
+    if transmission is not None and transmission.kind != kind:
+        raise MethodError(
+            f"The {transmission.side} side of this transmission is {transmission.kind}, but the joint on it is said to "
+            f'be {kind}; give the joint the kind "{transmission.kind}", or the transmission the other side.'
+        )
+
+
+def acts_on_whole(name: str) -> bool:
+    """Whether a parameter is that of a rigid and of a flexible joint alike, and no sum of two sides."""
+    return name == "offset" or name.startswith(("gravity_", "counterbalance_"))
 
 
 def rigid_sums(values: Mapping[str, float]) -> dict[str, float]:
@@ -209,7 +282,7 @@ def rigid_sums(values: Mapping[str, float]) -> dict[str, float]:
         "inertia": values["motor_inertia"] + values["load_inertia"],
         "viscous": values["motor_viscous"] + values["load_viscous"],
         "coulomb": values["motor_coulomb"] + values["load_coulomb"],
-        "offset": values["offset"],
+        **{name: value for name, value in values.items() if acts_on_whole(name)},
     }
 
 

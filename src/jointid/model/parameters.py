@@ -6,11 +6,12 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
+from jointid.common import units
 from jointid.common.errors import MethodError
 
-Kind: TypeAlias = Literal["prismatic", "revolute"]
+Kind: TypeAlias = units.Kind
 
 
 class Quantity(StrEnum):

@@ -17,7 +17,8 @@ from jointid.common.progress import Progress, silent
 from jointid.common.text import aligned, number
 from jointid.data.signals import Filtering
 from jointid.estimation.exploration import frequency_of
-from jointid.estimation.flexible import on_band, refined_least_squares
+from jointid.estimation.flexible import refined_least_squares
+from jointid.estimation.flexible_search import on_band
 from jointid.estimation.problem import Problem, torque_problem
 from jointid.estimation.visibility import visible
 from jointid.inference.repeatable import uncertainty

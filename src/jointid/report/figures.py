@@ -33,7 +33,7 @@ def torque_figure(answer: Estimate | Validation) -> Figure:
     from matplotlib.figure import Figure
 
     unit = answer.torque_unit
-    quantity = {"N": "force", "N m": "torque"}.get(unit, "motor signal")
+    quantity = {"N": "force", "N m": "torque"}.get(unit, "motor signal") + _side(answer)
     word = "simulated" if answer.method == "didim" else "inverse model"
     time = np.asarray(np.arange(answer.measured.size) * answer.sample_time, dtype=np.float64)
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
@@ -118,6 +118,12 @@ def _liveliest(torque: FloatArray) -> tuple[int, int]:
     starts = range(0, max(torque.size - size, 1), max(size // 4, 1))
     best = max(starts, key=lambda start: float(np.std(torque[start : start + size])))
     return best, min(best + size, torque.size)
+
+
+def _side(answer: Estimate | Validation) -> str:
+    """Return on which side of a transmission an answer is."""
+    gear = answer.joint.transmission if isinstance(answer, Estimate) else answer.transmission
+    return "" if gear is None else f", {gear.side} side"
 
 
 def _title(answer: Estimate | Validation) -> str:

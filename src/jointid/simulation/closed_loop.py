@@ -15,17 +15,13 @@ from numpy.typing import NDArray
 
 from jointid.common.errors import MethodError
 from jointid.data.record import Channel, FloatArray, Record, Tap, Timing
-from jointid.model.controllers import (
-    EXCESS,
-    POSITION,
-    REFERENCE,
-    Cascade,
-)
+from jointid.model.controllers import POSITION, REFERENCE, Cascade
 from jointid.model.joints import Motion, RigidJoint
 from jointid.simulation.experiment import ClosedLoop, Experiment, prepare
 
 T = TypeVar("T")
 R = TypeVar("R")
+Finished = TypeVar("Finished", "Simulation", "Response")
 
 
 class Outcome(StrEnum):
@@ -43,10 +39,14 @@ _OUTCOMES = (Outcome.FINISHED, Outcome.DIVERGED, Outcome.TOO_STIFF, Outcome.CHAT
 
 @dataclass(frozen=True, slots=True)
 class Initial:
-    """Position and velocity of the motor at the first sample; None: on the reference, at rest."""
+    """Position and velocity of the motor at the first sample; None: on the reference, at rest.
+
+    `torque` is what a controller with an integral puts out there; None: its integral begins at 0.
+    """
 
     position: float | None = None
     velocity: float | None = None
+    torque: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,19 +106,25 @@ class Run:
 
     Attributes:
         drive: (14,) the joint's coefficients.
-        position, velocity: of the motor at the first sample.
+        gravity: (5,) those of its gravity, or None.
+        position, velocity: of the motor at the first sample. torque: the controller's there, where that is said.
         before: torque that acted before it.
-        command: (periods,) output of the controller after its limit.
+        command: (periods,) the controller's output. tapped: the same behind its limit, before what filters follow.
+        excess: (periods, elements) what limits and gates took away, where it was kept and `command` does not say it.
         states, modes, tape: see `kernels.run`; empty when they were not kept.
         outcome: how it ended.
         counts: events, Taylor steps (rows of the tape), periods simulated, periods at the limit.
     """
 
     drive: FloatArray
+    gravity: FloatArray | None
     position: float
     velocity: float
+    torque: float | None
     before: float
     command: FloatArray
+    tapped: FloatArray
+    excess: FloatArray
     states: FloatArray
     modes: NDArray[np.int8]
     tape: FloatArray
@@ -145,32 +151,50 @@ def run(
     missing = [p.name for p in loop.joint.parameters if p.name not in values]
     if missing:
         raise MethodError(f"A simulation needs a value for every parameter; {', '.join(missing)} has none: give one.")
-    drive = loop.joint.coefficients(values)
-    periods, parts = experiment.feedforward.size, experiment.lengths.size
-    command = np.empty(periods)
-    states = np.empty((periods * parts if keep else 0, 4))
+    drive, gravity = loop.joint.coefficients(values), loop.joint.gravity_coefficients(values)
+    periods, parts, elements = experiment.periods, experiment.lengths.size, law.limits.size
+    command, tapped = np.empty(periods), np.empty(periods if law.tap != law.output else 0)
+    states, excess = np.empty((periods * parts if keep else 0, 4)), np.empty((periods if keep else 0, elements))
     modes, tape = np.empty(len(states), dtype=np.int8), np.empty((taped, kernels.TAPE))
     counts = np.zeros(4, dtype=np.int64)
     outcome, before = Outcome.INVALID, 0.0
-    if _possible(drive) and math.isfinite(position) and math.isfinite(velocity):
-        state = law.memory(POSITION, position, velocity)
-        first = experiment.feedforward[0] + law.C @ state + law.D[POSITION] * position
-        before = min(max(first, -law.limit), law.limit) + experiment.after_limit[0]
+    if _possible(drive) and _hangs(drive, gravity) and math.isfinite(position) and math.isfinite(velocity):
+        state, first = first_state(experiment, position, velocity, initial.torque)
+        before = first + experiment.after_limit[0]
         status = kernels.run(
-            drive, experiment.lengths, experiment.lags, state, law.A,
-            np.ascontiguousarray(law.B[:, POSITION]), np.ascontiguousarray(law.B[:, EXCESS]), law.C,
-            law.D[POSITION], law.limit, experiment.feedforward, experiment.after_limit, before,
-            loop.joint.start(values, position, velocity), experiment.far + abs(position), command, states, modes, tape,
-            counts,
+            drive, experiment.lengths, experiment.lags, state, experiment.kernel, experiment.feedforward,
+            experiment.after_limit, before, loop.joint.start(values, position, velocity),
+            experiment.far + abs(position), command, tapped, excess, states, modes, tape, counts,
+            gravity,
         )  # fmt: skip
         outcome = _OUTCOMES[status]
     done = int(counts[2])
-    command[done:] = command[done - 1] if done else 0.0
+    for output in (command, tapped):
+        output[done:] = output[done - 1] if done and output.size else 0.0
+    excess[done:] = 0.0
     states[done * parts :] = states[done * parts - 1] if done and keep else 0.0
     if outcome is Outcome.DIVERGED:  # what diverges may do so beyond the largest number
-        np.nan_to_num(command, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-        np.nan_to_num(states, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-    return Run(drive, position, velocity, before, command, states, modes, tape, outcome, counts)
+        for signal in (command, tapped, excess, states):
+            np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    shown = tapped if tapped.size else command
+    return Run(
+        drive, gravity, position, velocity, initial.torque, before, command, shown, excess, states, modes, tape,
+        outcome, counts,
+    )  # fmt: skip
+
+
+def first_state(
+    experiment: Experiment, position: float, velocity: float, torque: float | None
+) -> tuple[FloatArray, float]:
+    """Return the feedback's states at the first period, (states,), and the torque that acts before it."""
+    law, integral = experiment.feedback, experiment.integral
+    state = experiment.state + experiment.memory @ np.array([position, velocity])
+    first = float(experiment.feedforward[law.output, 0] + law.C[0, law.output] @ state)
+    first += float(law.D[0, law.output, POSITION] * position)
+    if integral is not None and torque is not None:
+        state = state + integral * (torque - first)
+        first = torque
+    return state, min(max(first, -law.limit), law.limit)
 
 
 def simulate_torque(
@@ -182,7 +206,13 @@ def simulate_torque(
 
 def response_of(experiment: Experiment, out: Run) -> Response:
     """Return what an estimator sees of a run."""
-    return Response(as_logged(experiment, out.command + experiment.shown), out.outcome, *_tally(out))
+    return Response(as_logged(experiment, seen_torque(experiment, out)), out.outcome, *_tally(out))
+
+
+def seen_torque(experiment: Experiment, out: Run) -> FloatArray:
+    """Return what the tap of the log sees of a run, (periods,)."""
+    behind = out.tapped if experiment.tap is Tap.COMMAND else out.command
+    return behind + experiment.shown
 
 
 def simulate(
@@ -196,7 +226,8 @@ def simulate(
         values: every parameter of the joint by name.
         initial: where the motor is at the first sample.
 
-    Exact to rounding for held torques and friction that is piecewise linear in velocity.
+    Exact to rounding for held torques and friction that is piecewise linear in velocity; gravity that follows the
+    position is held over each part of a period, at an error of second order in it.
     """
     return simulation_of(loop, experiment, run(loop, experiment, values, initial, keep=True))
 
@@ -214,13 +245,13 @@ def simulation_of(loop: ClosedLoop, experiment: Experiment, out: Run) -> Simulat
 
     def motion(side: int) -> Motion:
         possible = out.outcome is not Outcome.INVALID
-        acceleration = _acceleration(out.drive, begin, push, side) if possible else np.zeros(periods)
+        acceleration = _acceleration(out.drive, out.gravity, begin, push, side) if possible else np.zeros(periods)
         return Motion(*(v[which] for v in (begin[:, 2 * side], begin[:, 2 * side + 1], acceleration)))
 
     flexible = loop.joint.model == "flexible"
     return Simulation(
         experiment.sample_time,
-        as_logged(experiment, out.command + experiment.shown),
+        as_logged(experiment, seen_torque(experiment, out)),
         seen[:, 0],
         seen[:, 1],
         seen[:, 2] if flexible else None,
@@ -241,6 +272,11 @@ def _possible(drive: FloatArray) -> bool:
     """Whether a row of coefficients is a drive at all: positive masses, a spring, cones that are not empty."""
     cones = drive[6] + drive[7] >= 0 and drive[10] + drive[11] >= 0
     return bool(np.all(np.isfinite(drive)) and drive[0] > 0 and drive[1] > 0 and min(drive[2:4]) >= 0 and cones)
+
+
+def _hangs(drive: FloatArray, gravity: FloatArray | None) -> bool:
+    """Whether there is no gravity, or a finite one that a spring holds where it is the load's."""
+    return gravity is None or bool(np.all(np.isfinite(gravity)) and (drive[2] > 0 or gravity[4] == 0))
 
 
 def as_logged(experiment: Experiment, signal: FloatArray) -> FloatArray:
@@ -276,16 +312,26 @@ def averages(experiment: Experiment, integrals: FloatArray) -> FloatArray:
     return means
 
 
-def _acceleration(drive: FloatArray, states: FloatArray, torque: FloatArray, side: int) -> FloatArray:
+def _acceleration(
+    drive: FloatArray, gravity: FloatArray | None, states: FloatArray, torque: FloatArray, side: int
+) -> FloatArray:
     """Return the acceleration of the motor (side 0) or load (1) just after `torque` begins to act; 0 at rest."""
     viscous, viscous_back, coulomb, coulomb_back = drive[4 + 4 * side : 8 + 4 * side]
     spring = drive[2] * (states[:, 2] - states[:, 0]) + drive[3] * (states[:, 3] - states[:, 1])
     push = torque - drive[12] + spring if side == 0 else -drive[13] - spring
+    if gravity is not None and side == gravity[4]:
+        push = push - gravity_force(gravity, states[:, 2 * side])
     velocity = states[:, 1 + 2 * side]
     moving = np.where(velocity != 0, np.sign(velocity), (push > coulomb) * 1.0 - (push < -coulomb_back) * 1.0)
     forwards, backwards = viscous * velocity + coulomb, viscous_back * velocity - coulomb_back
     friction = np.where(moving > 0, forwards, backwards)
     return np.asarray(np.where(moving == 0, 0.0, (push - friction) / drive[side]))
+
+
+def gravity_force(gravity: FloatArray, position: FloatArray) -> FloatArray:
+    """Return what of gravity depends on the position, at positions of the side that it pulls."""
+    cos, sin, rate, angle, _ = gravity
+    return np.asarray(cos * np.cos(angle * position) + sin * np.sin(angle * position) + rate * position)
 
 
 def simulate_many(
@@ -311,8 +357,8 @@ def in_threads(function: Callable[[T], R], items: Sequence[T], workers: int | No
         return list(pool.map(function, items))
 
 
-def require_finished(simulation: Simulation) -> Simulation:
-    """Return the simulation, or raise a `MethodError` that says how it failed."""
+def require_finished(simulation: Finished) -> Finished:
+    """Return the simulation or response, or raise a `MethodError` that says how it failed."""
     if simulation.outcome is not Outcome.FINISHED:
         raise MethodError(
             f"The simulation stopped after {100 * simulation.finished:.1f} % of the record because "

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from jointid.data.record import FloatArray
 from jointid.model.joints import FlexibleJoint, Joint
-from jointid.simulation.sensitivities import by_mode
+from jointid.simulation.sensitivities import by_mode, gravity_seed
 
 PARTS = 4  # of a sample
 _WALL = 1e200  # a Coulomb force that nothing overcomes, and whose square is still a number
@@ -152,6 +152,9 @@ def simulate_drive_side(
     inertia, prefix = ("motor_inertia", "motor_") if joint.model == "flexible" else ("inertia", "")
     own = [inertia, *(p.name for p in joint.friction.parameters(prefix, "")), "offset"]
     columns = np.column_stack([acceleration, friction, np.ones(acceleration.size)])
+    if joint.gravity is not None and joint.model == "rigid":
+        own += [p.name for p in joint.gravity.parameters]
+        columns = np.column_stack([columns, joint.gravity.columns(motion.mean_position)])
     torque = columns @ np.array([values[name] for name in own])
     derivatives = np.zeros((torque.size, len(names)))
     for i, name in enumerate(names):
@@ -176,6 +179,7 @@ class _Load:
     Attributes:
         joint, motion, values: what was simulated.
         drive: (14,) the coefficients of the kernels.
+        gravity: (5,) those of the load's gravity, as if it were the motor's, or None.
         push: (edges,) the force held in each part; one more part follows the last edge.
         states: (edges, 2) load position and velocity.
         raw, modes, tape: as the kernel left them; taped: rows of the tape.
@@ -185,6 +189,7 @@ class _Load:
     motion: PrescribedMotion
     values: Mapping[str, float]
     drive: FloatArray
+    gravity: FloatArray | None
     push: FloatArray
     states: FloatArray
     raw: FloatArray
@@ -197,7 +202,7 @@ class _Load:
         """Return the simulated load; None where the values are no joint's, or too fast to be simulated."""
         from jointid.simulation import kernels
 
-        drive = _drive(joint, values)
+        drive, gravity = _drive(joint, values), _gravity(joint, values)
         cones = drive[6] + drive[7] >= 0
         if not (np.all(np.isfinite(drive)) and values["motor_inertia"] > 0 and drive[0] > 0 and cones):
             return None
@@ -212,9 +217,9 @@ class _Load:
             states, modes, tape = np.empty((n, 4)), np.empty(n, dtype=np.int8), np.empty((rows, kernels.TAPE))
             counts = np.zeros(4, dtype=np.int64)
             status = kernels.run(
-                drive, np.array([motion.step]), np.zeros(1, dtype=np.int64), none, np.zeros((0, 0)), none, none, none,
-                0.0, math.inf, push, nothing, push[0], _start(joint, motion, values), math.inf, np.empty(n), states,
-                modes, tape, counts,
+                drive, np.array([motion.step]), np.zeros(1, dtype=np.int64), none, kernels.NO_FEEDBACK,
+                push[np.newaxis], nothing, push[0], _start(joint, motion, values), math.inf, np.empty(n), none,
+                np.empty((0, 1)), states, modes, tape, counts, gravity,
             )  # fmt: skip
             if status != kernels.FINISHED:
                 return None
@@ -222,7 +227,7 @@ class _Load:
                 break
             rows = int(counts[1])
         taped = int(counts[1])
-        return cls(joint, motion, values, drive, push, states[:, :2], states, modes, tape, taped)
+        return cls(joint, motion, values, drive, gravity, push, states[:, :2], states, modes, tape, taped)
 
     def spring(self, names: list[str]) -> tuple[FloatArray, FloatArray]:
         """Return what the spring and the damper ask of the motor, (parts,), and its derivatives, (parts, names)."""
@@ -247,10 +252,10 @@ class _Load:
 
     def _followed(self, names: list[str]) -> FloatArray:
         """Return the derivatives of position and velocity at the edges, (edges, 2, names)."""
-        from jointid.simulation import tangents
+        from jointid.simulation import kernels, tangents
 
         width, n = tangents.LANES, self.push.size
-        seeds, start = np.zeros((14, width)), np.zeros((4, width))
+        seeds, weights, start = np.zeros((14, width)), np.zeros((3, width)), np.zeros((4, width))
         pushes = dict(zip(("stiffness", "damping"), self.motion.pushes, strict=True))
         order = sorted(range(len(names)), key=lambda i: names[i] in pushes)  # what enters the push comes last
         explicit = []
@@ -259,18 +264,19 @@ class _Load:
             if name in LOAD_STATE:
                 start[LOAD_STATE.index(name), j] = 1.0
                 continue
-            seeds[:, j] = _seed(self.joint, name)
+            seeds[:, j], weights[:, j] = _seed(self.joint, name), gravity_seed(self.joint, name)
             start[:, j] = self._start_slope(name)
             if name in pushes:
                 explicit.append(np.append(pushes[name], pushes[name][-1]))
         spring, side, dspring, dinertia, dside = by_mode(self.drive, seeds)
-        none = np.zeros(0)
         states = np.empty((n, 4, width))
+        explained = np.column_stack([np.zeros((n, 0)), *explicit])[:, np.newaxis]
         tangents.follow(
             np.array([self.motion.step]), np.zeros(1, dtype=np.int64), self.raw, self.modes, self.tape, self.taped,
-            self.push, np.zeros(n), self.push[0], math.inf, np.zeros((0, 0)), none, none, none, 0.0, spring, side,
-            dspring, dinertia, dside, np.column_stack([np.zeros((n, 0)), *explicit]), len(names) - len(explicit),
-            np.zeros(width), np.zeros(width), start, np.zeros((0, width)), np.empty((n, width)), states,
+            self.push, np.zeros(n), self.push[0], np.empty((0, 1)), kernels.NO_FEEDBACK, spring, side, dspring,
+            dinertia, dside, explained, len(names) - len(explicit), np.zeros(width), np.zeros((1, width)), start,
+            np.zeros((0, width)), np.empty((n, width)), np.empty((0, width)), states,
+            self.gravity, None if self.gravity is None else weights,
         )  # fmt: skip
         return states[:, :2, np.argsort(order)]
 
@@ -287,6 +293,12 @@ def _drive(joint: FlexibleJoint, values: Mapping[str, float]) -> FloatArray:
     """Return the load on its spring, fixed to a wall, as the kernels see it."""
     whole = joint.coefficients(values)
     return np.array([whole[1], 1.0, *whole[2:4], *whole[8:12], 0.0, 0.0, _WALL, _WALL, whole[13], 0.0])
+
+
+def _gravity(joint: FlexibleJoint, values: Mapping[str, float]) -> FloatArray | None:
+    """Return the load's gravity, which is that of the kernels' first mass."""
+    whole = joint.gravity_coefficients(values)
+    return None if whole is None else np.array([*whole[:4], 0.0])
 
 
 def _start(joint: FlexibleJoint, motion: PrescribedMotion, values: Mapping[str, float]) -> FloatArray:

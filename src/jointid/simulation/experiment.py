@@ -7,7 +7,8 @@ and the cut of a controller period into the parts in which the torque, or what t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,20 +16,29 @@ from numpy.typing import NDArray
 from jointid.common.errors import RecordError
 from jointid.data.record import Channel, FloatArray, InjectionPoint, Record, Tap, Timing
 from jointid.model.controllers import (
+    CONSTANT,
+    DIRECTION,
+    INJECTED,
+    INPUTS,
     POSITION,
     REFERENCE,
     REFERENCE_VELOCITY,
     Controller,
+    Interpolation,
     SampledLaw,
-    run,
+    respond,
     scaled,
 )
 from jointid.model.joints import Joint, require_units
+
+if TYPE_CHECKING:
+    from jointid.simulation.kernels import Feedback
 
 _SNAP = 1e-6  # of a period: instants closer than this are the same instant
 _SAME_RATE = 1e-4  # two clocks whose rates differ by less than crystals do are one clock
 _FEWEST = 10  # periods that can be simulated to any purpose
 _MOST = 200  # periods to one log sample, or the other way round: more is a mistake
+_SLOWLY = 1e-4  # of the sampling frequency: there a loop holds its position
 _FAR = 1e3  # times the commanded travel: a motor this far away will not come back
 
 
@@ -50,11 +60,15 @@ class Experiment:
     """What a loop was driven with, at the controller's instants; made by `prepare`.
 
     Attributes:
-        law: the controller's state-space form.
-        inputs: (periods, 3) reference, reference velocity, and a column of zeros for the position.
-        before_limit, after_limit: (periods,) what is added to the output; in the log or not, see below.
+        law: the controller's state-space form. feedback: what of it the motion moves, and the same as the kernels read
+            it, with what is `driven`.
+        memory: (states, 2) of the feedback, what a motor position of 1 leaves before the first period, and a velocity
+            of 1. integral: (states,) see `SampledLaw.integral`.
+        inputs: (periods, INPUTS) of the law, with a column of zeros for the position.
+        after_limit: (periods,) what is added to the output; in the log or not, see below.
         logged: (periods,) the part of `after_limit` that the logged torque contains.
-        feedforward: (periods,) the law's answer to everything but the position.
+        feedforward: (elements, periods) the answer of the law's elements to everything but the position.
+        state: (states,) of the feedback at the first period, but for what the position leaves.
         sample_time: of the log, which is every `every`-th period, or shows each period `repeat` times.
         lengths, lags: the parts of a period, see `kernels.run`.
         looked: (samples,) which of all parts, period after period, begin at the log's instants.
@@ -64,11 +78,15 @@ class Experiment:
     """
 
     law: SampledLaw
+    feedback: SampledLaw
+    kernel: Feedback
+    memory: FloatArray
+    integral: FloatArray | None
     inputs: FloatArray
-    before_limit: FloatArray
     after_limit: FloatArray
     logged: FloatArray
     feedforward: FloatArray
+    state: FloatArray
     sample_time: float
     every: int
     repeat: int
@@ -81,6 +99,16 @@ class Experiment:
     samples: int
 
     @property
+    def periods(self) -> int:
+        """Of the controller that are simulated."""
+        return len(self.inputs)
+
+    @property
+    def injected(self) -> bool:
+        """Whether anything is added to the controller's output."""
+        return bool(np.any(self.inputs[:, INJECTED]) or np.any(self.after_limit))
+
+    @property
     def shown(self) -> FloatArray:
         """What the logged torque contains beside the controller's output, (periods,)."""
         return self.after_limit if self.tap is Tap.MEASURED else self.logged
@@ -88,13 +116,13 @@ class Experiment:
     def with_law(self, law: SampledLaw) -> Experiment:
         """Return the same experiment under another law of the same period and delay."""
         return _experiment(
-            law, self.inputs, self.before_limit, self.after_limit, self.logged, self.sample_time, self.samples,
-            self.tap, self.timing,
+            law, self.inputs, self.after_limit, self.logged, self.sample_time, self.samples, self.tap, self.timing
         )  # fmt: skip
 
     def scaled(self, factor: float) -> Experiment:
-        """Return the same experiment under the law with its output `factor` times as large."""
-        return self.with_law(scaled(self.law, factor))
+        """Return the same experiment with the law's output, and what is added to it, `factor` times as large."""
+        more = replace(self, after_limit=factor * self.after_limit, logged=factor * self.logged)
+        return more.with_law(scaled(self.law, factor))
 
 
 def prepare(loop: ClosedLoop, record: Record) -> Experiment:
@@ -115,39 +143,64 @@ def prepare(loop: ClosedLoop, record: Record) -> Experiment:
             f"{law.period:.4g} s; use a longer one, or correct the period."
         )
     _ratio(law.period, log.sample_time, "the log")
-    inputs = np.zeros((periods, 3))
-    inputs[:, REFERENCE] = at_period(record.reference, law.period, periods, "reference")
-    if "reference_velocity" in loop.controller.channels:
-        assert record.reference_velocity is not None
-        velocity = at_period(record.reference_velocity, law.period, periods, "reference_velocity")
-        inputs[:, REFERENCE_VELOCITY] = velocity
-    before, after, logged = (np.zeros(periods) for _ in range(3))
+    inputs = law_inputs(loop.controller, record, law.period, periods)
+    after, logged = np.zeros(periods), np.zeros(periods)
     if record.injected is not None:
         signal = at_period(record.injected.channel, law.period, periods, "injected")
         if record.injected.at is InjectionPoint.BEFORE_LIMIT:
-            before = signal
+            inputs[:, INJECTED] = signal
         else:
             after = signal
             logged = signal * record.injected.in_torque
     timing = record.torque.timing if record.torque is not None else Timing.HELD
     samples = math.floor(record.duration / log.sample_time + _SNAP)
-    return _experiment(law, inputs, before, after, logged, log.sample_time, samples, record.tap, timing)
+    return _experiment(law, inputs, after, logged, log.sample_time, samples, record.tap, timing)
 
 
-def at_period(channel: Channel, period: float, periods: int, name: str) -> FloatArray:
+def law_inputs(controller: Controller, record: Record, period: float, periods: int) -> FloatArray:
+    """Return what a law reads, (periods, INPUTS), but for the position and what is injected."""
+    assert record.reference is not None
+    filled: Interpolation | None = getattr(controller, "interpolation", None)
+    inputs = np.zeros((periods, INPUTS))
+    reference = at_period(record.reference, period, periods, "reference", filled)
+    inputs[:, REFERENCE], inputs[:, CONSTANT] = reference, 1.0
+    inputs[1:, DIRECTION] = np.sign(np.diff(reference))
+    inputs[0, DIRECTION] = inputs[1, DIRECTION]
+    if "reference_velocity" in controller.channels:
+        assert record.reference_velocity is not None
+        velocity = at_period(record.reference_velocity, period, periods, "reference_velocity", filled)
+        inputs[:, REFERENCE_VELOCITY] = velocity
+    return inputs
+
+
+def at_period(
+    channel: Channel, period: float, periods: int, name: str, interpolation: Interpolation | None = None
+) -> FloatArray:
     """Return a channel at the controller's instants.
 
-    A channel that is faster than the controller is picked; one that is slower is held until its next sample, or, if it
-    is sampled (as a reference is, unless it is declared held), interpolated linearly.
+    A channel that is faster than the controller is picked. One that is slower is filled in: held until its next
+    sample, by straight lines, or by Catmull-Rom's cubic, whose slope at a sample is half the difference of its
+    neighbours; after the last sample it stays. What is not said follows from the channel: one that is sampled (as a
+    reference is, unless it is declared held) gets lines.
 
     Raises:
         RecordError: neither of the two periods is a multiple of the other.
     """
     every, repeat = _ratio(period, channel.sample_time, name)
-    if repeat > 1 and channel.timing is Timing.SAMPLED:
-        at = np.arange(periods) / repeat
-        return np.asarray(np.interp(at, np.arange(channel.values.size), channel.values), dtype=np.float64)
-    return np.asarray(np.repeat(channel.values[::every], repeat)[:periods])
+    if interpolation is None:
+        interpolation = "linear" if channel.timing is Timing.SAMPLED else "hold"
+    if repeat == 1 or interpolation == "hold" or channel.values.size < 2:
+        return np.asarray(np.repeat(channel.values[::every], repeat)[:periods])
+    values, at = channel.values, np.minimum(np.arange(periods) / repeat, channel.values.size - 1)
+    if interpolation == "linear":
+        return np.asarray(np.interp(at, np.arange(values.size), values), dtype=np.float64)
+    begin = np.minimum(at.astype(np.intp), values.size - 2)
+    ends = np.concatenate([2 * values[:1] - values[1:2], values, 2 * values[-1:] - values[-2:-1]])
+    before, first, second, after = (ends[begin + i] for i in range(4))
+    t = at - begin
+    straight, low, high = second - first, 0.5 * (second - before), 0.5 * (after - first)
+    curve = (low - straight) * (1 - t) - (high - straight) * t
+    return np.asarray(first + t * (straight + (1 - t) * curve))
 
 
 def _ratio(long: float, short: float, name: str) -> tuple[int, int]:
@@ -165,7 +218,6 @@ def _ratio(long: float, short: float, name: str) -> tuple[int, int]:
 def _experiment(
     law: SampledLaw,
     inputs: FloatArray,
-    before_limit: FloatArray,
     after_limit: FloatArray,
     logged: FloatArray,
     sample_time: float,
@@ -178,15 +230,50 @@ def _experiment(
     starts = np.cumsum(lengths) - lengths
     inside = [int(np.argmin(np.abs(starts - j * law.period / repeat))) for j in range(repeat)]
     looked = (np.arange(0, len(inputs), every)[:, np.newaxis] * lengths.size + inside).reshape(-1)[:samples]
-    reference, velocity = inputs[:, REFERENCE], inputs[:, REFERENCE_VELOCITY]
-    slope = (reference[1] - reference[0]) / law.period if reference.size > 1 else 0.0
-    state = law.memory(REFERENCE, reference[0], slope) + law.memory(REFERENCE_VELOCITY, velocity[0], 0.0)
-    feedforward = run(law, inputs, state) + before_limit
-    far = _far(law, feedforward, after_limit)
+    feedback, feedforward, driven, state = _beforehand(law, inputs)
+    far = _far(law, feedforward[law.output], after_limit)
+    memory = np.column_stack([feedback.memory(POSITION, 1.0, 0.0), feedback.memory(POSITION, 0.0, 1.0)])
     return Experiment(
-        law, inputs, before_limit, after_limit, logged, feedforward, sample_time, every, repeat, lengths, lags,
-        looked, far, tap, timing, looked.size,
+        law, feedback, _for_kernel(feedback, driven), memory, feedback.integral(), inputs, after_limit, logged,
+        feedforward, state, sample_time, every, repeat, lengths,
+        lags, looked, far, tap, timing, looked.size,
     )  # fmt: skip
+
+
+def _beforehand(law: SampledLaw, inputs: FloatArray) -> tuple[SampledLaw, FloatArray, FloatArray, FloatArray]:
+    """Return what of a law the motion moves, and what is known before it: see `Experiment`."""
+    feedback, beforehand = law.split()
+    moved = law.fed_back()
+    state = known_memory(law, inputs)
+    if not law.integrates:
+        feedforward = respond(law, inputs, state).T
+        return feedback, np.ascontiguousarray(feedforward), np.zeros((0, feedback.order)), np.zeros(feedback.order)
+    found, elements = respond(beforehand, inputs, state[~moved]), law.limits.size
+    driven = np.ascontiguousarray(found[:, elements:])
+    return feedback, np.ascontiguousarray(found[:, :elements].T), driven, state[moved]
+
+
+def _for_kernel(law: SampledLaw, driven: FloatArray) -> Feedback:
+    """Return a law as the kernels read it; `driven` (periods, states) is what everything but the position puts into it.
+
+    That is where it is not in the elements' answers, as for an integrator, which the reference alone would carry far
+    away; else it is (0, states).
+    """
+    from jointid.simulation.kernels import Feedback
+
+    B, D = np.ascontiguousarray(law.B[:, :, POSITION]), np.ascontiguousarray(law.D[:, :, POSITION])
+    A, F, C, E = (np.ascontiguousarray(matrix) for matrix in (law.A, law.F, law.C, law.E))
+    return Feedback(A, B, F, C, D, E, law.limits, law.gates, driven, law.output, law.tap)
+
+
+def known_memory(law: SampledLaw, inputs: FloatArray) -> FloatArray:
+    """Return the states that all inputs but the position leave before the first period, when they moved uniformly."""
+    first = inputs[0]
+    slope = (inputs[1, REFERENCE] - first[REFERENCE]) / law.period if len(inputs) > 1 else 0.0
+    values, slopes = np.zeros(INPUTS), np.zeros(INPUTS)
+    known = [REFERENCE, REFERENCE_VELOCITY, DIRECTION, CONSTANT]
+    values[known], slopes[REFERENCE] = first[known], slope
+    return law.memories(values, slopes)
 
 
 def _parts(law: SampledLaw, repeat: int) -> tuple[FloatArray, NDArray[np.int64]]:
@@ -204,8 +291,10 @@ def _parts(law: SampledLaw, repeat: int) -> tuple[FloatArray, NDArray[np.int64]]
 
 
 def _far(law: SampledLaw, feedforward: FloatArray, after_limit: FloatArray) -> float:
-    gain = abs(law.D[POSITION])
-    if gain == 0.0:
+    # Of a fast loop most of the gain within a period is that of the velocity, and holds no position.
+    slowly = float(law.feedback(np.array([_SLOWLY / law.period]))[0])
+    gain = min(law.stiffness, slowly)
+    if not gain > 0.0:
         return math.inf
     asked = feedforward / gain
     travel = float(np.ptp(asked) + np.max(np.abs(after_limit)) / gain)

@@ -12,6 +12,10 @@ exact to rounding; each sliding, sticking and direction mode of the two masses h
 
 A rigid joint is the same drive with no spring and a load that nothing pushes: the load sticks for ever.
 
+Gravity depends on the position, but slowly: over a part of a period it is held, as the torque is, at what it is in
+mid-part (`_gravity`), and a held force on the load needs nothing new (see `run`). What holding costs is an error of
+second order in the period, the only one here.
+
 State ``x`` = motor position, motor velocity, load position, load velocity. Every function called from `run` lives
 in this file, because the cache on disk does not notice edits in another one. They pass numbers and tuples rather
 than arrays: Numba counts references to an array at each call, with an atomic operation as dear as thirty others.
@@ -85,6 +89,16 @@ class _Drive(NamedTuple):
     offset2: float
 
 
+class _Gravity(NamedTuple):
+    """What depends on the position: the row of coefficients that `run` is given."""
+
+    cos: float
+    sin: float
+    rate: float
+    angle: float
+    of_load: bool
+
+
 class _Motion(NamedTuple):
     """The drive in one mode, where it is linear; a mass at rest is one that no force can move."""
 
@@ -116,6 +130,36 @@ class _Law(NamedTuple):
     before: float
 
 
+class Feedback(NamedTuple):
+    """A sampled law with what does not depend on the motion taken out (`jointid.model.controllers.SampledLaw`).
+
+    The arrays come by the phase of the law's cycle: A (phases, nz, nz), Bq (phases, nz) from the position, F (phases,
+    nz, elements) from what limits and gates take away, C (phases, elements, nz), D (phases, elements) from the
+    position, E (phases, elements, elements); limits and gates are (elements,), of all phases. `driven` (periods, nz) is
+    what else goes into the states; (0, nz) where the responses `w` hold it. `output` is the element whose value acts,
+    `tap` the one that is the torque's limit.
+    """
+
+    A: FloatArray
+    Bq: FloatArray
+    F: FloatArray
+    C: FloatArray
+    D: FloatArray
+    E: FloatArray
+    limits: FloatArray
+    gates: IntArray
+    driven: FloatArray
+    output: int
+    tap: int
+
+
+NO_FEEDBACK = Feedback(
+    np.zeros((1, 0, 0)), np.zeros((1, 0)), np.zeros((1, 0, 1)), np.zeros((1, 1, 0)), np.zeros((1, 1)),
+    np.zeros((1, 1, 1)), np.full(1, np.inf), np.full(1, -1, dtype=np.int64), np.zeros((0, 0)), 0, 0,
+)  # fmt: skip
+"""That of a torque which is prescribed: its response is all there is."""
+
+
 @inlined
 def _motion(p: _Drive, m1: int, m2: int) -> _Motion:
     """Return the drive in one mode."""
@@ -145,6 +189,18 @@ def _settled(p: _Drive, x: State, s: float, mass: int) -> int:
     elif push < -backwards:
         mode = -1
     return mode
+
+
+@inlined
+def _gravity(g: _Gravity, q: float, v: float, slid: float, h: float, since: float) -> float:
+    """Return gravity's force where its mass will be in the middle of a part of `h` seconds.
+
+    The acceleration is that since the last part began, `since` seconds ago, with the velocity `slid`. A mass at rest
+    may stay, so its force is what it is now, to the last bit.
+    """
+    ahead = 0.5 * h * (v + 0.25 * h / since * (v - slid)) if v != 0.0 else 0.0
+    phase = g.angle * (q + ahead)
+    return g.cos * math.cos(phase) + g.sin * math.sin(phase) + g.rate * (q + ahead)
 
 
 @inlined
@@ -513,14 +569,56 @@ def _after(mode: int, loose: int, back: bool, settled: int) -> tuple[int, int]:
 
 
 @inlined
-def _feedback(A: FloatArray, Bq: FloatArray, Be: FloatArray, C: FloatArray, nz: int) -> tuple[float, ...]:
-    """Return the coefficients of a feedback of at most two states."""
+def _small(feedback: Feedback, nz: int) -> tuple[float, ...]:
+    """Return the coefficients of a feedback of at most two states, one limit and one phase."""
+    A, C, b, e = feedback.A, feedback.C, feedback.Bq, feedback.F
     law = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     if nz == 1:
-        law = C[0], 0.0, A[0, 0], 0.0, 0.0, 0.0, Bq[0], 0.0, Be[0], 0.0
+        law = C[0, 0, 0], 0.0, A[0, 0, 0], 0.0, 0.0, 0.0, b[0, 0], 0.0, e[0, 0, 0], 0.0
     if nz == 2:
-        law = C[0], C[1], A[0, 0], A[0, 1], A[1, 0], A[1, 1], Bq[0], Bq[1], Be[0], Be[1]
+        law = (
+            C[0, 0, 0], C[0, 0, 1], A[0, 0, 0], A[0, 0, 1], A[0, 1, 0], A[0, 1, 1], b[0, 0], b[0, 1],
+            e[0, 0, 0], e[0, 1, 0],
+        )  # fmt: skip
     return law
+
+
+@inlined
+def _control_any(
+    feedback: Feedback,
+    w: FloatArray,
+    k: int,
+    q: float,
+    z: FloatArray,
+    new: FloatArray,
+    raw: FloatArray,
+    cut: FloatArray,
+) -> None:
+    """Evaluate any law: write what its elements would put out and what their limits and gates take; move its states."""
+    phase, nz = k % feedback.A.shape[0], z.size
+    for i in range(cut.size):
+        value = w[i, k] + feedback.D[phase, i] * q
+        for j in range(nz):
+            value += feedback.C[phase, i, j] * z[j]
+        for j in range(i):
+            value += feedback.E[phase, i, j] * cut[j]
+        raw[i], cut[i] = value, 0.0
+        if feedback.gates[i] >= 0:
+            if value * cut[feedback.gates[i]] < 0.0:
+                cut[i] = -value
+        elif abs(value) > feedback.limits[i]:
+            cut[i] = math.copysign(feedback.limits[i], value) - value
+    for i in range(nz):
+        value = feedback.Bq[phase, i] * q
+        if feedback.driven.shape[0] > 0:
+            value += feedback.driven[k, i]
+        for j in range(nz):
+            value += feedback.A[phase, i, j] * z[j]
+        for j in range(cut.size):
+            value += feedback.F[phase, i, j] * cut[j]
+        new[i] = value
+    for i in range(nz):
+        z[i] = new[i]
 
 
 @inlined
@@ -635,24 +733,22 @@ def run(
     lengths: FloatArray,
     lags: IntArray,
     z: FloatArray,
-    A: FloatArray,
-    Bq: FloatArray,
-    Be: FloatArray,
-    C: FloatArray,
-    D: float,
-    limit: float,
+    feedback: Feedback,
     w: FloatArray,
     post: FloatArray,
     before: float,
     x: FloatArray,
     far: float,
     u: FloatArray,
+    tapped: FloatArray,
+    excess: FloatArray,
     states: FloatArray,
     modes: NDArray[np.int8],
     tape: FloatArray,
     counts: IntArray,
+    gravity: FloatArray | None = None,
 ) -> int:
-    """Simulate one loop; fill `u`, `states`, `modes` and `tape` and return how it ended.
+    """Simulate one loop; fill `u`, `tapped`, `excess`, `states`, `modes` and `tape` and return how it ended.
 
     Args:
         drive: (14,) coefficients: inertias, stiffness, damping; viscous forwards, backwards, Coulomb forwards,
@@ -660,24 +756,25 @@ def run(
         lengths: (parts,) seconds of each part of a controller period, first to last.
         lags: (parts,) how many periods ago the torque that acts in each part was computed.
         z: (nz,) state of the controller's feedback; may be overwritten.
-        A: (nz, nz) of the feedback ``u = clip(w + C z + D q)``, ``z+ = A z + Bq q + Be (u - before clipping)``.
-        Bq: (nz,), from the position.
-        Be: (nz,), from what the limit cut off.
-        C: (nz,).
-        D: direct gain from the position.
-        limit: of the controller's output.
-        w: (periods,) response of the controller to its reference and to what is added before the limit.
+        feedback: the controller.
+        w: (elements, periods) response of its elements to its reference and to what is added before the limit.
         post: (periods,) what is added after the limit.
         before: torque that acted before the first period.
         x: (4,) initial state, overwritten.
         far: a motor position beyond which the loop counts as diverged.
-        u: (periods,) out, controller output after its limit.
+        u: (periods,) out, the torque that acts.
+        tapped: (periods,) out, the controller's output behind its limit, where that is another; else (0,).
+        excess: (periods, elements) out, what limits and gates took away; or (0, elements). Not of a law of one limit,
+            at most two states and one phase, where `u` says it.
         states: (periods * parts, 4) out, states at the start of every part; or (0, 4).
         modes: (periods * parts,) out, ``3 m1 + m2 + 4`` of the modes every part began in; empty when `states` is.
         tape: (rows, TAPE) out, the Taylor steps of the parts with events; their number is counted beyond the rows, too.
         counts: (4,) out: events, Taylor steps, periods simulated, periods at the limit.
+        gravity: (5,) factors of the cosine and the sine of an angle, and of the position; the angle per position; 1 if
+            it is the load's, whose spring then holds it, and 0 if it is the motor's. Where there is none the compiler
+            leaves out all that it would take.
     """
-    n, parts, nz = w.size, lengths.size, z.size
+    n, parts, nz = w.shape[1], lengths.size, z.size
     p = _Drive(
         drive[0], drive[1], drive[2], drive[3], drive[4], drive[5], drive[6],
         drive[7], drive[8], drive[9], drive[10], drive[11], drive[12], drive[13],
@@ -688,18 +785,23 @@ def run(
     maps = np.empty(parts * 9 * _MAP)
     filled = np.zeros(9, dtype=np.bool_)
     c = np.empty((_STACK + _DEPTH, _ORDER + 3))
-    new = np.empty(nz)
+    new, raw, cut = np.empty(nz), np.zeros(w.shape[0]), np.zeros(w.shape[0])
     x0, x1, x2, x3 = x[0], x[1], x[2], x[3]
     m1 = 0 if x1 == 0.0 else (1 if x1 > 0.0 else -1)
     m2 = 0 if x3 == 0.0 else (1 if x3 > 0.0 else -1)
     keep = states.shape[0] > 0
     events, steps, clipped = 0, 0, 0
     status = FINISHED
-    simple = parts == 1 and nz <= 2
-    a = _feedback(A, Bq, Be, C, nz if simple else 0)
-    law = _Law(a[0], a[1], a[2], a[3], a[4], a[5], a[6], a[7], a[8], a[9], D, nz == 2, limit, lags[0], before)
+    alone = feedback.D.size == 1 and feedback.driven.shape[0] == 0  # one phase, one element
+    simple = parts == 1 and nz <= 2 and alone and gravity is None
+    a = _small(feedback, nz if simple else 0)
+    direct, limit, sole = feedback.D[0, 0], feedback.limits[0], w[0]
+    law = _Law(a[0], a[1], a[2], a[3], a[4], a[5], a[6], a[7], a[8], a[9], direct, nz == 2, limit, lags[0], before)
     memory = z[0] if simple and nz > 0 else 0.0, z[1] if simple and nz > 1 else 0.0
     bound, last = np.inf, 0.0
+    if gravity is not None:
+        g = _Gravity(gravity[0], gravity[1], gravity[2], gravity[3], gravity[4] > 0.0)
+        slid, since = x3 if g.of_load else x1, lengths[0]
     k = 0
     while k < n and status == FINISHED:
         if simple:
@@ -711,14 +813,14 @@ def run(
                 _fill_map(maps, b, p, m1, m2, lengths[0])
             if m1 != 0 and m2 != 0:
                 k, limited, start, memory = _glide(
-                    False, p, law, w, post, u, states, maps, b, m1, m2, memory, start, bound, last, k
+                    False, p, law, sole, post, u, states, maps, b, m1, m2, memory, start, bound, last, k
                 )
             elif m1 != 0 or m2 != 0:
                 k, limited, start, memory = _glide(
-                    True, p, law, w, post, u, states, maps, b, m1, m2, memory, start, bound, last, k
+                    True, p, law, sole, post, u, states, maps, b, m1, m2, memory, start, bound, last, k
                 )
             else:
-                k, limited, start, memory = _rest(p, law, w, post, u, states, memory, start, k)
+                k, limited, start, memory = _rest(p, law, sole, post, u, states, memory, start, k)
             x0, x1, x2, x3 = start
             clipped += limited
             if keep:
@@ -726,19 +828,14 @@ def run(
             if k == n:
                 break
         else:
-            raw = w[k] + D * x0
-            for i in range(nz):
-                raw += C[i] * z[i]
-            command = min(max(raw, -limit), limit)
-            for i in range(nz):
-                new[i] = Bq[i] * x0 + Be[i] * (command - raw)
-                for j in range(nz):
-                    new[i] += A[i, j] * z[j]
-            for i in range(nz):
-                z[i] = new[i]
-            if command != raw:
+            _control_any(feedback, w, k, x0, z, new, raw, cut)
+            u[k] = raw[feedback.output] + cut[feedback.output]
+            if tapped.size > 0:
+                tapped[k] = raw[feedback.tap] + cut[feedback.tap]
+            if excess.shape[0] > 0:
+                excess[k] = cut
+            if cut[feedback.tap] != 0.0:
                 clipped += 1
-            u[k] = command
         if not (abs(x0) <= far and abs(u[k]) < np.inf):
             status = DIVERGED
             break
@@ -748,6 +845,16 @@ def run(
                 states[row, 0], states[row, 1], states[row, 2], states[row, 3] = x0, x1, x2, x3
             source = k - lags[part]
             s = u[source] + post[source] if source >= 0 else before
+            if gravity is not None:
+                q, v = (x2, x3) if g.of_load else (x0, x1)
+                force = _gravity(g, q, v, slid, lengths[part], since)
+                slid, since = v, lengths[part]
+                # A load that a constant force pulls moves as one that hangs lower by what this stretches the spring,
+                # behind a motor that has so much less torque: then both see what they see without it.
+                shift = force / p.stiffness if g.of_load else 0.0
+                s -= force
+                stood, hung = x2, x2 + shift
+                x2 = hung
             if x1 == 0.0:
                 m1 = _settled(p, (x0, x1, x2, x3), s, 0)
             if x3 == 0.0:
@@ -783,6 +890,8 @@ def run(
                     status = CHATTERING
                 elif steps > _WORK * n + 10_000:
                     status = TOO_STIFF
+            if gravity is not None:
+                x2 = stood + (x2 - hung)  # exactly where it stood, if it did
         k += 1
     x[0], x[1], x[2], x[3] = x0, x1, x2, x3
     counts[0], counts[1], counts[2], counts[3] = events, steps, k, min(clipped, k)

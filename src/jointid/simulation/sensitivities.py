@@ -8,6 +8,7 @@ too: the law is run on the simulated position at two neighbouring values, and is
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,7 +16,8 @@ import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.data.record import FloatArray, Tap, Timing
-from jointid.model.controllers import EXCESS, POSITION, REFERENCE, REFERENCE_VELOCITY, Controller, SampledLaw
+from jointid.model.controllers import POSITION, SampledLaw, number, respond, with_numbers
+from jointid.model.joints import Joint
 from jointid.simulation.closed_loop import (
     Initial,
     Outcome,
@@ -24,15 +26,22 @@ from jointid.simulation.closed_loop import (
     acting,
     as_logged,
     averages,
+    first_state,
     response_of,
     run,
+    seen_torque,
 )
-from jointid.simulation.experiment import ClosedLoop, Experiment
+from jointid.simulation.experiment import ClosedLoop, Experiment, known_memory
 
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
+_FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
 _SMALL = 1e-6  # of a joint's value: where steady motion begins is a rational function of it
 _TAPED = 1000  # rows of the tape to begin with
-_INITIAL = {"initial_position": (1.0, 0.0), "initial_velocity": (0.0, 1.0)}
+_INITIAL = {
+    "initial_position": (1.0, 0.0, 0.0),
+    "initial_velocity": (0.0, 1.0, 0.0),
+    "initial_torque": (0.0, 0.0, 1.0),
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,8 +76,8 @@ def simulate_sensitivities(
         loop: joint and controller.
         experiment: what they are driven with.
         values: every parameter of the joint by name.
-        names: of parameters of the joint, "initial_position", "initial_velocity", or numbers of the controller ("kp",
-            "kv", "gain", "limit", "delay", ...).
+        names: of parameters of the joint, "initial_position", "initial_velocity", "initial_torque", or numbers of the
+            controller ("kp", "kv", "gain", "limit", "delay", "velocity_filter.time_constant", ...).
         initial: where the motor is at the first sample.
         positions: also return the derivatives of the positions.
 
@@ -76,12 +85,12 @@ def simulate_sensitivities(
     towards longer delays; for a motor at rest, that by its velocity is of a load that moves along.
 
     Raises:
-        MethodError: a name is none of these.
+        MethodError: a name is none of these, or of a part that is not there, as a `ki` of 0.
     """
     for name in names:
         if _is_of_law(loop, name):
-            _number(loop.controller, name)
-    rows = _TAPED + experiment.feedforward.size // 16
+            number(loop.controller, name)
+    rows = _TAPED + experiment.periods // 16
     out = run(loop, experiment, values, initial, keep=True, taped=rows)
     if out.counts[1] > rows:  # a joint that turns round and sticks all the time
         out = run(loop, experiment, values, initial, keep=True, taped=int(out.counts[1]))
@@ -95,8 +104,11 @@ def simulate_sensitivities(
     blocks = [order[i : i + _lanes()] for i in range(0, len(order), _lanes())]
     followed = [_followed(loop, experiment, values, [names[i] for i in block], out, positions) for block in blocks]
     back = np.argsort(order) if order != sorted(order) else slice(None)
-    command = _joined([du[:, : len(block)] for (du, _), block in zip(followed, blocks, strict=True)])[:, back]
-    states = _joined([s[experiment.looked] if positions else s for _, s in followed])[:, ::2, back]
+    acts, behind = (
+        _joined([one[i][:, : len(block)] for one, block in zip(followed, blocks, strict=True)])[:, back] for i in (0, 1)
+    )
+    command = behind if experiment.tap is Tap.COMMAND else acts
+    states = _joined([s[experiment.looked] if positions else s for _, _, s in followed])[:, ::2, back]
     flexible = loop.joint.model == "flexible"
     return Sensitivities(
         response,
@@ -125,7 +137,7 @@ def _logged(experiment: Experiment, out: Run, command: FloatArray, names: Sequen
     torque = as_logged(experiment, command)
     if "delay" in names and experiment.tap is Tap.MEASURED and experiment.timing is Timing.AVERAGED:
         # An edge of the torque that moves takes its height from the mean over the sample time it stands in.
-        edges = -np.diff(acting(experiment, out.command + experiment.shown), prepend=out.before)
+        edges = -np.diff(acting(experiment, seen_torque(experiment, out)), prepend=out.before)
         torque[:, list(names).index("delay")] += averages(experiment, edges)
     return torque
 
@@ -137,39 +149,44 @@ def _followed(
     names: Sequence[str],
     out: Run,
     positions: bool,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the derivatives of the output, (periods, lanes), and of the states, (periods * parts, 4, names)."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the derivatives of the output and of that behind the limit, (periods, lanes), and of the states.
+
+    Those are (periods * parts, 4, names).
+    """
     from jointid.simulation import tangents
 
-    law, width = experiment.law, tangents.LANES
+    law, width = experiment.feedback, tangents.LANES
     own = {p.name for p in loop.joint.parameters}
-    seeds, start = np.zeros((14, width)), np.zeros((4, width))
-    memory, delay, limit = np.zeros((law.C.size, width)), np.zeros(width), np.zeros(width)
+    seeds, weights, start = np.zeros((14, width)), np.zeros((3, width)), np.zeros((4, width))
+    memory, delay, limits = np.zeros((law.order, width)), np.zeros(width), np.zeros((law.limits.size, width))
     explicit = []
     for j, name in enumerate(names):
         if name in own:
-            seeds[:, j] = _seed(loop, name)
+            seeds[:, j], weights[:, j] = _seed(loop.joint, name), gravity_seed(loop.joint, name)
             start[:, j] = _start_slope(loop, values, name, out)
         elif name in _INITIAL:
             at = _INITIAL[name]
-            start[:, j] = _moved_start(loop, values, out, *at)
-            memory[:, j] = law.memory(POSITION, *at)
+            start[:, j] = _moved_start(loop, values, out, *at[:2]) if any(at[:2]) else 0.0
+            memory[:, j] = _moved_memory(experiment, out, at)
         elif name == "delay":
             delay[j] = 1.0
         else:
-            column, limit[j] = _explicit(loop, experiment, out, name)
+            column, limits[:, j] = _explicit(loop, experiment, out, name)
             explicit.append(column)
     spring, side, dspring, dinertia, dside = by_mode(out.drive, seeds)
     command = np.empty((out.command.size, width))
     states = np.empty((len(out.states) if positions else 0, 4, width))
-    explained = np.column_stack([np.zeros((out.command.size, 0)), *explicit])
+    periods, elements = len(out.command), law.limits.size
+    tapped = np.empty((periods if law.tap != law.output else 0, width))
+    explained = np.stack(explicit, axis=2) if explicit else np.zeros((periods, elements, 0))
     tangents.follow(
         experiment.lengths, experiment.lags, out.states, out.modes, out.tape, int(out.counts[1]), out.command,
-        experiment.after_limit, out.before, law.limit, law.A, np.ascontiguousarray(law.B[:, POSITION]),
-        np.ascontiguousarray(law.B[:, EXCESS]), law.C, law.D[POSITION], spring, side, dspring, dinertia, dside,
-        explained, len(names) - len(explicit), delay, limit, start, memory, command, states,
+        experiment.after_limit, out.before, out.excess, experiment.kernel, spring, side, dspring, dinertia, dside,
+        explained, len(names) - len(explicit), delay, limits, start, memory, command, tapped, states,
+        out.gravity, None if out.gravity is None else weights,
     )  # fmt: skip
-    return command, states[:, :, : len(names)]
+    return command, tapped if len(tapped) else command, states[:, :, : len(names)]
 
 
 def by_mode(drive: FloatArray, seeds: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -186,10 +203,16 @@ def by_mode(drive: FloatArray, seeds: FloatArray) -> tuple[FloatArray, FloatArra
     return drive[2:4].copy(), side, seeds[2:4].copy(), seeds[:2] / drive[:2, np.newaxis], dside
 
 
-def _seed(loop: ClosedLoop, name: str) -> FloatArray:
+def _seed(joint: Joint, name: str) -> FloatArray:
     """Return how the drive's coefficients depend on a parameter of the joint: they are linear in it."""
-    nothing = {p.name: 0.0 for p in loop.joint.parameters}
-    return np.asarray(loop.joint.coefficients(nothing | {name: 1.0}) - loop.joint.coefficients(nothing))
+    nothing = {p.name: 0.0 for p in joint.parameters}
+    return np.asarray(joint.coefficients(nothing | {name: 1.0}) - joint.coefficients(nothing))
+
+
+def gravity_seed(joint: Joint, name: str) -> FloatArray:
+    """Return how the factors of gravity depend on a parameter of the joint, (3,): they are linear in it."""
+    one = joint.gravity_coefficients({p.name: float(p.name == name) for p in joint.parameters})
+    return np.zeros(3) if one is None else one[:3]
 
 
 def _start_slope(loop: ClosedLoop, values: Mapping[str, float], name: str, out: Run) -> FloatArray:
@@ -202,67 +225,79 @@ def _start_slope(loop: ClosedLoop, values: Mapping[str, float], name: str, out: 
 def _moved_start(
     loop: ClosedLoop, values: Mapping[str, float], out: Run, position: float, velocity: float
 ) -> FloatArray:
-    """Return how the first state depends on the motor's position (1, 0) or velocity (0, 1): affine beside 0."""
+    """Return how the first state depends on the motor's position (1, 0) or velocity (0, 1).
+
+    It is affine in both, on one side of 0, but for what gravity bends.
+    """
     if velocity and out.velocity == 0.0:  # the drag of steady motion jumps there
         return np.array([0.0, 1.0, 0.0, 1.0])
-    by = (position, velocity * 0.5 * out.velocity)
+    step = 1.0 if out.gravity is None else _SMALL
+    by = (step * position, step * velocity * 0.5 * out.velocity)
     moved = loop.joint.start(values, out.position + by[0], out.velocity + by[1])
     return np.asarray((moved - loop.joint.start(values, out.position, out.velocity)) / (by[0] + by[1]))
 
 
-def _explicit(loop: ClosedLoop, experiment: Experiment, out: Run, name: str) -> tuple[FloatArray, float]:
-    """Return how the output, (periods,), and its limit depend on a number of the law.
+def _moved_memory(experiment: Experiment, out: Run, by: tuple[float, float, float]) -> FloatArray:
+    """Return how the feedback's first states depend on the motor's position and velocity, and on the torque: affine."""
+    ends = []
+    for size in (0.0, 1.0):
+        torque = None if out.torque is None else out.torque + size * by[2]
+        ends.append(first_state(experiment, out.position + size * by[0], out.velocity + size * by[1], torque)[0])
+    return np.asarray(ends[1] - ends[0])
 
-    The position, and what the limit cut off, are held.
+
+def _explicit(loop: ClosedLoop, experiment: Experiment, out: Run, name: str) -> tuple[FloatArray, FloatArray]:
+    """Return how the elements, (periods, elements), and their limits, (elements,), depend on a number of the law.
+
+    The position, and what limits and gates take away, are held.
+
+    Raises:
+        MethodError: the law has another structure beside the number, as without an integral.
     """
-    value = _number(loop.controller, name)
-    step = _STEP * (abs(value) or 1.0)
-    law = experiment.law
-    inputs = _signals(experiment, out)
-    if np.any(law.B[:, EXCESS]):
-        # From the output itself: what the limit cut off is its difference from the law's.
-        cut, into = np.append(law.D, 0.0), law.B[:, EXCESS]
-        back = replace(law, A=law.A - np.outer(into, law.C), B=law.B - np.outer(into, cut))
-        inputs[:, EXCESS] = out.command
-        inputs[:, EXCESS] -= _answer(back, inputs, out)
-    low, high = (_law(loop.controller, name, value + by, experiment) for by in (-step, step))
-    slope = (_answer(high, inputs, out) - _answer(low, inputs, out)) / (2 * step)
-    limit = 0.0 if high.limit == low.limit else (high.limit - low.limit) / (2 * step)
-    return slope, limit
-
-
-def _law(controller: Controller, name: str, value: float, experiment: Experiment) -> SampledLaw:
-    changed: Controller = replace(controller, **{name: value})  # type: ignore[type-var]
-    return changed.law(experiment.sample_time)
-
-
-def _number(controller: Controller, name: str) -> float:
-    value = getattr(controller, name, None)
-    if name == "period" or not isinstance(value, float | int) or isinstance(value, bool):
+    value = number(loop.controller, name)
+    if not math.isfinite(value):  # a limit that never acts
+        return np.zeros_like(out.excess), np.zeros(experiment.law.limits.size)
+    unit = experiment.law.period if name.endswith("delay") else 1.0
+    steps = (-_STEP * abs(value), _STEP * abs(value)) if value else (0.0, _FROM_NOTHING * unit)
+    inputs = experiment.inputs.copy()
+    inputs[:, POSITION] = out.states[:: experiment.lengths.size, 0]
+    held = _cut(experiment, out, inputs)
+    low, high = (with_numbers(loop.controller, {name: value + by}).law(experiment.sample_time) for by in steps)
+    if high.limits.size != low.limits.size or (high.integral() is None) != (low.integral() is None):
         raise MethodError(
-            f'"{name}" is no parameter of the joint, no initial state and no number of this '
-            f"{type(controller).__name__}, so it has no derivative; name one of these."
+            f"The {name} of this controller is 0, and what it belongs to is not there, so it has no derivative; "
+            "declare another."
         )
-    return float(value)
+    width = steps[1] - steps[0]
+    slope = (_answer(high, inputs, out, held) - _answer(low, inputs, out, held)) / width
+    with np.errstate(invalid="ignore"):
+        limits = np.where(np.isinf(low.limits), 0.0, (high.limits - low.limits) / width)
+    return slope, limits
 
 
-def _signals(experiment: Experiment, out: Run) -> FloatArray:
-    """Return all inputs of the law as they were in a run, (periods, 4)."""
-    position = out.states[:: experiment.lengths.size, 0]
-    return np.column_stack([experiment.inputs[:, :POSITION], position, np.zeros(position.size)])
+def _cut(experiment: Experiment, out: Run, inputs: FloatArray) -> FloatArray:
+    """Return what limits and gates took away, (periods, elements)."""
+    law = experiment.law
+    if law.limits.size > 1 or law.phases > 1 or len(experiment.kernel.driven):
+        return out.excess
+    if not np.any(law.F):
+        return np.zeros_like(out.excess)
+    # One limit that is fed back: what it cut off is the difference of the output from the law's own.
+    output = out.command[:, np.newaxis]
+    back = replace(law, A=law.A - law.F @ law.C, B=law.B - law.F @ law.D)
+    return np.asarray(output - respond(back, inputs, _begun(law, inputs, out), output))
 
 
-def _answer(law: SampledLaw, inputs: FloatArray, out: Run) -> FloatArray:
-    """Return the law's output before its limit, (periods,)."""
-    from jointid.data.recurrences import respond
+def _answer(law: SampledLaw, inputs: FloatArray, out: Run, excess: FloatArray) -> FloatArray:
+    """Return the elements before their limits, (periods, elements), with what these take away given."""
+    return respond(law, inputs, _begun(law, inputs, out), excess)
 
-    reference, velocity = inputs[:, REFERENCE], inputs[:, REFERENCE_VELOCITY]
-    slope = (reference[1] - reference[0]) / law.period
-    state = (
-        law.memory(REFERENCE, reference[0], slope)
-        + law.memory(REFERENCE_VELOCITY, velocity[0], 0.0)
-        + law.memory(POSITION, out.position, out.velocity)
-    )
-    answer = np.empty(len(inputs))
-    respond(law.A, np.ascontiguousarray(law.B), law.C, np.append(law.D, 0.0), state, inputs, answer)
-    return answer
+
+def _begun(law: SampledLaw, inputs: FloatArray, out: Run) -> FloatArray:
+    """Return all states of a law at the first period of a run, (states,)."""
+    state = known_memory(law, inputs) + law.memory(POSITION, out.position, out.velocity)
+    integral = law.integral() if out.torque is not None else None
+    if integral is None or out.torque is None:
+        return state
+    first = law.C[0, law.output] @ state + law.D[0, law.output] @ inputs[0]
+    return np.asarray(state + integral * (out.torque - first))

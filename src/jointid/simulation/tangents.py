@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from jointid.common.compiled import compiled, inlined
 from jointid.data.record import FloatArray
+from jointid.simulation.kernels import Feedback
 
 Motion: TypeAlias = tuple[float, float, float, float, float]
 
@@ -38,8 +39,10 @@ _FACTOR = np.array([1.0 / math.factorial(i) for i in range(_ORDER + 1)])
 
 # Rows of the scratch, LANES long: derivatives of the state, what parameters change in the map, the derivatives of the
 # torque that acts, of a Taylor series, of two states of the law, of its output and its limit; then what parameters
-# change in the output.
-_S, _T, _DS, _W, _Z, _OUT, _LIMIT, _EXPLICIT, _ROWS = (LANES * row for row in (0, 4, 8, 9, 12, 14, 15, 16, 17))
+# change in the output; then, in gravity, the derivatives of the velocity of its mass at the last part, of how far its
+# force hangs the load, of its factors, and of the stiffness.
+_S, _T, _DS, _W, _Z, _OUT, _LIMIT, _EXPLICIT = (LANES * row for row in (0, 4, 8, 9, 12, 14, 15, 16))
+_SLID, _HUNG, _WEIGHT, _DK, _ROWS = (LANES * row for row in (17, 18, 19, 22, 23))
 
 
 class _Law(NamedTuple):
@@ -186,6 +189,31 @@ def _through_events(
 
 
 @inlined
+def _hang(
+    q: FloatArray, gravity: FloatArray, stiffness: float, x: float, v: float, slid: float, h: float, since: float
+) -> tuple[float, float]:
+    """Return gravity's force in a part, and how far it hangs the load; move the derivatives to what `kernels` sees."""
+    of_load = gravity[4] > 0.0
+    at = _S + (2 * LANES if of_load else 0)
+    ahead, bend = (0.5 * h, 0.25 * h / since) if v != 0.0 else (0.0, 0.0)
+    middle = x + ahead * (v + bend * (v - slid))
+    cos, sin = math.cos(gravity[3] * middle), math.sin(gravity[3] * middle)
+    force = gravity[0] * cos + gravity[1] * sin + gravity[2] * middle
+    slope = gravity[3] * (gravity[1] * cos - gravity[0] * sin) + gravity[2]
+    compliance = 1.0 / stiffness if of_load else 0.0
+    for j in range(LANES):
+        dx, dv = q[at + j], q[at + LANES + j]
+        by_factors = (q[_WEIGHT + j] * cos + q[_WEIGHT + LANES + j] * sin) + q[_WEIGHT + 2 * LANES + j] * middle
+        dforce = slope * (dx + ahead * (dv + bend * (dv - q[_SLID + j]))) + by_factors
+        dhung = compliance * (dforce - compliance * force * q[_DK + j])
+        q[_SLID + j] = dv
+        q[_DS + j] -= dforce
+        q[_HUNG + j] = dhung
+        q[_S + 2 * LANES + j] += dhung
+    return force, compliance * force
+
+
+@inlined
 def _control(q: FloatArray, law: _Law, saturated: float, at: int, du: FloatArray) -> None:
     """Write the derivatives of the output of a law of two states at most, and move those of its states.
 
@@ -204,34 +232,61 @@ def _control(q: FloatArray, law: _Law, saturated: float, at: int, du: FloatArray
         du[row, j] = q[_OUT + j]
 
 
-@inlined
+@compiled
 def _control_any(
-    q: FloatArray, z: FloatArray, A: FloatArray, Bq: FloatArray, Be: FloatArray, C: FloatArray, D: float,
-    saturated: float, at: int, du: FloatArray,
+    q: FloatArray, z: FloatArray, e: FloatArray, feedback: Feedback, excess: FloatArray, explicit: FloatArray,
+    first_explicit: int, dlimits: FloatArray, at: int, du: FloatArray, dtapped: FloatArray,
 ) -> None:  # fmt: skip
-    """Do the same for a law of any number of states, the rows of `z`, which has their next values below them."""
-    free, nz = 1.0 - abs(saturated), C.size
-    for j in range(LANES):
-        raw = D * q[_S + j] + q[_EXPLICIT + j]
-        for i in range(nz):
-            raw += C[i] * z[i, j]
-        out = free * raw + saturated * q[_LIMIT + j]
-        for i in range(nz):
-            z[nz + i, j] = Bq[i] * q[_S + j] + Be[i] * (out - raw)
-            for other in range(nz):
-                z[nz + i, j] += A[i, other] * z[other, j]
-        du[at, j] = out
+    """Do the same for any law; `z` are its states' derivatives, with their next values below, `e` its excesses'.
+
+    Where a limit acts its value follows the limit alone, and where a gate is closed nothing passes.
+    """
+    phase, nz, elements = at % feedback.A.shape[0], feedback.A.shape[1], e.shape[0]
+    for i in range(elements):
+        for j in range(LANES):
+            q[_W + j] = feedback.D[phase, i] * q[_S + j]
+        for j in range(explicit.shape[2]):
+            q[_W + first_explicit + j] += explicit[at, i, j]
+        for other in range(nz):
+            for j in range(LANES):
+                q[_W + j] += feedback.C[phase, i, other] * z[other, j]
+        for other in range(i):
+            for j in range(LANES):
+                q[_W + j] += feedback.E[phase, i, other] * e[other, j]
+        cut = excess[at, i]
+        acts = 0.0 if cut == 0.0 else 1.0
+        sign = -math.copysign(1.0, cut) if feedback.gates[i] < 0 else 0.0
+        for j in range(LANES):
+            e[i, j] = acts * (sign * dlimits[i, j] - q[_W + j])
+            q[_OUT + j] = q[_W + j] + e[i, j]
+        if i == feedback.output:
+            du[at] = q[_OUT : _OUT + LANES]
+        if i == feedback.tap and dtapped.shape[0] > 0:
+            dtapped[at] = q[_OUT : _OUT + LANES]
+    for i in range(nz):
+        for j in range(LANES):
+            z[nz + i, j] = feedback.Bq[phase, i] * q[_S + j]
+        for other in range(nz):
+            for j in range(LANES):
+                z[nz + i, j] += feedback.A[phase, i, other] * z[other, j]
+        for other in range(elements):
+            for j in range(LANES):
+                z[nz + i, j] += feedback.F[phase, i, other] * e[other, j]
     z[:nz] = z[nz:]
 
 
 @inlined
-def _law(A: FloatArray, Bq: FloatArray, Be: FloatArray, C: FloatArray, D: float) -> _Law:
-    """Return a feedback of two states at most as numbers."""
-    law = _Law(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, D)
-    if C.size == 1:
-        law = _Law(C[0], 0.0, A[0, 0], 0.0, 0.0, 0.0, Bq[0], 0.0, Be[0], 0.0, D)
-    if C.size == 2:
-        law = _Law(C[0], C[1], A[0, 0], A[0, 1], A[1, 0], A[1, 1], Bq[0], Bq[1], Be[0], Be[1], D)
+def _law(feedback: Feedback, nz: int) -> _Law:
+    """Return a feedback of two states at most, one limit and one phase as numbers."""
+    A, C, b, e, d = feedback.A, feedback.C, feedback.Bq, feedback.F, feedback.D[0, 0]
+    law = _Law(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, d)
+    if nz == 1:
+        law = _Law(C[0, 0, 0], 0.0, A[0, 0, 0], 0.0, 0.0, 0.0, b[0, 0], 0.0, e[0, 0, 0], 0.0, d)
+    if nz == 2:
+        law = _Law(
+            C[0, 0, 0], C[0, 0, 1], A[0, 0, 0], A[0, 0, 1], A[0, 1, 0], A[0, 1, 1], b[0, 0], b[0, 1],
+            e[0, 0, 0], e[0, 1, 0], d,
+        )  # fmt: skip
     return law
 
 
@@ -246,12 +301,8 @@ def follow(
     u: FloatArray,
     post: FloatArray,
     before: float,
-    limit: float,
-    A: FloatArray,
-    Bq: FloatArray,
-    Be: FloatArray,
-    C: FloatArray,
-    D: float,
+    excess: FloatArray,
+    feedback: Feedback,
     spring: FloatArray,
     side: FloatArray,
     dspring: FloatArray,
@@ -260,27 +311,33 @@ def follow(
     explicit: FloatArray,
     first_explicit: int,
     ddelay: FloatArray,
-    dlimit: FloatArray,
+    dlimits: FloatArray,
     S: FloatArray,
     Z: FloatArray,
     du: FloatArray,
+    dtapped: FloatArray,
     dstates: FloatArray,
+    gravity: FloatArray | None = None,
+    dgravity: FloatArray | None = None,
 ) -> None:
     """Fill `du` with LANES columns of derivatives of a finished run's output, and `dstates` with those of its states.
+
+    `dtapped` is filled with those of the output behind the torque's limit where that is another; else it is (0, LANES).
 
     What drives the run is given as to `kernels.run`, and what it left behind as it left it; `rows` of the tape are
     filled. The drive comes by the modes of its masses: `spring` (2,) stiffness and damping; `side` (mass 2, what 3,
     mode 3) mobility, viscous coefficient and constant force going backwards, at rest, forwards.
 
     The derivatives of all this come by columns: `dspring` (2, columns); `dinertia` (2, columns), relative to the
-    inertia; `dside` (mass 2, what 2, mode 3, columns) of viscous coefficient and constant force; `ddelay` and `dlimit`
-    (columns,) of the controller's delay and limit; `S` (4, columns) and `Z` (nz, columns) of the first state of the
-    drive and of the law. `explicit` (periods, n) is how the output depends on the parameters of columns
-    `first_explicit` and on, with the motor position and what the limit cut off held.
+    inertia; `dside` (mass 2, what 2, mode 3, columns) of viscous coefficient and constant force; `ddelay` (columns,)
+    of the controller's delay; `dlimits` (elements, columns) of its limits; `S` (4, columns) and `Z` (nz, columns) of
+    the first state of the drive and of the law. `explicit` (periods, elements, n) is how the elements depend on the
+    parameters of columns `first_explicit` and on, with the motor position and what limits and gates take away held.
 
     `du` is (periods, columns), `dstates` (periods * parts, 4, columns), at the start of every part, or (0, 4, columns).
+    Of a drive in gravity, `dgravity` (3, columns) are the derivatives of the first of `gravity`.
     """
-    n, parts, nz = u.size, lengths.size, C.size
+    n, parts, nz, elements = u.size, lengths.size, feedback.A.shape[1], feedback.limits.size
     inverse1, inverse2 = side[0, 0, 2], side[1, 0, 2]
     rate = math.sqrt(spring[0] * (inverse1 + inverse2)) + spring[1] * (inverse1 + inverse2)
     rate += max(abs(side[0, 1, 0]), abs(side[0, 1, 2])) * inverse1
@@ -289,23 +346,31 @@ def follow(
     M = np.empty((9 * parts, _INPUTS, 4 * LANES))
     filled = np.zeros(9 * parts, dtype=np.bool_)
     q, scratch, z = np.zeros(_ROWS), np.zeros(_ROWS), np.zeros((2 * nz, LANES))
+    e = np.zeros((elements, LANES))
     q[_S : _S + 4 * LANES] = S.reshape(-1)
     z[:nz] = Z
-    small, law = nz <= 2, _law(A, Bq, Be, C, D)
+    small = nz <= 2 and feedback.D.size == 1  # one phase, one element
+    law, limit = _law(feedback, nz if small else 0), feedback.limits[0]
     if small:
         q[_Z : _Z + nz * LANES] = Z.reshape(-1)
-    q[_LIMIT : _LIMIT + LANES] = dlimit
+    q[_LIMIT : _LIMIT + LANES] = dlimits[0]
     delayed = np.any(ddelay != 0.0)
+    if gravity is not None and dgravity is not None:
+        at = 3 if gravity[4] > 0.0 else 1
+        slid, since = states[0, at], lengths[0]
+        q[_SLID : _SLID + LANES] = S[at]
+        q[_WEIGHT : _WEIGHT + 3 * LANES] = dgravity.reshape(-1)
+        q[_DK : _DK + LANES] = dspring[0]
     keep = dstates.shape[0] > 0
     row, last = 0, before
     for k in range(n):
-        saturated = 0.0 if abs(u[k]) < limit else math.copysign(1.0, u[k])
-        for i in range(explicit.shape[1]):
-            q[_EXPLICIT + first_explicit + i] = explicit[k, i]
         if small:
+            saturated = 0.0 if abs(u[k]) < limit else math.copysign(1.0, u[k])
+            for i in range(explicit.shape[2]):
+                q[_EXPLICIT + first_explicit + i] = explicit[k, 0, i]
             _control(q, law, saturated, k, du)
         else:
-            _control_any(q, z, A, Bq, Be, C, D, saturated, k, du)
+            _control_any(q, z, e, feedback, excess, explicit, first_explicit, dlimits, k, du, dtapped)
         for part in range(parts):
             at = k * parts + part
             x0, x1, x2, x3 = states[at, 0], states[at, 1], states[at, 2], states[at, 3]
@@ -319,14 +384,22 @@ def follow(
                 for i in range(4):
                     for j in range(LANES):
                         dstates[at, i, j] = q[_S + i * LANES + j]
-            if delayed and s != last:
-                force = spring[0] * (x2 - x0) + spring[1] * (x3 - x1)
+            acting, pull = s, 0.0
+            if gravity is not None and dgravity is not None:
+                y, v = (x2, x3) if gravity[4] > 0.0 else (x0, x1)
+                pull, hung = _hang(q, gravity, spring[0], y, v, slid, lengths[part], since)
+                slid, since = v, lengths[part]
+                s -= pull
+                x2 += hung
+            if delayed and acting != last:
+                # What hangs the load, or pulls a rigid joint, acts on both sides of an edge of the torque.
+                force = spring[0] * (x2 - x0) + spring[1] * (x3 - x1) - pull
                 was = 1 + (1 if x1 > 0.0 else (-1 if x1 < 0.0 else 0))
                 kick = _acceleration(side, 0, was, last + force, x1)
-                kick -= _acceleration(side, 0, mode // 3, s + force, x1)
+                kick -= _acceleration(side, 0, mode // 3, acting + force, x1)
                 for j in range(LANES):
                     q[_S + LANES + j] += kick * ddelay[j]
-            last = s
+            last = acting
             if row < rows and tape[row, 0] == at:
                 row = _through_events(q, at, row, s, tape, rows, spring, side, dspring, dinertia, dside)
             else:
@@ -335,3 +408,6 @@ def follow(
                     filled[b] = True
                     _fill(scratch, lengths[part], rate, mode, b, phi, M, spring, side, dspring, dinertia, dside)
                 _step(q, phi, M, b, x1, x2 - x0, x3, s)
+            if gravity is not None and dgravity is not None:
+                for j in range(LANES):
+                    q[_S + 2 * LANES + j] -= q[_HUNG + j]

@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 from jointid.common.text import aligned, number
 from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
-from jointid.estimation.estimate import EstimatedParameter
+from jointid.data.transmission import transmission_lines
+from jointid.estimation.estimated import EstimatedParameter, on_other_side, shown
 from jointid.inference.repeatable import Repeatable
 from jointid.model.joints import Joint
+from jointid.model.sides import OtherSide
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.experiment import ClosedLoop
 from jointid.together.scatter import Agreement
@@ -98,6 +100,17 @@ class CommonEstimate:
         """The parameters that records share, by name, fixed ones included."""
         return {p.name: p.value for p in self.parameters if p.value is not None}
 
+    @property
+    def other(self) -> OtherSide | None:
+        """What takes these values to the other side of the transmission; None without one."""
+        gear = self.joint.transmission
+        return None if gear is None else OtherSide(gear, self.torque_unit)
+
+    @property
+    def other_side(self) -> tuple[EstimatedParameter, ...]:
+        """The shared parameters on the other side of the transmission, in the same order; none without one."""
+        return on_other_side(self.parameters, self.other)
+
     def __getitem__(self, name: str) -> EstimatedParameter:
         """Return a parameter by its name or symbol; ``name@2`` is the second record's own."""
         plain, _, which = name.partition("@")
@@ -110,6 +123,7 @@ class CommonEstimate:
     def __str__(self) -> str:
         """Return the tables, with residuals and warnings."""
         lines = [f"{self.joint.model.capitalize()} joint, {len(self.records)} records together, DIDIM by least squares"]
+        lines += transmission_lines(self.joint.transmission)
         for k, record in enumerate(self.records, 1):
             unit = next(p.unit for p in self.parameters + record.parameters if p.name.endswith("inertia"))
             more = f", {number(record.added_inertia)} {unit} added to the load" if record.added_inertia else ""
@@ -127,8 +141,9 @@ class CommonEstimate:
         """Return the table of what is shared, beside what each record says by itself."""
         alone = [{p.name: p for p in record.alone} for record in self.records]
         tests = {p.name: p for p in self.agreement.parameters}
+        there: list[tuple[str, ...]] = [(shown(p), p.unit) for p in self.other_side]
         rows = []
-        for p in self.parameters:
+        for p, beside in zip(self.parameters, there or [()] * len(self.parameters), strict=True):
             test = tests.get(p.name)
             rows.append(
                 (
@@ -136,11 +151,13 @@ class CommonEstimate:
                     *(_beside(each.get(p.name)) for each in alone),
                     f"{test.p_value:.2g}" if test else "-",
                     number(test.between, 2) if test else "-",
+                    *beside,
                 )
             )
         heads = [f"{k} alone" for k in range(1, len(self.records) + 1)]
-        header = ("symbol", "parameter", "value", "2 sigma", "unit", *heads, "p", "between")
-        right = (False, False, True, True, False, *(True for _ in heads), True, True)
+        more = () if self.other is None else (f"{self.other.side} side", "unit")
+        header = ("symbol", "parameter", "value", "2 sigma", "unit", *heads, "p", "between", *more)
+        right = (False, False, True, True, False, *(True for _ in heads), True, True, *((True, False) if more else ()))
         return aligned(header, rows, right)
 
     def _residuals(self) -> str:

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointid.data.record import Record
-from jointid.estimation.estimate import EstimatedParameter, fingerprint, poor_fit, relative_error
+from jointid.estimation.estimate import fingerprint, poor_fit, relative_error
+from jointid.estimation.estimated import EstimatedParameter
 from jointid.estimation.problem import initial_of
-from jointid.estimation.surroundings import INITIAL_STATE
+from jointid.estimation.surroundings import INITIAL
 from jointid.inference.repeatable import Uncertainty, cells, uncertainty
 from jointid.inference.uncertainty import Covariance, covariance_of
 from jointid.model.parameters import Parameter, Quantity
@@ -23,7 +24,6 @@ from jointid.together.several import Several, at_rows
 _INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
 _ROUNDING = 1e-8  # of a value
 _PHYSICAL = (Quantity.INERTIA, Quantity.STIFFNESS)  # what no joint has none of
-_INITIAL = frozenset(p.name for p in INITIAL_STATE)
 
 
 def concluded(
@@ -145,7 +145,7 @@ class _Ended:
         for p in self.criterion.problems[0].parameters:
             if p.name in self.names:
                 found.append(self._estimated(self.names.index(p.name), covariance))
-            elif not p.free and p.name not in _INITIAL:
+            elif not p.free and p.name not in INITIAL:
                 value = (p.start or 0.0) - self.arranged.added[0].get(p.name, 0.0)
                 found.append(self._row(p, value, None))
         return tuple(found)
@@ -196,7 +196,7 @@ class _Ended:
         near = 1e-6 * np.abs(self.end.x)
         held = (self.end.x <= lower + near) | (self.end.x >= upper - near)
         found += [f"{p.name} is at its bound, where it does not follow the records" for p in np.array(free)[held]]
-        told = [i for i, p in enumerate(free) if p.name.partition("@")[0] not in _INITIAL]
+        told = [i for i, p in enumerate(free) if p.name.partition("@")[0] not in INITIAL]
         found += [
             f"{free[i].name} and {free[j].name} are hard to tell apart in these records (correlation {r:+.3f})"
             for i in told

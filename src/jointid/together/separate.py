@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,11 +19,15 @@ from jointid.data.record import FloatArray
 from jointid.estimation.descent import reason
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.problem import Problem
+from jointid.inference.bounded import arrived
 from jointid.inference.criterion import Criterion
 from jointid.inference.repeatable import Repeatable, Uncertainty, cells, uncertainty
 from jointid.inference.uncertainty import bandwidth
 from jointid.model.parameters import TORQUE_UNIT
 from jointid.together.several import at_rows, several, whitening
+
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
 
 _TOLERANCE, _EVALUATIONS = 1e-10, 100
 _NOTHING_LEFT = 1e-6  # of the torque: a residual below it is rounding, and no level
@@ -145,11 +150,20 @@ def descended(criterion: Criterion, x: FloatArray) -> End:
     from scipy.optimize import least_squares
 
     walk = _Walk(criterion)
+    error, J = walk.residual(x), walk.jacobian(x)
+    if arrived(criterion.free, x, error, J, _TOLERANCE):
+        return End(x, error, J, *reason(2, 1, _TOLERANCE), walk.evaluations)
+
+    def step(intermediate_result: OptimizeResult) -> None:
+        at = intermediate_result.x
+        if arrived(criterion.free, at, walk.residual(at), walk.jacobian(at), _TOLERANCE):
+            raise StopIteration
+
     end = least_squares(
         walk.residual, x, walk.jacobian, bounds(criterion), x_scale="jac", xtol=_TOLERANCE, ftol=_TOLERANCE, gtol=None,
-        max_nfev=_EVALUATIONS,
+        max_nfev=_EVALUATIONS, callback=step,
     )  # fmt: skip
-    stop, converged = reason(end, _TOLERANCE)
+    stop, converged = reason(end.status, end.nfev, _TOLERANCE)
     return End(np.asarray(end.x), np.asarray(end.fun), np.asarray(end.jac), stop, converged, walk.evaluations)
 
 

@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 from jointid.common.errors import MethodError
 from jointid.data.record import FloatArray
 from jointid.estimation.problem import Problem
-from jointid.estimation.surroundings import INITIAL_STATE, of_law
+from jointid.estimation.surroundings import INITIAL, of_law
 from jointid.model.parameters import Parameter
 from jointid.simulation.closed_loop import Simulation
 
 _WHITE = 0.01  # of a residual's variance
-_INITIAL = frozenset(p.name for p in INITIAL_STATE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +166,7 @@ def _apart(problems: Sequence[Problem], own: Sequence[Sequence[str]]) -> list[se
             if p.name not in joint and of_law(p.name):
                 starts.setdefault(p.name, set()).add(p.start)
     differing = {name for name, values in starts.items() if len(values) > 1}
-    apart = [set(mine) | _INITIAL | differing for mine in own]
+    apart = [set(mine) | set(INITIAL) | differing for mine in own]
     for name in {p.name for problem in problems for p in problem.free}:
         sharing = [k for k, q in enumerate(problems) if name not in apart[k] and name in {p.name for p in q.free}]
         if len(sharing) == 1:

@@ -27,11 +27,12 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.data.record import Record
 from jointid.data.signals import Filtering
+from jointid.estimation.coupled import record_warnings
 from jointid.estimation.estimate import Estimate, fingerprint
 from jointid.estimation.identify import Method, identify
 from jointid.estimation.idim import IDIM
 from jointid.estimation.problem import Problem, torque_problem
-from jointid.estimation.surroundings import INITIAL_STATE
+from jointid.estimation.surroundings import INITIAL_STATE, INITIAL_TORQUE
 from jointid.model.parameters import Parameter, adjusted
 from jointid.simulation.experiment import ClosedLoop
 from jointid.together.arrangement import Arrangement
@@ -118,7 +119,13 @@ def identify_together(
     end = descended(criterion, criterion.vector(found))
     progress(end.stop)
     simulations = sum(estimate.simulations for estimate in estimates) + sum(one.simulations for one in alone)
-    return concluded(records, chosen, criterion, end, alone, simulations, how)
+    found_together = concluded(records, chosen, criterion, end, alone, simulations, how)
+    about = [
+        f"record {number}: {said}"
+        for number, (record, estimate) in enumerate(zip(records, estimates, strict=True), 1)
+        for said in record_warnings(record, estimate)
+    ]
+    return replace(found_together, warnings=(*found_together.warnings, *about))
 
 
 def _require_different(records: Sequence[Record]) -> None:
@@ -136,7 +143,12 @@ def _problem(
     record: Record, estimate: Estimate, loop: ClosedLoop, changes: Mapping[str, Parameter], free: Sequence[str]
 ) -> Problem:
     """Return a record's problem, the motor at its first sample resting or moving as its own identification found it."""
-    state = tuple(replace(p, start=estimate[p.name].value, free=estimate[p.name].free) for p in INITIAL_STATE)
+    found = {p.name: p for p in estimate.parameters}
+    state = tuple(
+        replace(p, start=found[p.name].value, free=found[p.name].free)
+        for p in (*INITIAL_STATE, INITIAL_TORQUE)
+        if p.name in found
+    )
     known = adjusted(loop.joint.parameters, changes)
     return torque_problem(record, loop, estimate.filtering, known, state).freeing(*free)
 

@@ -1,0 +1,47 @@
+"""Answers as JSON, with versioned schemas, and back as far as a later command needs them.
+
+Every answer has `schema` at its top level. A number that does not exist is null, never NaN.
+"""
+
+from jointid.answers.assessments import (
+    ADVICE_SCHEMA,
+    COMPARISON_SCHEMA,
+    LOOP_SCHEMA,
+    REVEALING_SCHEMA,
+    VALIDATION_SCHEMA,
+    advice_answer,
+    comparison_answer,
+    loop_answer,
+    revealing_answer,
+    validation_answer,
+)
+from jointid.answers.estimates import ESTIMATE_SCHEMA, TOGETHER_SCHEMA, estimate_answer, together_answer
+from jointid.answers.learned import LEARNED_SCHEMA, learned_answer
+from jointid.answers.reading import read_friction, read_identified
+from jointid.answers.simulations import SIMULATION_SCHEMA, simulation_answer
+from jointid.answers.writing import dumps, write
+
+__all__ = [
+    "ADVICE_SCHEMA",
+    "COMPARISON_SCHEMA",
+    "ESTIMATE_SCHEMA",
+    "LEARNED_SCHEMA",
+    "LOOP_SCHEMA",
+    "REVEALING_SCHEMA",
+    "SIMULATION_SCHEMA",
+    "TOGETHER_SCHEMA",
+    "VALIDATION_SCHEMA",
+    "advice_answer",
+    "comparison_answer",
+    "dumps",
+    "estimate_answer",
+    "learned_answer",
+    "loop_answer",
+    "read_friction",
+    "read_identified",
+    "revealing_answer",
+    "simulation_answer",
+    "together_answer",
+    "validation_answer",
+    "write",
+]

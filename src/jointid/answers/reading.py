@@ -1,0 +1,113 @@
+"""An estimate's file back, as far as a later command needs it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Literal, get_args
+
+from jointid.answers.estimates import ESTIMATE_SCHEMA
+from jointid.answers.parts import Json, gravity_answer, read_effect, transmission_answer
+from jointid.common.errors import MethodError, RecordError
+from jointid.data.signals import Filtering
+from jointid.estimation.estimate import IdentifiedJoint, MethodName
+from jointid.model.effects import effect_parameters
+from jointid.model.joints import Joint
+from jointid.simulation.experiment import ClosedLoop
+
+
+def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
+    """Return the identified joint of an estimate written by `write`.
+
+    Args:
+        path: of the JSON file.
+        joint: the model the values belong to.
+        loop: the closed loop; used when the estimate came from DIDIM.
+
+    Raises:
+        RecordError: the file is no estimate, or belongs to another model, or to another side of its transmission.
+    """
+    answer = _read(path)
+    if (told := answer.get("transmission")) != (declared := transmission_answer(joint.transmission)):
+        raise RecordError(
+            f"{path} was identified with {_geared(told)}, and this joint has {_geared(declared)}; correct "
+            "[transmission], or identify with this joint file first."
+        )
+    try:
+        return _identified(answer, joint, loop)
+    except (KeyError, TypeError, ValueError, MethodError):
+        raise RecordError(
+            f"{path} is no estimate of schema {ESTIMATE_SCHEMA} for a {joint.kind} {joint.model} joint with these "
+            "parameters in these units; identify with this joint file first."
+        ) from None
+
+
+def _geared(transmission: object) -> str:
+    """Return a transmission of an answer in words."""
+    if not isinstance(transmission, dict):
+        return "no transmission"
+    ratio, side = transmission.get("motor_per_load"), transmission.get("side")
+    return f"a transmission of {ratio} motor per load, on the {side} side"
+
+
+def read_friction(path: str | Path) -> Literal["symmetric", "asymmetric"]:
+    """Return the friction law of an estimate written by `write`.
+
+    Raises:
+        RecordError: the file is no estimate.
+    """
+    friction = _read(path).get("friction")
+    if friction not in ("symmetric", "asymmetric"):
+        raise RecordError(
+            f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; give the file that identify --json wrote."
+        )
+    return "asymmetric" if friction == "asymmetric" else "symmetric"
+
+
+def _read(path: str | Path) -> Json:
+    remedy = "give the file that identify --json wrote"
+    try:
+        answer = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RecordError(f"{path} cannot be read ({error.strerror}); {remedy}.") from None
+    except (ValueError, RecursionError):
+        raise RecordError(f"{path} is no JSON file; {remedy}.") from None
+    if not isinstance(answer, dict):
+        raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {remedy}.")
+    return answer
+
+
+def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
+    found = answer["parameters"]
+    same = answer["schema"] == ESTIMATE_SCHEMA and (answer["model"], answer["kind"]) == (joint.model, joint.kind)
+    same = same and answer.get("gravity") == gravity_answer(joint)
+    if not same or any(found[p.name]["unit"] != joint.unit(p) for p in joint.parameters):
+        raise ValueError
+    effects = tuple(read_effect(effect) for effect in answer.get("effects", []))
+    every = (*joint.parameters, *effect_parameters(effects))
+    values = {p.name: float(found[p.name]["value"]) for p in every}
+    given = answer["filtering"]
+    filtering = Filtering(
+        given["position_cutoff"],
+        given["cutoff"],
+        given["decimation"],
+        tuple(given["borders"]),
+        given["timing"],
+        given["aliasing"],
+    )
+    method: MethodName = answer["method"]
+    if method not in get_args(MethodName):
+        raise ValueError
+    record = answer["record"]
+    return IdentifiedJoint(
+        method,
+        joint,
+        loop if method == "didim" else None,
+        values,
+        filtering,
+        float(answer["delay"]),
+        str(record["name"]),
+        str(record["torque_sha256"]),
+        str(answer["controller_sha256"] or ""),
+        effects,
+    )

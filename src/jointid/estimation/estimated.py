@@ -1,0 +1,92 @@
+"""One identified parameter, on the side it is identified on and on the other side of a transmission."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from jointid.common.text import number
+from jointid.inference.identifiability import Known
+from jointid.inference.verdict import StiffnessBound
+from jointid.model.sides import OtherSide
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatedParameter:
+    """One line of the table.
+
+    Attributes:
+        name, symbol, unit: what it is.
+        value: the estimate; None when it is refused.
+        std: its standard deviation; None for a parameter that was kept fixed, or refused.
+        free: whether it was identified.
+        identifiable: whether the record determines it; a fixed parameter does not say.
+        lower_bound: what the record supports when the value is refused.
+        of_joint: False for what surrounds the joint (the initial state).
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    value: float | None
+    std: float | None
+    free: bool
+    identifiable: bool
+    lower_bound: float | None = None
+    of_joint: bool = True
+
+
+def on_other_side(parameters: Sequence[EstimatedParameter], side: OtherSide | None) -> tuple[EstimatedParameter, ...]:
+    """Return parameters as they are on the other side of a transmission, in the same order; none without one."""
+    if side is None:
+        return ()
+    here = {p.name: p for p in parameters}
+    return tuple(_moved(p, here.get(side.name(p.name), p), side) for p in parameters)
+
+
+def _moved(p: EstimatedParameter, here: EstimatedParameter, side: OtherSide) -> EstimatedParameter:
+    """Return a parameter with the values that another one, the same but for the direction, has on this side."""
+    factor = side.factor(p.name, p.unit)
+
+    def scaled(value: float | None) -> float | None:
+        return None if value is None else factor * value + 0.0  # of 0 there is no negative
+
+    return replace(
+        here,
+        name=p.name,
+        symbol=p.symbol,
+        unit=side.unit(p.unit),
+        value=scaled(here.value),
+        std=None if here.std is None else abs(factor) * here.std,
+        lower_bound=scaled(here.lower_bound),
+    )
+
+
+def known_on_other_side(known: Sequence[Known], side: OtherSide | None) -> tuple[Known, ...]:
+    """Return the sums and differences of one unit as they are on the other side, in the same order; none without."""
+    if side is None:
+        return ()
+    here = {frozenset(k.combination.weights.items()): k for k in known}
+    found = []
+    for k in known:
+        weights = k.combination.weights
+        same = here.get(frozenset((side.name(name), weight) for name, weight in weights.items()), k)
+        factor = side.factor(next(iter(weights)), k.combination.unit)
+        there = replace(k.combination, unit=side.unit(k.combination.unit))
+        found.append(Known(there, factor * same.value, abs(factor) * same.std, same.relative))
+    return tuple(found)
+
+
+def bounds_on_other_side(bounds: Sequence[StiffnessBound], side: OtherSide | None) -> tuple[StiffnessBound, ...]:
+    """Return bounds of a stiffness as they are on the other side, in the same order; none without one."""
+    if side is None:
+        return ()
+    factor = side.ratio**2
+    return tuple(replace(b, stiffness=None if b.stiffness is None else factor * b.stiffness) for b in bounds)
+
+
+def shown(p: EstimatedParameter) -> str:
+    """Return a value as tables print it; of a refused one what is known instead."""
+    if p.value is None:
+        return "not identifiable" if p.lower_bound is None else f"> {number(p.lower_bound)}"
+    return number(p.value)

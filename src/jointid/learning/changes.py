@@ -1,0 +1,151 @@
+"""Steps from one structure of a law to the next: its neighbours, its parts taken away, and its one name of several."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+from jointid.learning.structures import (
+    COMMON,
+    CONSTANT,
+    FEEDFORWARDS,
+    FIELDS,
+    LATE,
+    MEANS,
+    RATES,
+    SLOWER,
+    TORQUE_FILTERS,
+    VELOCITY,
+    Law,
+    Structure,
+)
+
+
+def without(structure: Structure, name: str) -> Structure:
+    """Return a structure without the part that a number is of."""
+    if name == "ki":
+        # A PD without the reference's velocity is a P-P.
+        cascade = structure.cascade or structure.reference_velocity == "none"
+        return replace(structure, law="P-P" if cascade else "PD", **_proportional(structure, cascade))
+    if name == "velocity_feedforward":
+        return replace(structure, reference_velocity="none")
+    if name == "reference_delay":
+        return replace(structure, reference_delay=False)
+    if name.startswith("torque_filters"):
+        return replace(structure, torque_filter="none")
+    part = next(part for part, field in FIELDS.items() if field == name)
+    return replace(structure, feedforward=structure.feedforward - {part})
+
+
+def _proportional(structure: Structure, cascade: bool) -> dict[str, Any]:
+    """Return what of a structure has another name once its integral is gone: the velocity's feed-forward."""
+    if cascade and not structure.cascade and VELOCITY in structure.feedforward:
+        return {"reference_velocity": "share", "feedforward": structure.feedforward - {VELOCITY}}
+    return {}
+
+
+def canonical(structure: Structure) -> Structure:
+    """Return the name that a law is known by: a cascade's, where a PD or PID is the same equation."""
+    if structure.cascade:
+        return structure
+    if structure.reference_velocity == "difference" and structure.velocity_filter == "none":
+        beside = structure.feedforward - {VELOCITY}
+        law: Law = "P-PI" if structure.integrates else "P-P"
+        return replace(structure, law=law, reference_velocity="full", feedforward=beside)
+    if structure.law == "PD" and structure.reference_velocity == "none":
+        return replace(structure, law="P-P", **_proportional(structure, True))
+    return structure
+
+
+def neighbours(structure: Structure, channel: bool) -> Iterator[Structure]:
+    """Yield the structures that differ from one in a single part, each under its canonical name.
+
+    Args:
+        structure: the one.
+        channel: whether the record has the reference's velocity.
+    """
+    seen = {structure}
+    for one in map(canonical, _changes(structure, channel)):
+        if one not in seen:
+            seen.add(one)
+            yield one
+
+
+def combinations(structure: Structure) -> Iterator[Structure]:
+    """Yield all laws with all filters, each under its canonical name, and the rest as one structure has it.
+
+    What one filter does another can nearly do, in another law: from one such pair to the next no single change leads.
+    """
+    seen = set[Structure]()
+    for law in (structure, *_other_laws(structure, channel=False)):
+        for filtered in COMMON:
+            for torque in TORQUE_FILTERS:
+                one = canonical(replace(law, velocity_filter=filtered, torque_filter=torque))
+                if one not in seen:
+                    seen.add(one)
+                    yield one
+
+
+def _changes(structure: Structure, channel: bool) -> Iterator[Structure]:
+    yield from _other_laws(structure, channel)
+    filters = ("none", *(f"mean {n}" for n in MEANS), "first order", "second order")
+    yield from (replace(structure, velocity_filter=one) for one in filters if one != structure.velocity_filter)
+    for part in FEEDFORWARDS:
+        allowed = not (part == CONSTANT and structure.integrates)
+        allowed &= not (part == VELOCITY and structure.law == "P-P" and structure.reference_velocity != "channel")
+        if part in structure.feedforward or allowed:
+            yield replace(structure, feedforward=structure.feedforward ^ {part})
+    yield from (replace(structure, torque_filter=one) for one in TORQUE_FILTERS if one != structure.torque_filter)
+    yield replace(structure, reference_delay=not structure.reference_delay)
+    yield from _other_rates(structure)
+    yield from (replace(structure, late=n) for n in (0, *LATE) if n != structure.late)
+
+
+def _other_rates(structure: Structure) -> Iterator[Structure]:
+    """Yield the same law at the next faster and slower rate, and with its position loop at others.
+
+    A loop faster than the log is tried with a position loop at its own rate, or at the log's.
+    """
+    rates = (1, *RATES)
+    at = rates.index(structure.rate)
+    for rate in rates[max(at - 1, 0) : at + 2]:
+        if rate != structure.rate:
+            yield replace(structure, rate=rate, every=rate if structure.every > 1 else 1, offset=0)
+    if not structure.cascade:
+        return
+    pairs = [(structure.rate, 0)] if structure.rate > 1 else [(n, k) for n in SLOWER for k in range(n)]
+    for every, offset in [(1, 0), *pairs]:
+        if (every, offset) != (structure.every, structure.offset):
+            yield replace(structure, every=every, offset=offset)
+
+
+def _other_laws(structure: Structure, channel: bool) -> Iterator[Structure]:
+    cascades = ("none", "share", "full", *(["channel"] if channel else []))
+    others = ("difference", *(["channel"] if channel else []))
+    for integral in (False, True):
+        parts = structure.feedforward - ({CONSTANT} if integral else set())
+        for velocity in cascades:
+            law = "P-PI" if integral else "P-P"
+            if integral or velocity == "channel":
+                yield from _changed(structure, law=law, reference_velocity=velocity, feedforward=parts)
+            if velocity != "channel":  # the cascade has its own
+                beside = parts - {VELOCITY}
+                yield from _changed(structure, law=law, reference_velocity=velocity, feedforward=beside)
+        # A PD without the reference's velocity is a P-P; without a filter, one with its difference is one, too.
+        kinds = [kind for kind in others if kind != "difference" or structure.velocity_filter != "none"]
+        for velocity in [*kinds, *(["none"] if integral else [])]:
+            yield from _changed(
+                structure,
+                law="PID" if integral else "PD",
+                reference_velocity=velocity,
+                feedforward=parts,
+                every=1,
+                offset=0,
+            )
+
+
+def _changed(structure: Structure, **parts: Any) -> Iterator[Structure]:
+    other = replace(structure, **parts)
+    if other != structure:
+        yield other

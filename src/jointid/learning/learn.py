@@ -1,0 +1,170 @@
+"""The verb: a record in, the law that made its torque out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from jointid.common.errors import MethodError
+from jointid.common.progress import Progress, silent
+from jointid.data.record import FloatArray, Record
+from jointid.data.transmission import Transmission
+from jointid.inference.uncertainty import Covariance, covariance_of, larger, robust
+from jointid.jointfile import controller_text
+from jointid.learning.fitting import Fitted, Task
+from jointid.learning.learned import Alternative, LearnedLoop, LearnedNumber
+from jointid.learning.search import MATERIAL, Rival, search
+from jointid.learning.told import ALIKE, equivalents, untold
+from jointid.learning.watched import watched
+from jointid.model.controllers import Controller, numbers_of, with_numbers
+
+_EXPLAINED = 0.5  # of the torque: what leaves more is no law of this record
+
+
+def learn_loop(
+    record: Record,
+    *,
+    gain: float = 1.0,
+    transmission: Transmission | None = None,
+    declared: Controller | None = None,
+    progress: Progress = silent,
+) -> LearnedLoop:
+    """Learn the controller from a record that has its reference, the motor position and the torque.
+
+    The law is applied to the logged reference and position, and its torque compared with the logged one: no joint is
+    needed. The numbers are those of maximum likelihood with errors in torque and position (see `noise`), the
+    structure that of the least Schwarz criterion (see `search`). From then on torque and reference are enough.
+
+    Args:
+        record: with torque, reference and motor_position, the torque's sample time that of the log.
+        gain: torque per controller unit, of the drive's chain: gains and limit come out in controller units.
+        transmission: of the joint, on whose side the record is; [controller] then says which side that is.
+        declared: a controller whose limit and delay are kept where the record does not show them.
+        progress: is told each structure that a search goes through.
+
+    Raises:
+        RecordError: a channel is missing, too short, or does not move.
+        MethodError: the gain is not positive, or no law that is searched for explains half of the torque.
+
+    Limits of validity: a position loop slower than the log by 2, 4 or 8, or a whole loop faster by 2 to 16; a delay of
+    the log of whole samples. Parts that carry less than 0.1 % of the torque are taken for none. What stays unknown is
+    said in `LearnedLoop.sentences`.
+
+    Example:
+        >>> import jointid as ji
+        >>> loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(kp=60.0, kv=500.0))
+        >>> reference = ji.trapezoids([0.1, 0.3], 2.0, 0.2, 1e-3, 0.1, 8.0)
+        >>> values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 0.0}
+        >>> record = ji.simulated_record(loop, reference, values, sample_time=1e-3, encoder_step=1e-7)
+        >>> ji.learn_loop(record).words
+        'P-P'
+    """
+    if not (math.isfinite(gain) and gain > 0):
+        raise MethodError(f"The gain of a drive's chain is a positive number; received {gain}.")
+    task = Task(watched(record), gain)
+    found = search(task, progress)
+    _require_explained(task, found.best, record.name)
+    return _answer(task, found.best, found.rivals, transmission, declared)
+
+
+def _require_explained(task: Task, best: Fitted, name: str) -> None:
+    """Raise a `MethodError` where the best law is none."""
+    residual, torque = task.residual(best.structure, best.numbers), task.watched.torque
+    share = float(np.sqrt(np.mean(residual**2) / np.mean(torque**2)))
+    blind = task.law(best.structure, best.numbers).stiffness == 0.0
+    if blind or share > _EXPLAINED or not np.any(best.noise.heard[1:]):
+        answers = ", does not look at the position and" if blind else ","
+        raise MethodError(
+            f"No law that is searched for gives the torque of {name}: the best, {best.structure.words}{answers} leaves "
+            f"{100 * share:.3g} % of it. Check units, signs and sides of torque, reference and motor_position, and log "
+            "them as fast as the controller runs; or declare the law."
+        )
+
+
+def _kept(made: Controller, declared: Controller | None) -> tuple[Controller, tuple[str, ...]]:
+    """Return a law with the limit and the delay that are declared and that it does not say, and a sentence on them."""
+    said = {} if declared is None else numbers_of(declared)
+    open_ones = {"limit": math.inf, "delay": 0.0}
+    own = numbers_of(made)
+    kept = {n: said[n] for n, free in open_ones.items() if n in said and own.get(n) == free != said[n]}
+    if not kept:
+        return made, ()
+    names = " and ".join(f"{name} = {value:g}" for name, value in kept.items())
+    return with_numbers(made, kept), (f"As declared, and not from this record: {names}.",)
+
+
+def _answer(
+    task: Task,
+    best: Fitted,
+    rivals: tuple[Rival, ...],
+    transmission: Transmission | None,
+    declared: Controller | None,
+) -> LearnedLoop:
+    record, period = task.watched.record, task.watched.period
+    assert record.torque is not None and record.motor_position is not None
+    known = covariance(task, best)
+    made, said = _kept(task.controller(best.structure, best.numbers), declared)
+    residual = task.residual(best.structure, best.numbers)
+    rms = float(np.sqrt(np.sum(residual**2) / np.sum(task.watched.kept)))
+    others = tuple(_alternative(task, rival) for rival in rivals)
+    alike = tuple(r.fitted.structure for r, other in zip(rivals, others, strict=True) if other.alike)
+    heard = np.flatnonzero(best.noise.heard)
+    return LearnedLoop(
+        controller=made,
+        words=best.structure.words,
+        numbers=tuple(
+            LearnedNumber(name, value, float(std))
+            for (name, value), std in zip(best.numbers.items(), known.std, strict=True)
+        ),
+        correlation=known.correlation,
+        equivalent=equivalents(best.structure),
+        alternatives=others,
+        sentences=(*untold(task, best, alike), *said),
+        rms=rms,
+        share=rms / float(np.sqrt(np.mean(task.watched.torque**2))),
+        torque_noise=math.sqrt(best.noise.torque),
+        position_noise=math.sqrt(best.noise.position),
+        band=float(heard[-1]) / (task.watched.samples * period) if heard.size else 0.0,
+        residual=residual,
+        torque_unit=record.torque.unit,
+        position_unit=record.motor_position.unit,
+        record=record.name,
+        table=controller_text(made, transmission),
+    )
+
+
+def _alternative(task: Task, rival: Rival) -> Alternative:
+    one = rival.fitted
+    made = task.controller(one.structure, one.numbers)
+    alike = rival.worse < ALIKE or rival.apart < MATERIAL
+    return Alternative(one.structure.words, made, rival.worse, rival.apart, alike)
+
+
+def covariance(task: Task, best: Fitted) -> Covariance:
+    """Return the covariance of a law's numbers, robust against what colour and what uneven size remain."""
+    noise = task.noise(best.structure, best.numbers)
+    x = np.array(list(best.numbers.values()))
+    white = task.whitened(best.structure, best.numbers, noise)
+    J = -task.slopes(best.structure, x, white, noise)
+    return larger(robust(J, J, white), by_frequency(J, white))
+
+
+def by_frequency(J: FloatArray, white: FloatArray) -> Covariance:
+    """Return the covariance from the scores of each frequency alone.
+
+    An encoder's rounding stands still where the motor does, so that it is loudest where the motion is slow, as the
+    motion itself is: a spectrum that is smoothed, or a few neighbouring rows, would miss that. Heteroscedasticity
+    over frequencies needs neither (White 1980, of the real transform).
+
+    Args:
+        J: (samples, numbers), the sensitivities of the prediction.
+        white: (samples,) what remains.
+    """
+    norms = np.linalg.norm(J, axis=0)
+    norms = np.where(norms > 0, norms, 1.0)
+    products = np.fft.rfft(J / norms, axis=0).conj() * np.fft.rfft(white)[:, np.newaxis]
+    scores = 2.0 / white.size * np.real(products)
+    spread = np.linalg.pinv((J / norms).T @ (J / norms))
+    found = covariance_of(spread @ (scores.T @ scores) @ spread.T, 0)
+    return Covariance(found.std / norms, found.correlation, 0)

@@ -1,0 +1,275 @@
+"""What a law may be made of: structures, the numbers each leaves open, and the controller that they make."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from jointid.model.controllers import (
+    PD,
+    PID,
+    Cascade,
+    Controller,
+    Filter,
+    FirstOrder,
+    Notch,
+    SecondOrder,
+)
+
+Law = Literal["P-P", "P-PI", "PD", "PID"]
+
+MEANS = (2, 3, 4, 6, 8, 16)
+"""Samples of the moving averages that are tried."""
+
+COMMON = ("none", "mean 2", "mean 4", "first order", "second order")
+"""Velocity filters that are tried in every law."""
+
+TORQUE_FILTERS = ("none", "first order", "second order", "notch")
+
+RATES = (2, 4, 8, 16)
+"""How many periods of a faster loop one sample of the log may be."""
+
+SLOWER = (2, 4, 8)
+"""How many of the loop's periods one of a slower position loop may be."""
+
+LATE = (1, 2, 3, 4)
+"""By how many samples the log may show the torque late."""
+
+VELOCITY, ACCELERATION, COULOMB, CONSTANT = "velocity", "acceleration", "coulomb", "constant"
+FEEDFORWARDS = (VELOCITY, ACCELERATION, COULOMB, CONSTANT)
+
+INTEGRAL = "integral"
+"""The torque that an integral holds at the first sample, in controller units: a number of the record, not the law."""
+
+_FULL = 1.0
+_BUTTERWORTH = math.sqrt(0.5)
+
+
+@dataclass(frozen=True, slots=True)
+class Structure:
+    """A law without its numbers.
+
+    Attributes:
+        law: "P-P" and "P-PI" are cascades; see `jointid.model.controllers.laws`.
+        reference_velocity: of a PD or PID: "none", "difference", filtered like the position's, or "channel". Of a
+            cascade: "none", "share" of the reference's difference, "full", or a share of the "channel".
+        velocity_filter: "none", "mean 2", ..., "first order" or "second order".
+        feedforward: others than the velocity's of a cascade, of `FEEDFORWARDS`.
+        torque_filter: "none", "first order", "second order" or "notch".
+        reference_delay: whether the law sees the reference later.
+        late: samples by which the log shows the torque later than the position it follows from.
+        rate: periods of the law in one sample of the log.
+        every, offset: of a cascade's position loop, in periods of the law.
+        limited: whether the limit acts in the record.
+    """
+
+    law: Law = "P-P"
+    reference_velocity: str = "none"
+    velocity_filter: str = "none"
+    feedforward: frozenset[str] = frozenset()
+    torque_filter: str = "none"
+    reference_delay: bool = False
+    late: int = 0
+    rate: int = 1
+    every: int = 1
+    offset: int = 0
+    limited: bool = False
+
+    @property
+    def cascade(self) -> bool:
+        """Whether it has a position loop around a velocity loop."""
+        return self.law in ("P-P", "P-PI")
+
+    @property
+    def integrates(self) -> bool:
+        """Whether it has an integral."""
+        return self.law in ("P-PI", "PID")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The numbers it leaves open, as `numbers_of` names them, and `INTEGRAL`."""
+        return tuple(self._names())
+
+    def _names(self) -> Iterator[str]:
+        yield from ("kp", "kv" if self.cascade else "kd")
+        if self.integrates:
+            yield from ("ki", INTEGRAL)
+        if self.cascade and self.reference_velocity in ("share", "channel"):
+            yield "velocity_feedforward"
+        for part in FEEDFORWARDS:
+            if part in self.feedforward:
+                yield FIELDS[part]
+        yield from _filter_names("velocity_filter", self.velocity_filter)
+        yield from _filter_names("torque_filters.0", self.torque_filter)
+        if self.reference_delay:
+            yield "reference_delay"
+        if self.limited:
+            yield "limit"
+
+    @property
+    def parts(self) -> int:
+        """How much it is made of: numbers, and each delay, rate or offset that is not as in a plain law."""
+        return len(self.names) + (self.rate > 1) + (self.every > 1) + (self.late > 0)
+
+    @property
+    def words(self) -> str:
+        """What it is, in words."""
+        said: list[str] = [self.law]
+        if self.reference_velocity != "none":
+            said.append(_REFERENCE_VELOCITY[self.cascade, self.reference_velocity])
+        if self.feedforward:
+            said.append(" and ".join(p for p in FEEDFORWARDS if p in self.feedforward) + " feed-forward")
+        if self.velocity_filter != "none":
+            said.append(f"velocity filter {_spelled(self.velocity_filter)}")
+        if self.torque_filter != "none":
+            said.append(f"torque filter {self.torque_filter}")
+        if self.reference_delay:
+            said.append("reference delayed")
+        if self.late:
+            said.append(f"torque {self.late} samples late")
+        if self.rate > 1:
+            said.append(f"{self.rate} periods per sample")
+        if self.every > 1:
+            said.append(f"position loop every {self.every} periods, from the {self.offset}th")
+        return ", ".join(said)
+
+
+FIELDS = {
+    VELOCITY: "viscous_feedforward",
+    ACCELERATION: "acceleration_feedforward",
+    COULOMB: "coulomb_feedforward",
+    CONSTANT: "constant_feedforward",
+}
+_REFERENCE_VELOCITY = {
+    (True, "share"): "velocity feed-forward",
+    (True, "full"): "full velocity feed-forward",
+    (True, "channel"): "velocity feed-forward from its channel",
+    (False, "difference"): "on the reference's filtered difference",
+    (False, "channel"): "on the reference's velocity channel",
+}
+_FILTERS: Mapping[str, Mapping[str, tuple[float, ...]]] = {
+    "first order": {"time_constant": (1.0, 5.0)},
+    "second order": {"frequency": (0.1, 0.03), "damping": (_BUTTERWORTH, _BUTTERWORTH)},
+    "notch": {"frequency": (0.03, 0.06, 0.12), "bandwidth": (0.02, 0.03, 0.06), "depth": (0.3, 0.3, 0.3)},
+}
+"""Numbers of the filters with their starts, in periods of the law and shares of its rate."""
+
+
+def _filter_names(place: str, kind: str) -> list[str]:
+    return [f"{place}.{name}" for name in _FILTERS.get(kind, {})]
+
+
+def _spelled(kind: str) -> str:
+    return f"mean of {kind.split()[1]} samples" if kind.startswith("mean") else kind
+
+
+def starts(structure: Structure, known: Mapping[str, float], period: float, limit: float) -> list[dict[str, float]]:
+    """Return numbers to begin from: those known of a similar structure, and for each new filter several.
+
+    Args:
+        structure: that they are for.
+        known: numbers of a similar one.
+        period: of the law, seconds.
+        limit: of the torque in controller units, where the log reaches one.
+    """
+    given = _converted(structure, known)
+    base = {name: given.get(name, 0.0) for name in structure.names}
+    if structure.limited:
+        base["limit"] = given.get("limit", limit)
+    if structure.reference_delay and "reference_delay" not in given:
+        base["reference_delay"] = period
+    found = [base]
+    for place, kind in (("velocity_filter", structure.velocity_filter), ("torque_filters.0", structure.torque_filter)):
+        fresh = {n: v for n, v in _FILTERS.get(kind, {}).items() if f"{place}.{n}" not in given}
+        if fresh:
+            count = len(next(iter(fresh.values())))
+            found = [
+                one | {f"{place}.{name}": _dimensioned(name, values[i], period) for name, values in fresh.items()}
+                for one in found
+                for i in range(count)
+            ]
+    return found
+
+
+def _dimensioned(name: str, value: float, period: float) -> float:
+    if name == "time_constant":
+        return value * period
+    return value if name in ("damping", "depth") else value / period
+
+
+def _converted(structure: Structure, known: Mapping[str, float]) -> dict[str, float]:
+    """Return the gains of one form of the law in the other: ``kp kv`` of a cascade is the kp of a PD."""
+    given = dict(known)
+    if structure.cascade and "kd" in given and "velocity_feedforward" in structure.names and given["kd"]:
+        given.setdefault("velocity_feedforward", given.get("viscous_feedforward", 0.0) / given["kd"])
+    if structure.cascade and "kd" in given:
+        given["kv"] = given.pop("kd")
+        given["kp"] = given["kp"] / given["kv"] if given["kv"] else 0.0
+        given["ki"] = given["ki"] / max(given["kp"] * given["kv"], 1e-300) if given.get("ki") else 0.0
+    elif not structure.cascade and "kv" in given:
+        given["kd"] = given.pop("kv")
+        given["ki"] = given.get("ki", 0.0) * given["kp"] * given["kd"]
+        given["kp"] = given["kp"] * given["kd"]
+    return given
+
+
+def bounds(name: str, period: float) -> tuple[float, float]:
+    """Return between what a number is looked for."""
+    last = name.rpartition(".")[2]
+    if name in (INTEGRAL, "constant_feedforward"):
+        return -math.inf, math.inf
+    return {
+        "time_constant": (1e-2 * period, 2e3 * period),
+        "frequency": (2e-4 / period, 0.45 / period),
+        "bandwidth": (2e-4 / period, 0.45 / period),
+        "damping": (0.1, 5.0),
+        "depth": (0.0, 1.0),
+        "reference_delay": (0.0, 50 * period),
+    }.get(last, (0.0, math.inf))
+
+
+def controller(structure: Structure, numbers: Mapping[str, float], period: float, gain: float) -> Controller:
+    """Return the law of a structure.
+
+    Args:
+        structure: of the law.
+        numbers: those the structure leaves open.
+        period: of the log, seconds.
+        gain: torque per controller unit.
+    """
+    own = {name: value for name, value in numbers.items() if "." not in name and name not in (INTEGRAL, "limit")}
+    settings: dict[str, Any] = {"gain": gain, **own}
+    if structure.limited:
+        settings["limit"] = max(numbers["limit"], 1e-300)
+    if structure.velocity_filter != "none":
+        settings["velocity_filter"] = _filter(structure.velocity_filter, "velocity_filter", numbers)
+    if structure.torque_filter != "none":
+        settings["torque_filters"] = (_filter(structure.torque_filter, "torque_filters.0", numbers),)
+    if structure.late:
+        settings["delay"] = structure.late * period
+    if structure.rate > 1:
+        settings["period"] = period / structure.rate
+    own_period = period / structure.rate
+    if structure.cascade:
+        if structure.every > 1:
+            settings |= {"position_period": structure.every * own_period}
+            settings |= {"position_offset": structure.offset * own_period} if structure.offset else {}
+        if structure.reference_velocity == "full":
+            settings["velocity_feedforward"] = _FULL
+        if structure.reference_velocity == "channel":
+            settings["reference_velocity"] = "channel"
+        return Cascade(**settings)
+    settings["reference_velocity"] = structure.reference_velocity
+    return PID(**settings) if structure.integrates else PD(**settings)
+
+
+def _filter(kind: str, place: str, numbers: Mapping[str, float]) -> Filter | tuple[float, ...]:
+    if kind.startswith("mean"):
+        samples = int(kind.split()[1])
+        return (1.0 / samples,) * samples
+    made = {name: numbers[f"{place}.{name}"] for name in _FILTERS[kind]}
+    if kind == "first order":
+        return FirstOrder(**made)
+    return SecondOrder(**made) if kind == "second order" else Notch(**made)

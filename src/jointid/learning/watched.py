@@ -1,0 +1,188 @@
+"""A record as a law sees it: what goes in, what came out, and the torque a law puts out for it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from jointid.common.errors import RecordError
+from jointid.data.record import FloatArray, InjectionPoint, Record, Tap, Timing
+from jointid.learning.structures import RATES
+from jointid.model.controllers import (
+    INJECTED,
+    POSITION,
+    REFERENCE_VELOCITY,
+    Cascade,
+    Ran,
+    SampledLaw,
+    run,
+)
+from jointid.simulation.experiment import at_period, known_memory, law_inputs
+
+_NEEDED = ("torque", "reference", "motor_position")
+_PLAIN = Cascade(kp=1.0, kv=1.0)  # what is read beside the position is the same for all laws, but for the rate
+_FEWEST = 500  # samples
+_BEGIN = 20  # samples that are left out: what the law's filters hold at the first one is only guessed
+_PLATEAU = 3  # samples in a row at the top, to be a limit
+_TOP = 6.0  # deviations of the log's noise within which a torque is at the top
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Watched:
+    """A record that a law can be applied to.
+
+    Attributes:
+        record: with torque, reference and motor position.
+        period: of the log, seconds.
+        torque: (samples,) less what was added after the limit, where the log contains it.
+        added: (samples,) what that was.
+        kept: (samples,) 1 where the residual counts, else 0.
+        begin: which of the record's samples is the first.
+        plateau: the torque that the log stands at where it is largest; None where it never stands.
+    """
+
+    record: Record
+    period: float
+    torque: FloatArray
+    added: FloatArray
+    kept: FloatArray
+    plateau: float | None
+    begin: int = 0
+    _inputs: dict[int, FloatArray] = field(default_factory=dict)
+
+    @property
+    def samples(self) -> int:
+        """Of the log."""
+        return self.torque.size
+
+    def stretch(self, samples: int) -> Watched:
+        """Return so many samples of the record, those in which the reference is accelerated most."""
+        if samples >= self.samples:
+            return self
+        assert self.record.reference is not None
+        reference = at_period(self.record.reference, self.period, self.samples, "reference")
+        bent = np.concatenate([np.zeros(2), np.cumsum(np.diff(reference, 2) ** 2)])
+        begin = int(np.argmax(bent[samples:] - bent[:-samples]))
+        kept = self.kept[begin : begin + samples].copy()
+        kept[:_BEGIN] = 0.0
+        rows = slice(begin, begin + samples)
+        part = Watched(self.record, self.period, self.torque[rows], self.added[rows], kept, self.plateau, begin)
+        for rate in (1, *RATES):
+            part._inputs[rate] = self.inputs(rate)[begin * rate : (begin + samples) * rate]
+        return part
+
+    def inputs(self, rate: int) -> FloatArray:
+        """Return what a law with so many periods per sample reads, (periods, INPUTS)."""
+        if rate not in self._inputs:
+            self._inputs[rate] = self._read(rate)
+        return self._inputs[rate]
+
+    def _read(self, rate: int) -> FloatArray:
+        record, periods, period = self.record, self.samples * rate, self.period / rate
+        inputs = law_inputs(_PLAIN, record, period, periods)
+        assert record.motor_position is not None
+        inputs[:, POSITION] = _between(at_period(record.motor_position, self.period, self.samples, "position"), rate)
+        if record.reference_velocity is not None:
+            velocity = at_period(record.reference_velocity, period, periods, "reference_velocity")
+            inputs[:, REFERENCE_VELOCITY] = velocity
+        if record.injected is not None and record.injected.at is InjectionPoint.BEFORE_LIMIT:
+            inputs[:, INJECTED] = at_period(record.injected.channel, period, periods, "injected")
+        return inputs
+
+    def ran(self, law: SampledLaw, content: float) -> Ran:
+        """Return what a law does with the record's reference and position; its integral begins with a torque."""
+        rate = round(self.period / law.period)
+        inputs = self.inputs(rate)
+        position = inputs[: 5 * rate + 1, POSITION]
+        slope = (position[-1] - position[0]) / (5 * self.period)
+        state = known_memory(law, inputs) + law.memory(POSITION, float(position[0]), float(slope))
+        integral = law.integral()
+        if integral is not None:
+            state = state + integral * content
+        return run(law, inputs, state)
+
+    def predicted(self, law: SampledLaw, content: float = 0.0) -> FloatArray:
+        """Return the torque that the log would show of a law, (samples,).
+
+        Args:
+            law: the law.
+            content: torque that its integral holds at the first sample.
+        """
+        rate = round(self.period / law.period)
+        ran = self.ran(law, content)
+        output = ran.tapped if self.record.tap is Tap.COMMAND else ran.output
+        assert self.record.torque is not None
+        if self.record.torque.timing is not Timing.AVERAGED:
+            shown = np.asarray(output[::rate])
+        else:
+            means = output.reshape(-1, rate).mean(axis=1)
+            shown = np.concatenate([means[:1], means[:-1]])
+        late = round(law.delay / self.period)
+        # What was added behind the limit is as late in the log as the output it was added to.
+        return later(shown + self.added, late) - self.added if late else shown
+
+
+def later(signal: FloatArray, samples: int) -> FloatArray:
+    """Return a signal so many samples later, at its first value until it begins."""
+    return np.concatenate([np.full(samples, signal[0]), signal[: signal.size - samples]])
+
+
+def watched(record: Record) -> Watched:
+    """Return a record ready to learn from.
+
+    Raises:
+        RecordError: a channel is missing, the record is too short, or nothing moves in it.
+    """
+    record.require(_NEEDED, "Learning a controller")
+    assert record.torque is not None and record.motor_position is not None and record.reference is not None
+    period = record.torque.sample_time
+    samples = math.floor(record.duration / period + 1e-6)
+    if samples < _FEWEST:
+        raise RecordError(
+            f"A controller is learned from {_FEWEST} samples or more; this record has {samples}: use a longer one."
+        )
+    torque = record.torque.values[:samples].copy()
+    for name, channel in (("motor position", record.motor_position), ("reference", record.reference)):
+        if np.ptp(channel.values) == 0.0:
+            raise RecordError(f"The {name} does not move in this record, so no law shows; use one with a motion.")
+    if np.ptp(torque) == 0.0:
+        raise RecordError("The torque is constant in this record, so no law shows; use one with a motion.")
+    injected, added = record.injected, np.zeros(samples)
+    if (
+        injected is not None
+        and injected.at is InjectionPoint.AFTER_LIMIT
+        and (injected.in_torque or record.tap is Tap.MEASURED)
+    ):
+        added = at_period(injected.channel, period, samples, "injected")
+    torque -= added
+    kept = np.ones(samples)
+    kept[:_BEGIN] = 0.0
+    return Watched(record, period, torque, added, kept, _plateau(torque))
+
+
+def _between(position: FloatArray, rate: int) -> FloatArray:
+    """Return a position between its samples, by cubic splines, as a loop faster than the log saw it."""
+    from scipy.interpolate import CubicSpline
+
+    if rate == 1:
+        return position
+    at = np.arange(position.size * rate) / rate
+    return np.asarray(CubicSpline(np.arange(position.size), position)(np.minimum(at, position.size - 1.0)))
+
+
+def _plateau(torque: FloatArray) -> float | None:
+    """Return the torque a log stands at where it is largest, or None."""
+    size = np.abs(torque)
+    second = np.abs(np.diff(torque, 2))
+    noise = float(np.median(second)) / (0.6745 * math.sqrt(6.0))
+    top = float(np.max(size))
+    inside = size >= top - max(_TOP * noise, 1e-6 * top)
+    # Standing, not turning: the torque changes from sample to sample no more than its noise does.
+    still = np.concatenate([[False], np.abs(np.diff(torque)) <= max(_TOP * noise, 1e-9 * top)])
+    run_length = longest = 0
+    for at in inside & still:
+        run_length = run_length + 1 if at else 0
+        longest = max(longest, run_length)
+    return float(np.median(size[inside])) if longest >= _PLATEAU - 1 else None

@@ -1,0 +1,200 @@
+"""Joints in gravity, identified: links and a vertical axis, from torque alone and from encoders, and what cannot be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from jointid.assessment.comparison import compare
+from jointid.common.errors import MethodError
+from jointid.data.excitation import pulses, trapezoids
+from jointid.data.record import Record
+from jointid.data.signals import Filtering
+from jointid.estimation.drive_side import DriveSideFit
+from jointid.estimation.estimate import Estimate
+from jointid.estimation.identify import identify
+from jointid.estimation.idim import IDIM
+from jointid.estimation.open_loop import OpenLoopFit
+from jointid.estimation.problem import torque_problem
+from jointid.estimation.starts import resting_position
+from jointid.model.controllers import Cascade
+from jointid.model.friction import AsymmetricFriction
+from jointid.model.gravity import Counterbalance, Gravity
+from jointid.model.joints import FlexibleJoint, RigidJoint
+from jointid.simulation.closed_loop import Initial
+from jointid.simulation.experiment import ClosedLoop
+from jointid.simulation.synthesis import simulated_record
+
+ARM = ClosedLoop(RigidJoint(kind="revolute", gravity=Gravity("link")), Cascade(kp=20.0, kv=150.0))
+ARM_TRUTH = {
+    "inertia": 3.0, "viscous": 4.0, "coulomb": 3.0, "offset": 0.5, "gravity_cos": 40.0, "gravity_sin": 15.0,
+}  # fmt: skip
+
+# A link behind a gear of 100:1, everything seen by the motor: 18 kg m2, 70 N m, and a counterbalance of 20 N m.
+GEARED = FlexibleJoint(kind="revolute", gravity=Gravity("link", Counterbalance(cos=0.2), angle=0.01))
+GEARED_LOOP = ClosedLoop(GEARED, Cascade(kp=40.0, kv=0.226))
+GEARED_TRUTH = {
+    "motor_inertia": 1.2e-3, "motor_viscous": 1.5e-3, "motor_coulomb": 0.08, "stiffness": 17.77, "damping": 6.8e-3,
+    "load_inertia": 1.8e-3, "load_viscous": 1.0e-3, "load_coulomb": 0.06, "offset": 0.01, "gravity_cos": 0.7,
+    "gravity_sin": -0.25, "counterbalance_cos": 0.2,
+}  # fmt: skip
+SAG = -0.5 / (40.0 * 0.226)  # where a proportional loop carries the load at the first sample
+
+LIFT = ClosedLoop(
+    FlexibleJoint(gravity=Gravity("constant", Counterbalance(constant=100.0))),
+    Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=1e3),
+)
+LIFT_TRUTH = {
+    "motor_inertia": 70.0, "motor_viscous": 92.0, "motor_coulomb": 10.0, "stiffness": 8e5, "damping": 126.0,
+    "load_inertia": 35.0, "load_viscous": 110.0, "load_coulomb": 10.4, "offset": 0.0, "gravity_constant": 343.0,
+    "counterbalance_constant": 100.0,
+}  # fmt: skip
+
+
+def arm(travel: float = 2.0, noise: float = 0.0, seed: int = 0) -> Record:
+    speeds = (0.5, 1.0, 2.0) if travel > 1 else (0.05, 0.1, 0.2)
+    reference = trapezoids(speeds, 4.0 * max(speeds), travel, 1e-3, rest=0.2, duration=20.0)
+    white = noise * np.random.default_rng(seed).standard_normal(reference.size)
+    return simulated_record(ARM, reference, ARM_TRUTH, sample_time=1e-3, torque_noise=white)
+
+
+def geared(noise: float = 0.0, seed: int = 0, initial: Initial | None = None) -> Record:
+    reference = trapezoids((40.0, 80.0, 150.0), 1500.0, 200.0, 1e-3, rest=0.1, duration=24.0)
+    known = pulses(reference.size, 1e-3, height=2.0, width=0.02, every=0.4, seed=0)
+    white = noise * np.random.default_rng(seed).standard_normal(reference.size)
+    return simulated_record(
+        GEARED_LOOP, reference, GEARED_TRUTH, sample_time=1e-3, injected=known, torque_noise=white, initial=initial
+    )
+
+
+def torque_only(record: Record) -> Record:
+    names = ("motor_position", "load_position")
+    return record.without(*(name for name in names if getattr(record, name) is not None))
+
+
+def assert_found(estimate: Estimate, truth: dict[str, float], within: float) -> None:
+    for name, value in truth.items():
+        found = estimate[name].value
+        assert found is not None, name
+        assert abs(found - value) <= within * abs(value), (name, found, value)
+
+
+def assert_covered(estimate: Estimate, truth: dict[str, float], sigmas: float = 3.5) -> None:
+    for name, value in truth.items():
+        found = estimate[name]
+        if found.free:
+            assert found.value is not None
+            assert found.std is not None
+            assert abs(found.value - value) < sigmas * found.std, name
+
+
+def test_a_rigid_link_from_torque_alone() -> None:
+    assert_found(identify(torque_only(arm()), ARM), ARM_TRUTH, 1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_intervals_of_a_rigid_link_hold_the_truth(seed: int) -> None:
+    estimate = identify(torque_only(arm(noise=1.0, seed=seed)), ARM)
+    assert_covered(estimate, ARM_TRUTH)
+    assert estimate["gravity_cos"].std is not None
+    assert estimate["gravity_cos"].std < 0.002 * ARM_TRUTH["gravity_cos"]
+
+
+@pytest.mark.parametrize("start", [None, Initial(SAG)], ids=["falling", "hanging"])
+def test_a_flexible_link_behind_a_gear_from_torque_alone(start: Initial | None) -> None:
+    """A load that begins where it hangs is found there: friction would hold a motor that is begun beside it."""
+    assert_found(identify(torque_only(geared(initial=start)), GEARED_LOOP), GEARED_TRUTH, 1e-6)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_intervals_of_a_flexible_link_hold_the_truth(seed: int) -> None:
+    estimate = identify(torque_only(geared(0.05, seed, Initial(SAG))), GEARED_LOOP)
+    assert_covered(estimate, GEARED_TRUTH)
+    stiffness = estimate["stiffness"]
+    assert stiffness.identifiable
+    assert stiffness.std is not None
+    assert stiffness.std < 0.01 * GEARED_TRUTH["stiffness"]
+
+
+def test_a_vertical_axis_from_torque_alone() -> None:
+    reference = trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, 1e-3, duration=24.0)
+    known = pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=1)
+    record = simulated_record(LIFT, reference, LIFT_TRUTH, sample_time=1e-3, injected=known)
+    estimate = identify(torque_only(record), LIFT)
+    assert_found(estimate, LIFT_TRUTH, 1e-6)
+    assert [p.name for p in estimate.parameters if not p.free][:2] == ["offset", "counterbalance_constant"]
+
+
+def test_where_a_motor_hangs_is_read_off_the_first_torque() -> None:
+    record = geared(initial=Initial(SAG))
+    problem = torque_problem(torque_only(record), GEARED_LOOP, Filtering(), GEARED.parameters)
+    assert resting_position(problem) == pytest.approx(SAG, rel=1e-9)
+
+
+def test_a_link_from_encoders() -> None:
+    assert_found(identify(geared(), GEARED_LOOP, IDIM()), GEARED_TRUTH | {"offset": 0.01}, 0.01)
+    assert_found(identify(arm(), ARM, IDIM()), {"gravity_cos": 40.0, "gravity_sin": 15.0}, 0.01)
+
+
+def test_a_link_on_its_drive_side() -> None:
+    flexible = identify(geared().without("load_position"), GEARED, DriveSideFit())
+    assert_found(flexible, GEARED_TRUTH, 0.01)
+    assert_found(identify(arm(), ARM.joint, DriveSideFit()), ARM_TRUTH, 1e-4)
+
+
+def test_a_link_in_open_loop() -> None:
+    """Balanced by its torque, which the position then answers to."""
+    found = identify(arm(), ARM.joint, OpenLoopFit())
+    assert_found(found, {name: ARM_TRUTH[name] for name in ("inertia", "gravity_cos", "gravity_sin")}, 1e-3)
+
+
+@pytest.mark.parametrize("travel", [0.2, 0.05])
+def test_a_short_travel_tells_only_sums(travel: float) -> None:
+    """Over a few degrees the cosine is a constant and the sine a straight line: both estimators say so."""
+    record = arm(travel, noise=0.5)
+    estimate = identify(torque_only(record), ARM)
+    verdict = next(v for v in estimate.verdicts if v.subject == "identifiability")
+    assert not verdict.good
+    assert "offset and gMX are known by their sum: 40.5" in verdict.said
+    assert_covered(estimate, ARM_TRUTH, 4.0)
+    assert any("gravity_cos are hard to tell apart" in warning for warning in identify(record, ARM, IDIM()).warnings)
+    assert not any("hard to tell apart" in warning for warning in identify(arm(), ARM, IDIM()).warnings)
+
+
+def test_fixing_the_offset_tells_the_rest() -> None:
+    offset = next(p for p in ARM.joint.parameters if p.name == "offset")
+    estimate = identify(torque_only(arm(0.2, noise=0.5)), ARM, parameters={"offset": offset.fixed(0.5)})
+    cosine = estimate["gravity_cos"]
+    assert cosine.value == pytest.approx(40.0, abs=0.1)
+    assert cosine.std is not None
+    assert cosine.std < 0.02
+
+
+def test_every_method_side_by_side() -> None:
+    found = {one.name: one.estimate for one in compare(arm(), ARM).methods}
+    for name in ("DIDIM", "DIDIM asymmetric", "IDIM-LS"):
+        estimate = found[name]
+        assert estimate is not None
+        assert estimate["gravity_cos"].value == pytest.approx(40.0, rel=0.01)
+    lift = ClosedLoop(LIFT.joint.rigid, LIFT.controller) if isinstance(LIFT.joint, FlexibleJoint) else LIFT
+    values = {"inertia": 105.0, "viscous": 202.0, "coulomb": 20.4, "offset": 0.0} | {
+        name: LIFT_TRUTH[name] for name in ("gravity_constant", "counterbalance_constant")
+    }
+    reference = trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, 1e-3, duration=10.0)
+    tried = compare(simulated_record(lift, reference, values, sample_time=1e-3), lift).methods
+    assert not any("asymmetric" in one.name for one in tried)
+
+
+def test_what_gravity_cannot_be_is_refused() -> None:
+    with pytest.raises(MethodError, match="A prismatic joint does not turn its load"):
+        RigidJoint(gravity=Gravity("link"))
+    with pytest.raises(MethodError, match="A prismatic joint does not turn its load"):
+        FlexibleJoint(gravity=Gravity("constant", Counterbalance(sin=1.0)))
+    with pytest.raises(MethodError, match="cannot be told apart from asymmetric friction"):
+        FlexibleJoint(friction=AsymmetricFriction(), gravity=Gravity("constant"))
+    with pytest.raises(MethodError, match='"constant" or "link"; received "arm"'):
+        Gravity("arm")  # type: ignore[arg-type]
+    with pytest.raises(MethodError, match=r"and not 0; received 0\.0"):
+        Gravity("link", angle=0.0)
+    with pytest.raises(MethodError, match="rate is a finite number; received nan"):
+        Counterbalance(rate=float("nan"))

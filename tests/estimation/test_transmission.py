@@ -1,0 +1,371 @@
+"""An axis behind a gear is the same on either side of it, and in any units: to rounding, in as many simulations."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from itertools import compress
+
+import numpy as np
+import pytest
+
+from jointid.answers import estimate_answer, together_answer
+from jointid.assessment.loop import check_loop
+from jointid.data.excitation import pulses, trapezoids
+from jointid.data.record import Channel, Record
+from jointid.data.transmission import Side, Transmission
+from jointid.estimation.didim import DIDIM
+from jointid.estimation.drive_side import DriveSideFit
+from jointid.estimation.estimate import Estimate
+from jointid.estimation.estimated import EstimatedParameter, bounds_on_other_side, known_on_other_side
+from jointid.estimation.identify import identify
+from jointid.estimation.idim import IDIM
+from jointid.estimation.open_loop import OpenLoopFit
+from jointid.inference.combination import Combination
+from jointid.inference.identifiability import Known
+from jointid.inference.verdict import StiffnessBound
+from jointid.model.controllers import Cascade
+from jointid.model.effects import Drift, PositionHarmonics
+from jointid.model.friction import AsymmetricFriction, SymmetricFriction
+from jointid.model.gravity import Counterbalance, Gravity
+from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.model.sides import OtherSide
+from jointid.simulation.drive_side import DriveSide
+from jointid.simulation.experiment import ClosedLoop
+from jointid.simulation.open_loop import OpenLoop
+from jointid.simulation.synthesis import simulated_record
+from jointid.together.together import identify_together
+
+RATE = 1e-3
+GEAR = Transmission(load="revolute", ratio=100.0)
+TURNED = Transmission(load="revolute", ratio=100.0, sign=-1)
+SCREW = Transmission(load="prismatic", lead=0.010)
+LAW = Cascade(kp=25.0, kv=0.02, velocity_filter=(0.5, 0.5), limit=3.0)
+"""On the motor's side, where a drive closes its loops."""
+
+CLOSE = 1e-9
+"""How far answers may differ, relative."""
+
+RIGID = {"inertia": 2e-4, "viscous": 1e-3, "coulomb": 0.03, "offset": 0.02}
+RIGID_ASYMMETRIC = {
+    "inertia": 2e-4,
+    "viscous_forwards": 1e-3,
+    "coulomb_forwards": 0.03,
+    "viscous_backwards": 1.4e-3,
+    "coulomb_backwards": 0.04,
+    "offset": 0.0,
+}
+FLEXIBLE = {
+    "motor_inertia": 1.2e-4,
+    "motor_viscous": 6e-4,
+    "motor_coulomb": 0.02,
+    "stiffness": 1.5,
+    "damping": 3e-4,
+    "load_inertia": 0.8e-4,
+    "load_viscous": 4e-4,
+    "load_coulomb": 0.01,
+    "offset": 0.02,
+}
+
+
+def joint_of(model: str, gear: Transmission | None, friction: str = "symmetric") -> Joint:
+    law = SymmetricFriction() if friction == "symmetric" else AsymmetricFriction()
+    made = RigidJoint if model == "rigid" else FlexibleJoint
+    return made("revolute" if gear is None else gear.kind, law, None, gear)
+
+
+@cache
+def logged(model: str, friction: str = "symmetric") -> Record:
+    """Return a noisy record of the axis on the motor's side: rad and N m."""
+    values = {"rigid": RIGID, "flexible": FLEXIBLE}[model]
+    values = values if friction == "symmetric" else RIGID_ASYMMETRIC
+    reference = trapezoids((20.0, 40.0, 60.0), 400.0, 60.0, RATE, duration=12.0)
+    known = pulses(reference.size, RATE, height=0.3, width=0.015, every=0.4, seed=3)
+    noise = 0.004 * np.random.default_rng(2).standard_normal(reference.size)
+    loop = ClosedLoop(joint_of(model, None, friction), LAW)
+    return simulated_record(loop, reference, values, sample_time=RATE, injected=known, torque_noise=noise)
+
+
+def on_side(record: Record, gear: Transmission) -> Record:
+    """Return a record of the motor's side as the joint's side has it, by hand."""
+    r = gear.motor_per_load if gear.side == "load" else 1.0
+    position, torque = {"prismatic": ("m", "N"), "revolute": ("rad", "N m")}[gear.kind]
+
+    def of(channel: Channel | None, by: float, unit: str) -> Channel | None:
+        return channel and replace(channel, values=channel.values * by, unit=unit)
+
+    known = record.injected and of(record.injected.channel, r, torque)
+    return replace(
+        record,
+        torque=of(record.torque, r, torque),
+        injected=record.injected and replace(record.injected, channel=known),  # type: ignore[arg-type]
+        **{n: of(getattr(record, n), 1 / r, position) for n in ("reference", "motor_position", "load_position")},  # type: ignore[arg-type]
+    )
+
+
+def found(model: str, gear: Transmission | None, friction: str = "symmetric") -> Estimate:
+    record = logged(model, friction)
+    if gear is None:
+        return identify(record, ClosedLoop(joint_of(model, None, friction), LAW))
+    law = replace(LAW, ratio=gear.torque("motor"))
+    return identify(on_side(record, gear), ClosedLoop(joint_of(model, gear, friction), law))
+
+
+def apart(one: Mapping[str, float | None], other: Mapping[str, float | None]) -> float:
+    """Return the largest relative difference of values by name; what is None or 0 must be so in both."""
+    assert one.keys() == other.keys()
+    assert all(bool(other[name]) == bool(value) for name, value in one.items())
+    return max(abs((other[name] or 0.0) / value - 1) for name, value in one.items() if value)
+
+
+def values_of(parameters: Sequence[EstimatedParameter]) -> dict[str, float | None]:
+    return {p.name: p.value for p in parameters}
+
+
+def deviations_of(parameters: Sequence[EstimatedParameter]) -> dict[str, float | None]:
+    return {p.name: p.std for p in parameters}
+
+
+by_motor = cache(found)
+GEARS = {"100:1": GEAR, "turned round": TURNED, "screw": SCREW, "on the motor": replace(TURNED, side="motor")}
+CASES = [("rigid", "symmetric"), ("rigid", "asymmetric"), ("flexible", "symmetric")]
+
+
+@pytest.mark.parametrize("gear", GEARS.values(), ids=GEARS)
+@pytest.mark.parametrize(("model", "friction"), CASES)
+def test_either_side_of_a_gear_gives_the_same_answer(gear: Transmission, model: str, friction: str) -> None:
+    """Values and deviations, to rounding, some 1e-11, in as many simulations."""
+    motor, there = by_motor(model, None, friction), found(model, gear, friction)
+    back = there.parameters if gear.side == "motor" else there.other_side
+    assert [p.unit for p in back] == [p.unit for p in motor.parameters]
+    assert apart(values_of(motor.parameters), values_of(back)) < CLOSE
+    assert apart(deviations_of(motor.parameters), deviations_of(back)) < CLOSE
+    assert there.simulations == motor.simulations
+    assert there.filtered_error == pytest.approx(motor.filtered_error, rel=1e-9)
+    truth, name = (FLEXIBLE, "stiffness") if model == "flexible" else (RIGID, "inertia")
+    assert values_of(back)[name] == pytest.approx(truth[name], rel=0.02)
+
+
+def test_sums_and_bounds_are_on_both_sides() -> None:
+    there, motor = found("flexible", SCREW), by_motor("flexible", None)
+    assert there.known is not None
+    assert motor.known is not None
+    known = known_on_other_side(there.known.physical, there.other)
+    for one, other in zip(known, motor.known.physical, strict=True):
+        assert one.combination.unit == other.combination.unit
+        assert (one.value, one.std) == pytest.approx((other.value, other.std), rel=CLOSE), one.combination.name
+    soft = bounds_on_other_side((StiffnessBound(0.3, 4e5, 30.0), StiffnessBound(0.7, None, None)), there.other)
+    assert [b.stiffness for b in soft] == [pytest.approx(4e5 * (0.010 / (2 * math.pi)) ** 2), None]
+    assert known_on_other_side(motor.known.physical, motor.other) == bounds_on_other_side(soft, motor.other) == ()
+    assert motor.other_side == ()
+
+
+def test_sums_of_one_direction_are_of_the_other_behind_a_gear_that_turns_round() -> None:
+    def total(word: str, value: float) -> Known:
+        weights = {f"{side}_viscous_{word}": 1.0 for side in ("motor", "load")}
+        return Known(Combination(f"total viscous {word}", "", "N m s/rad", weights), value, 1.0, 0.1)
+
+    there = known_on_other_side((total("forwards", 10.0), total("backwards", 14.0)), OtherSide(TURNED, "N m"))
+    assert [k.value for k in there] == [pytest.approx(14e-4), pytest.approx(10e-4)]
+    assert [k.combination.name for k in there] == ["total viscous forwards", "total viscous backwards"]
+
+
+def test_a_refused_stiffness_is_bounded_on_both_sides() -> None:
+    gear = replace(GEAR, side="load")
+    law = replace(LAW, ratio=gear.torque("motor"))
+    refused = identify(on_side(logged("rigid"), gear), ClosedLoop(joint_of("flexible", gear), law))
+    assert refused["stiffness"].value is None
+    assert {p.name: p.value for p in refused.other_side}["stiffness"] is None
+    lines = str(refused).splitlines()
+    (row,) = (line for line in lines if line.startswith("K12  "))
+    assert row.count("not identifiable") == 2
+    (total,) = (line for line in lines if line.startswith("ZZ1 + ZZ2"))
+    assert "kg m2 on the motor side)" in total
+    bounds = [line for line in lines if line.startswith("share ") and "on the motor side), a mode at" in line]
+    assert len(bounds) == len([b for b in refused.bounds if b.stiffness is not None]) > 0
+    answer = estimate_answer(refused)
+    here, there = answer["stiffness_bounds"], answer["other_side"]["stiffness_bounds"]
+    assert [b["free_free_hz"] for b in here] == [b["free_free_hz"] for b in there]
+    assert there[0]["stiffness"] == pytest.approx(1e-4 * here[0]["stiffness"])
+
+
+@pytest.mark.parametrize("side", ["load", "motor"])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_link_in_gravity_is_the_same_on_either_side_of_its_gear(side: Side, sign: int) -> None:
+    """An arm of 40 and 15 N m, a counterbalance of 10 N m on it, behind a gear of 100:1: its motor swings 200 rad."""
+    gear = Transmission(load="revolute", ratio=100.0, sign=sign, side=side)
+    own = FlexibleJoint("revolute", gravity=Gravity("link", Counterbalance(cos=0.1), angle=sign / 100.0))
+    values = {**FLEXIBLE, "gravity_cos": 0.4, "gravity_sin": 0.15, "counterbalance_cos": 0.1}
+    reference = trapezoids((20.0, 40.0, 60.0), 200.0, 200.0, RATE, duration=24.0)
+    known = pulses(reference.size, RATE, height=0.3, width=0.015, every=0.4, seed=3)
+    noise = 0.004 * np.random.default_rng(4).standard_normal(reference.size)
+    loop = ClosedLoop(own, LAW)
+    record = simulated_record(loop, reference, values, sample_time=RATE, injected=known, torque_noise=noise)
+    motor = identify(record, loop)
+    # The counterbalance is given on the side of the joint; its angle is the link's.
+    r = gear.motor_per_load if side == "load" else 1.0
+    weight = Gravity("link", Counterbalance(cos=0.1 * r), angle=1.0 if side == "load" else sign / 100.0)
+    geared = FlexibleJoint("revolute", transmission=gear, gravity=weight)
+    there = identify(on_side(record, gear), ClosedLoop(geared, replace(LAW, ratio=gear.torque("motor"))))
+    back = there.parameters if side == "motor" else there.other_side
+    of_joint = [p.of_joint for p in motor.parameters]
+    here, beside = (values_of(list(compress(found, of_joint))) for found in (motor.parameters, back))
+    assert apart(here, beside) < CLOSE
+    begun = next(p for p in back if p.name == "initial_position")  # beside 0: what counts is its deviation
+    assert abs((begun.value or 0.0) - (motor["initial_position"].value or 0.0)) < 1e-6 * (begun.std or 0.0)
+    assert apart(deviations_of(motor.parameters), deviations_of(back)) < 1e-7
+    assert there.simulations == motor.simulations
+    for name in ("stiffness", "load_inertia", "motor_inertia", "gravity_cos", "gravity_sin"):
+        assert abs((motor[name].value or 0.0) - values[name]) <= 4 * (motor[name].std or 0.0), name
+
+
+def test_several_records_are_told_on_both_sides() -> None:
+    """A wheel of 0.5 kg m2 on the arm, 5e-5 on the motor, added to the second record."""
+    heavy = {**RIGID, "inertia": RIGID["inertia"] + 5e-5}
+    light = logged("rigid")
+    assert light.reference is not None
+    noise = 0.004 * np.random.default_rng(5).standard_normal(len(light.reference))
+    plain = ClosedLoop(joint_of("rigid", None), LAW)
+    loaded = simulated_record(plain, light.reference.values, heavy, sample_time=RATE, torque_noise=noise, name="loaded")
+    motor = identify_together([light, loaded], plain, added_inertia=[0.0, 5e-5])
+    geared = ClosedLoop(joint_of("rigid", TURNED), replace(LAW, ratio=TURNED.torque("motor")))
+    there = identify_together([on_side(r, TURNED) for r in (light, loaded)], geared, added_inertia=[0.0, 0.5])
+    assert motor["inertia"].value == pytest.approx(2e-4, rel=0.01)
+    assert apart(values_of(motor.parameters), values_of(there.other_side)) < 1e-8
+    assert there.simulations == motor.simulations
+    text, answer = str(there), together_answer(there)
+    assert "values are on the load side\n" in text
+    assert "0.50000 kg m2 added to the load" in text
+    (row,) = (line for line in text.splitlines() if line.startswith("ZZ  "))
+    assert re.search(r"kg m2 .* +(2\.0|1\.99)\d+e-04 +kg m2$", row)
+    assert answer["other_side"]["side"] == "motor"
+    assert answer["other_side"]["parameters"]["offset"]["value"] == pytest.approx(motor["offset"].value, rel=1e-6)
+
+
+def test_the_table_has_both_sides_and_says_what_it_takes_for_granted() -> None:
+    text = str(found("flexible", SCREW))
+    assert "transmission: 10 mm per turn, without loss (efficiency taken as 1); values are on the load side" in text
+    (row,) = (line for line in text.splitlines() if line.startswith("K12"))
+    assert re.fullmatch(r"K12 +stiffness +59\d{4} +\d+ +[\d.]+ +N/m +1\.4\d+ +N m/rad", row)
+    (known,) = (line for line in text.splitlines() if line.startswith("ZZ1 + ZZ2"))
+    assert re.search(r"kg  \(2\.00\d+e-04 kg m2 on the motor side\)$", known)
+
+
+@pytest.mark.parametrize("model", ["rigid", "flexible"])
+@pytest.mark.parametrize("mass", [1 / 3, 1024.0])
+def test_units_of_mass_length_and_time_do_not_matter_behind_a_gear(model: str, mass: float) -> None:
+    """A screw in other units of mass, length and time, ratios that round among them: the same answer, scaled."""
+    length, time = 1e3 / 7, 64.0
+    plain = found(model, SCREW)
+    gear = replace(SCREW, lead=0.010 * length)
+    unit = mass * length**2 / time**2  # of the motor's torque; an angle has none
+    force = mass * length / time**2
+    law = replace(LAW, kp=LAW.kp / time, kv=LAW.kv * unit * time, limit=LAW.limit * unit, ratio=gear.torque("motor"))
+    record = on_side(scaled(logged(model), 1.0, unit, time), gear)
+    moved = identify(record, ClosedLoop(joint_of(model, gear), law))
+    by = {
+        "kg": mass,
+        "N s/m": force * time / length,
+        "N": force,
+        "N/m": force / length,
+        "m": length,
+        "m/s": length / time,
+    }
+    values = {p.name: None if p.value is None else p.value * by[p.unit] for p in plain.parameters}
+    assert apart(values, values_of(moved.parameters)) < CLOSE
+    assert moved.simulations == plain.simulations
+
+
+def scaled(record: Record, position: float, torque: float, time: float) -> Record:
+    """Return a record in other units of position, torque and time."""
+
+    def of(channel: Channel | None, by: float) -> Channel | None:
+        return channel and replace(channel, values=channel.values * by, sample_time=channel.sample_time * time)
+
+    assert record.injected is not None
+    known = of(record.injected.channel, torque)
+    assert known is not None
+    return replace(
+        record,
+        torque=of(record.torque, torque),
+        injected=replace(record.injected, channel=known),
+        **{n: of(getattr(record, n), position) for n in ("reference", "motor_position", "load_position")},  # type: ignore[arg-type]
+    )
+
+
+@pytest.mark.parametrize("gear", [TURNED, SCREW], ids=["turned round", "screw"])
+def test_inverse_models_have_both_sides_too(gear: Transmission) -> None:
+    """Ripple and drift as well: a force that is even in the position is turned round, one that is odd is not."""
+    period = 2 * math.pi
+    record = logged("rigid")
+    motor = identify(record, joint_of("rigid", None), IDIM(effects=(PositionHarmonics(period, 2), Drift("both"))))
+    effects = (PositionHarmonics(period / abs(gear.motor_per_load), 2), Drift("both"))
+    there = identify(on_side(record, gear), joint_of("rigid", gear), IDIM(effects=effects))
+    assert apart(values_of(motor.parameters), values_of(there.other_side)) < 1e-7  # a parabola of small amplitudes
+    assert [p.unit for p in there.other_side] == [p.unit for p in motor.parameters]
+
+
+@pytest.mark.parametrize(
+    "method", [DriveSideFit(log_delay=0.0), OpenLoopFit(log_delay=0.0)], ids=["drive side", "open loop"]
+)
+def test_methods_without_a_controller_have_both_sides_too(method: DriveSideFit | OpenLoopFit) -> None:
+    closed = DriveSide if isinstance(method, DriveSideFit) else OpenLoop
+    motor = identify(logged("rigid"), closed(joint_of("rigid", None)), method)
+    there = identify(on_side(logged("rigid"), SCREW), closed(joint_of("rigid", SCREW)), method)
+    assert apart(values_of(motor.parameters), values_of(there.other_side)) < 1e-6
+    assert there.simulations == motor.simulations
+
+
+def test_a_gain_that_is_freed_is_that_of_the_law_on_its_own_side() -> None:
+    """Kv is 5 % more than declared: freed, it is found in the unit it is declared in, on either side."""
+    wrong, settings = replace(LAW, kv=LAW.kv / 1.05), DIDIM(free=("kv",))
+    gear = replace(TURNED, side="load")
+    motor = identify(logged("rigid"), ClosedLoop(joint_of("rigid", None), wrong), settings)
+    seen = replace(wrong, ratio=gear.torque("motor"))
+    there = identify(on_side(logged("rigid"), gear), ClosedLoop(joint_of("rigid", gear), seen), settings)
+    assert motor["kv"].value == pytest.approx(LAW.kv, rel=0.01)
+    assert there["kv"].value == pytest.approx(motor["kv"].value, rel=1e-8)
+    assert there["kv"].std == pytest.approx(motor["kv"].std, rel=1e-6)
+    beside = {p.name: p for p in there.other_side}
+    assert (beside["kv"].value, beside["kv"].unit) == (there["kv"].value, "as declared")
+
+
+def test_a_drive_of_today_is_the_same_on_either_side() -> None:
+    """With an integral, whose torque at the first sample is estimated too, feed-forward and a limit of the velocity."""
+    law = Cascade(kp=25.0, kv=0.02, ki=30.0, limit=3.0, velocity_limit=70.0, viscous_feedforward=5e-4)
+    loop = ClosedLoop(joint_of("rigid", None), law)
+    noisy = logged("rigid")
+    assert noisy.reference is not None
+    noise = 0.004 * np.random.default_rng(7).standard_normal(len(noisy.reference))
+    record = simulated_record(loop, noisy.reference.values, RIGID, sample_time=RATE, torque_noise=noise)
+    motor = identify(record, loop)
+    for gear in (TURNED, SCREW):
+        seen = ClosedLoop(joint_of("rigid", gear), replace(law, ratio=gear.torque("motor")))
+        there = identify(on_side(record, gear), seen)
+        assert apart(values_of(motor.parameters), values_of(there.other_side)) < 1e-8
+        assert there.simulations == motor.simulations
+    assert motor["initial_torque"].free
+
+
+def test_a_limit_that_is_not_declared_is_told_in_the_torque_of_the_side() -> None:
+    clean = logged("flexible")
+    assert clean.reference is not None
+    assert clean.torque is not None
+    assert clean.injected is not None
+    known = clean.injected.channel.values
+    level = 0.7 * float(np.max(np.abs(clean.torque.values - known)))
+    law = replace(LAW, kv=LAW.kv / 2, gain=2.0, limit=level / 2)
+    noise = 0.004 * np.random.default_rng(7).standard_normal(known.size)
+    record = simulated_record(
+        ClosedLoop(joint_of("flexible", None), law), clean.reference.values, FLEXIBLE, sample_time=RATE, injected=known,
+        torque_noise=noise,
+    )  # fmt: skip
+    declared = replace(law, limit=math.inf, ratio=TURNED.torque("motor"))
+    geared = on_side(record, TURNED)
+    estimate = identify(geared, ClosedLoop(joint_of("flexible", TURNED), declared))
+    (finding,) = check_loop(estimate, geared).findings
+    assert finding.suspect.name == "limit"
+    assert finding.value == pytest.approx(100 * level, rel=5e-3)

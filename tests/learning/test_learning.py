@@ -1,0 +1,200 @@
+"""The controller learned: on the public record, on loops of known law, and what is said of what a record lacks."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError, RecordError
+from jointid.data.excitation import trapezoids
+from jointid.data.record import FloatArray, Record
+from jointid.estimation.identify import identify
+from jointid.jointfile import load
+from jointid.learning.changes import canonical
+from jointid.learning.fitting import Task, fit
+from jointid.learning.learn import covariance, learn_loop
+from jointid.learning.learned import LearnedLoop
+from jointid.learning.structures import INTEGRAL, Structure
+from jointid.learning.watched import watched
+from jointid.learning.writing import save
+from jointid.model.controllers import Cascade, Controller, FirstOrder
+from jointid.model.joints import RigidJoint
+from jointid.paper.learned import LoopTwin, learned_twins, loop_twin
+from jointid.simulation.experiment import ClosedLoop
+from jointid.simulation.synthesis import simulated_record
+
+EMPS = load(Path(__file__).resolve().parents[2] / "examples" / "emps" / "joint.toml")
+T = 1e-3
+
+
+def made(controller: Controller, noise: float = 0.02, step: float = 1e-7) -> Record:
+    """A rigid axis of 5 kg under a law, with noise on the log and a rounded position."""
+    reference = trapezoids([0.1, 0.3, 0.5], 2.0, 0.2, T, 0.1, 6.0)
+    values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
+    error = noise * np.random.default_rng(3).standard_normal(reference.size)
+    loop = ClosedLoop(RigidJoint(), controller)
+    return simulated_record(loop, reference, values, sample_time=T, encoder_step=step, torque_noise=error)
+
+
+@pytest.fixture(scope="module")
+def emps(emps_path: Path) -> tuple[Record, LearnedLoop]:
+    record = EMPS.record(emps_path)
+    assert EMPS.controller is not None
+    return record, learn_loop(record, gain=35.15065188)
+
+
+def test_the_public_record_gives_its_law(emps: tuple[Record, LearnedLoop]) -> None:
+    _, learned = emps
+    assert learned.words == "P-P, velocity filter mean of 2 samples"
+    assert learned["kp"].value == pytest.approx(160.18, rel=5e-3)
+    assert learned["kv"].value == pytest.approx(243.45, rel=5e-3)
+    assert isinstance(learned.controller, Cascade)
+    assert learned.controller.delay == 0.0
+    assert any("An integral does not act" in said for said in learned.sentences)
+    assert any("limit is not reached" in said for said in learned.sentences)
+
+
+def test_the_learned_law_identifies_what_the_given_one_does(emps: tuple[Record, LearnedLoop]) -> None:
+    record, learned = emps
+    assert EMPS.loop is not None
+    torque = record.without("motor_position")
+    given = identify(torque, EMPS.loop, EMPS.method, filtering=EMPS.filtering)
+    found = identify(torque, replace(EMPS.loop, controller=learned.controller), EMPS.method, filtering=EMPS.filtering)
+    for parameter in given.parameters:
+        if parameter.std and parameter.value is not None:
+            assert abs(found[parameter.name].value - parameter.value) <= 0.2 * parameter.std, parameter.name
+
+
+def test_the_learned_table_is_a_joint_file_s(emps: tuple[Record, LearnedLoop], tmp_path: Path) -> None:
+    _, learned = emps
+    save(learned, EMPS, tmp_path / "joint.toml")
+    assert load(tmp_path / "joint.toml").controller == learned.controller
+    assert (
+        EMPS.path.read_text(encoding="utf-8").splitlines()[0] == (tmp_path / "joint.toml").read_text().splitlines()[0]
+    )
+    assert tomllib.loads(learned.table)["controller"]["kp"] == learned["kp"].value
+
+
+@pytest.mark.parametrize(
+    ("controller", "words"),
+    [
+        (Cascade(kp=60.0, kv=500.0), "P-P"),
+        (Cascade(kp=60.0, kv=500.0, ki=15.0, velocity_feedforward=0.7), "P-PI, velocity feed-forward"),
+        (
+            Cascade(kp=60.0, kv=500.0, acceleration_feedforward=4.0, velocity_filter=FirstOrder(2e-3)),
+            "P-P, acceleration feed-forward, velocity filter first order",
+        ),
+    ],
+    ids=["P-P", "P-PI", "feed-forward and filter"],
+)
+def test_a_law_is_found_with_its_numbers(controller: Cascade, words: str) -> None:
+    learned = learn_loop(made(controller))
+    assert learned.words == words
+    for name in ("kp", "kv"):
+        one = learned[name]
+        assert 0.0 < one.std < 1e-3 * one.value
+        assert one.value == pytest.approx(getattr(controller, name), rel=2e-3)
+
+
+def test_a_limit_is_read_from_the_log() -> None:
+    learned = learn_loop(made(Cascade(kp=60.0, kv=500.0, limit=19.0)))
+    assert learned["limit"].value == pytest.approx(19.0, rel=1e-3)
+    assert learned["kv"].value == pytest.approx(500.0, rel=5e-3)
+
+
+def test_a_coarse_position_does_not_bend_the_gains() -> None:
+    learned = learn_loop(made(Cascade(kp=60.0, kv=500.0), step=2e-6))
+    assert 0.0 < learned.position_noise < 2e-6
+    assert all(abs(learned[n].value - v) <= 3 * learned[n].std for n, v in (("kp", 60.0), ("kv", 500.0)))
+
+
+def test_one_law_has_one_name() -> None:
+    assert canonical(Structure("PD", "difference")) == Structure("P-P", "full")
+    assert canonical(Structure("PID", "difference")) == Structure("P-PI", "full")
+    filtered = Structure("PD", "difference", "first order")
+    assert canonical(filtered) == filtered
+
+
+def test_a_record_that_cannot_tell_says_so() -> None:
+    record = made(Cascade(kp=60.0, kv=500.0))
+    with pytest.raises(RecordError, match="Learning a controller needs motor_position"):
+        learn_loop(record.without("motor_position"))
+    with pytest.raises(MethodError, match="positive number; received 0"):
+        learn_loop(record, gain=0.0)
+    assert record.reference is not None
+    still = replace(record, reference=replace(record.reference, values=np.zeros(len(record.reference))))
+    with pytest.raises(RecordError, match="reference does not move"):
+        learn_loop(still)
+
+
+def given(twin: LoopTwin) -> FloatArray:
+    """The deviations of a twin's numbers, fitted from the true ones in the true structure, in standard deviations."""
+    task, numbers = Task(watched(twin.record), 1.0), dict(twin.numbers)
+    for _ in range(3):
+        fitted = fit(task, twin.structure, numbers, task.noise(twin.structure, numbers), steps=12)
+        assert fitted is not None
+        numbers = fitted.numbers
+    std = covariance(task, fitted).std
+    kept = [name != INTEGRAL for name in numbers]
+    return np.array([(numbers[name] - twin.numbers[name]) for name in numbers])[kept] / std[kept]
+
+
+def test_the_true_structure_has_its_numbers_within_their_intervals() -> None:
+    twins = [twin for twin in map(loop_twin, range(600, 616)) if twin.structure.rate == 1]
+    deviations = np.concatenate([given(twin) for twin in twins])
+    assert deviations.size > 50
+    assert np.mean(np.abs(deviations) <= 2.0) > 0.88  # measured over 88 twins: 0.951
+    assert 0.7 < np.sqrt(np.mean(deviations**2)) < 1.35  # 1.03
+
+
+def test_slopes_are_the_derivatives_whatever_the_gains() -> None:
+    twin = loop_twin(306)  # kv 9600, time constant 0.8 ms
+    task, names = Task(watched(twin.record), 1.0), twin.structure.names
+    noise, x = task.noise(twin.structure, twin.numbers), np.array([twin.numbers[name] for name in names])
+
+    def white(at: FloatArray) -> FloatArray:
+        return task.whitened(twin.structure, dict(zip(names, at, strict=True)), noise)
+
+    J = task.slopes(twin.structure, x, white(x), noise)
+    for i, by in enumerate(1e-4 * np.diag(x)):
+        central = (white(x + by) - white(x - by)) / (2 * by[i])
+        assert np.linalg.norm(J[:, i] - central) < 1e-3 * np.linalg.norm(central), names[i]
+
+
+def test_what_is_added_is_as_late_in_a_late_log_as_the_output() -> None:
+    twin = loop_twin(308)  # the log shows the torque 3 samples late, pulses and all
+    task = Task(watched(twin.record), 1.0)
+    assert np.std(task.residual(twin.structure, twin.numbers)) < 0.02 * np.std(task.watched.torque)
+
+
+@pytest.mark.slow
+def test_random_loops_are_mostly_right() -> None:
+    """Twins that nothing was tuned on; `python -m jointid.paper.learned 500 560` makes the table."""
+    found = learned_twins(range(500, 512))
+    assert found.named >= 0.75  # measured: 10 of 12
+    assert found.covered >= 0.88  # measured: 35 of 35 numbers
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_no_law_is_made_up_where_the_record_shows_none(data_dir: Path, number: int) -> None:
+    """The KR300's axes: a robot's controller looks at all of them, and at its model."""
+    file = load(Path(__file__).resolve().parents[2] / "examples" / "kr300" / f"axis{number}.toml")
+    with pytest.raises(MethodError, match="No law that is searched for gives"):
+        learn_loop(file.record(data_dir / "kr300" / "rec_A.mat"))
+
+
+def test_what_the_record_does_not_show_is_kept_as_declared() -> None:
+    loop = ClosedLoop(RigidJoint(), Cascade(kp=60.0, kv=500.0))
+    reference = trapezoids([0.1, 0.3], 2.0, 0.2, 1e-3, 0.1, 6.0)
+    values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 0.0}
+    record = simulated_record(loop, reference, values, sample_time=1e-3, encoder_step=1e-7)
+    declared = Cascade(kp=1.0, kv=1.0, limit=900.0, delay=5e-4)
+    learned = learn_loop(record, declared=declared)
+    assert isinstance(learned.controller, Cascade)
+    assert (learned.controller.limit, learned.controller.delay) == (900.0, 5e-4)
+    assert "As declared, and not from this record: limit = 900 and delay = 0.0005." in learned.sentences
+    assert "limit = 900.0" in learned.table

@@ -1,0 +1,143 @@
+"""The derivatives of loops under named laws by the numbers the laws are made of, against central differences."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError
+from jointid.data.excitation import trapezoids
+from jointid.data.record import Channel, Record, Tap, Timing
+from jointid.model.controllers import PID, Cascade, FirstOrder, Notch, SecondOrder, number, with_numbers
+from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.simulation.closed_loop import Initial, Outcome, Response, simulate_torque
+from jointid.simulation.experiment import ClosedLoop, prepare
+from jointid.simulation.sensitivities import simulate_sensitivities
+
+COMMAND, LOG = 2e-3, 1e-3
+REFERENCE = trapezoids((0.05, 0.1), 1.0, 0.05, COMMAND, rest=0.1)[:300]
+RIGID = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.2}
+FLEXIBLE = {
+    "motor_inertia": 70.2, "motor_viscous": 92.0, "motor_coulomb": 10.0, "stiffness": 8e5, "damping": 126.0,
+    "load_inertia": 34.8, "load_viscous": 110.0, "load_coulomb": 10.4, "offset": -3.16,
+}  # fmt: skip
+BASE = Cascade(
+    kp=60.0, kv=6e3, ki=30.0, velocity_feedforward=0.9, velocity_filter=FirstOrder(0.6e-3),
+    torque_filters=(SecondOrder(250.0), Notch(80.0, 20.0, 0.1)), period=250e-6, position_period=1e-3,
+    position_offset=0.5e-3, delay=0.35e-3, interpolation="cubic", acceleration_feedforward=60.0,
+    viscous_feedforward=90.0, coulomb_feedforward=10.0, reference_delay=0.6e-3, velocity_feedforward_delay=0.3e-3,
+    torque_feedforward_delay=0.4e-3,
+)  # fmt: skip
+NUMBERS = (
+    "kp", "kv", "ki", "gain", "delay", "velocity_feedforward", "velocity_feedforward_delay", "reference_delay",
+    "acceleration_feedforward", "viscous_feedforward", "coulomb_feedforward",
+    "torque_feedforward_delay", "velocity_filter.time_constant", "torque_filters.0.frequency",
+    "torque_filters.0.damping", "torque_filters.1.frequency", "torque_filters.1.bandwidth", "torque_filters.1.depth",
+    "initial_torque", "initial_position", "initial_velocity",
+)  # fmt: skip
+LIMITS = ("limit", "velocity_limit", "kp", "kv", "ki", "gain", "torque_filters.1.frequency", "initial_torque")
+
+
+def moved(loop: ClosedLoop, values: dict[str, float], start: Initial, name: str, by: float, tap: Tap) -> Response:
+    """The loop with one of its parameters moved."""
+    values = dict(values)
+    if name in values:
+        values[name] += by
+    elif name.startswith("initial_"):
+        key = name.removeprefix("initial_")
+        start = replace(start, **{key: getattr(start, key) + by})
+    else:
+        controller = with_numbers(loop.controller, {name: number(loop.controller, name) + by})
+        loop = replace(loop, controller=controller)
+    return simulate_torque(loop, prepare(loop, driven(tap)), values, start)
+
+
+def driven(tap: Tap) -> Record:
+    samples = round(REFERENCE.size * COMMAND / LOG)
+    torque = Channel(np.zeros(samples), "N", LOG, Timing.HELD)
+    return Record(torque=torque, tap=tap, reference=Channel(REFERENCE, "m", COMMAND))
+
+
+SIZES = {"constant_feedforward": 10.0, "initial_torque": 10.0, "initial_position": 0.01, "initial_velocity": 0.05}
+
+
+def check(law: Any, joint: Joint, names: tuple[str, ...], tap: Tap) -> tuple[float, np.ndarray]:
+    """Assert that the derivatives are the differences; return how often the law is limited, and the former."""
+    values = RIGID if joint.model == "rigid" else FLEXIBLE
+    loop, start = ClosedLoop(joint, law), Initial(1e-4, 0.005, 15.0)
+    wanted = (*values, *names)[:40]
+    found = simulate_sensitivities(loop, prepare(loop, driven(tap)), values, wanted, start)
+    assert found.response.outcome is Outcome.FINISHED
+    for j, name in enumerate(wanted):
+        size = SIZES.get(name) or values.get(name) or number(law, name)
+        errors = []
+        for share in (1e-6, 1e-5, 1e-4):  # rounding where it is short, curvature where it is long
+            low, high = (moved(loop, values, start, name, sign * share * size, tap).torque for sign in (-1, 1))
+            slope = (high - low) / (2 * share * size)
+            errors.append(np.linalg.norm(found.torque[:, j] - slope) / np.linalg.norm(slope))
+        assert min(errors) < (1e-3 if name == "damping" else 2e-4), (name, errors)
+    return found.response.at_limit, found.torque
+
+
+@pytest.mark.parametrize("joint", [RigidJoint(), FlexibleJoint()], ids=["rigid", "flexible"])
+def test_every_number_of_a_cascade_at_two_rates(joint: Joint) -> None:
+    check(BASE, joint, NUMBERS, Tap.FILTERED)
+    # An integral that begins with a given torque makes good what is constant.
+    check(replace(BASE, ki=0.0), joint, ("kp", "constant_feedforward"), Tap.FILTERED)
+
+
+@pytest.mark.parametrize("tap", [Tap.COMMAND, Tap.FILTERED])
+@pytest.mark.parametrize("at", ["before_limit", "after_limit"])
+@pytest.mark.parametrize("windup", ["hold", "track", "none"])
+def test_limits_that_act(windup: Any, at: Any, tap: Tap) -> None:
+    law = replace(BASE, limit=70.0, velocity_limit=0.07, anti_windup=windup, filters_at=at)
+    if (windup, at) == ("track", "before_limit"):  # what is tracked must not lag, or it swings
+        law = replace(law, torque_filters=(Notch(80.0, 20.0, 0.9),))
+    names = tuple(name.replace("filters.1", f"filters.{len(law.torque_filters) - 1}") for name in LIMITS)
+    limited, slopes = check(law, FlexibleJoint(), names, tap)
+    assert 0.03 < limited < 0.9
+    assert np.any(slopes[:, 9] != 0.0)
+    assert np.any(slopes[:, 10] != 0.0)
+
+
+@pytest.mark.parametrize("windup", ["hold", "track"])
+def test_a_pid_at_its_limit(windup: Any) -> None:
+    law = PID(kp=3e5, kd=6e3, ki=3e6, anti_windup=windup, limit=70.0, velocity_filter=FirstOrder(0.6e-3), period=250e-6)
+    names = ("kp", "kd", "ki", "limit", "gain", "velocity_filter.time_constant", "initial_torque")
+    limited, _ = check(law, RigidJoint(), names, Tap.COMMAND)
+    assert 0.01 < limited < 0.9
+
+
+def test_what_is_0_has_a_slope_all_the_same() -> None:
+    """Of a delay that towards longer ones."""
+    law = Cascade(
+        kp=60.0, kv=6e3, ki=30.0, velocity_feedforward=0.5, period=250e-6, torque_filters=(Notch(80.0, 20.0),)
+    )
+    loop, start = ClosedLoop(RigidJoint(), law), Initial(1e-4, 0.005)
+    names = ("acceleration_feedforward", "viscous_feedforward", "coulomb_feedforward", "constant_feedforward",
+             "reference_delay", "velocity_feedforward_delay", "torque_filters.0.depth")  # fmt: skip
+    found = simulate_sensitivities(loop, prepare(loop, driven(Tap.COMMAND)), RIGID, names, start)
+    for j, name in enumerate(names):
+        errors = []
+        for by in (1e-9, 1e-8, 1e-7) if name.endswith("delay") else (1e-5, 1e-3, 1e-1):
+            low, high = (moved(loop, RIGID, start, name, size, Tap.COMMAND).torque for size in (0.0, by))
+            slope = (high - low) / by
+            errors.append(np.linalg.norm(found.torque[:, j] - slope) / np.linalg.norm(slope))
+        assert min(errors) < 3e-4, (name, errors)
+
+
+def test_what_is_not_there_has_no_slope() -> None:
+    for limit in (50.0, math.inf):
+        law = replace(BASE, ki=0.0, limit=limit)
+        loop, values = ClosedLoop(RigidJoint(), law), RIGID
+        experiment = prepare(loop, driven(Tap.COMMAND))
+        with pytest.raises(MethodError, match="The ki of this controller is 0, and what it belongs to is not there"):
+            simulate_sensitivities(loop, experiment, values, ["ki"])
+    assert law.velocity_limit == math.inf
+    assert not simulate_sensitivities(loop, experiment, values, ["velocity_limit"]).torque.any()
+    with pytest.raises(MethodError, match=r"velocity_filter\.depth"):
+        simulate_sensitivities(loop, experiment, values, ["velocity_filter.depth"])

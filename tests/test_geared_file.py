@@ -1,0 +1,317 @@
+"""One axis, one log, three joint files: on the motor alone, and with its gear on either side of it."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid.answers import estimate_answer, read_identified, write
+from jointid.cli.app import main
+from jointid.common.errors import JointFileError, MethodError, RecordError
+from jointid.data.columns import Column
+from jointid.data.excitation import trapezoids
+from jointid.data.reading import read
+from jointid.data.record import Record
+from jointid.data.transmission import Transmission
+from jointid.estimation.estimate import Estimate
+from jointid.estimation.identify import identify
+from jointid.jointfile import JointFile, dumps, loads, save
+from jointid.model.controllers import Cascade
+from jointid.model.joints import RigidJoint
+from jointid.simulation.experiment import ClosedLoop
+from jointid.simulation.synthesis import simulated_record
+
+RATE, LEAD = 1e-3, 0.010
+R = 2 * math.pi / LEAD
+
+CONTROLLER = """
+[controller]
+law = "cascade"
+kp = 25.0
+"""
+MOTOR = """[joint]
+kind = "revolute"
+[record]
+file = "run.csv"
+[record.channels]
+torque = { column = "tau [mN m]" }
+reference = { column = "turns [rev]" }
+motor_position = { column = "turns [rev]" }
+[parameters]
+inertia = { upper = 2.5e-4 }
+"""
+SCREW = """[joint]
+kind = "prismatic"
+[transmission]
+lead = 10.0
+lead_unit = "mm"
+sign = -1
+side = "SIDE"
+[record]
+file = "run.csv"
+[record.channels]
+torque = { column = "tau [mN m]" }
+reference = { column = "x [mm]", side = "load" }
+motor_position = { column = "turns [rev]" }
+load_position = { column = "x [mm]" }
+[parameters]
+inertia = { upper = 2.5e-4 }
+"""
+ON_THE_MOTOR = MOTOR + CONTROLLER + "kv = 0.02\nlimit = 3.0\n"
+GEARED = SCREW + CONTROLLER + "kv = 0.02\nlimit = 3.0\n"
+BY_THE_LOAD = (
+    SCREW.replace("2.5e-4", f"{2.5e-4 * R**2!r}")
+    + CONTROLLER
+    + f'side = "load"\nkv = {0.02 * R**2!r}\nlimit = {3 * R!r}\n'
+)
+"""The same law in the load's metres and newtons."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the log of a screw whose nut goes down while its motor turns forwards."""
+    made = tmp_path_factory.mktemp("screw")
+    reference = trapezoids((20.0, 40.0), 400.0, 60.0, RATE, duration=8.0)
+    loop = ClosedLoop(RigidJoint("revolute"), Cascade(kp=25.0, kv=0.02, limit=3.0))
+    values = {"inertia": 2e-4, "viscous": 1e-3, "coulomb": 0.03, "offset": 0.02}
+    noise = 0.004 * np.random.default_rng(2).standard_normal(reference.size)
+    torque = simulated_record(loop, reference, values, sample_time=RATE, torque_noise=noise).torque
+    assert torque is not None
+    time = np.arange(reference.size) * RATE
+    columns = [time, 1e3 * torque.values, reference / (2 * math.pi), -1e3 * reference / R]
+    rows = "\n".join(",".join(f"{value!r}" for value in map(float, row)) for row in zip(*columns, strict=True))
+    (made / "run.csv").write_text(f"t,tau [mN m],turns [rev],x [mm]\n{rows}\n")
+    return made
+
+
+def file_of(folder: Path, text: str, side: str = "load") -> JointFile:
+    return loads(text.replace("SIDE", side), folder)
+
+
+def identified(folder: Path, text: str, side: str = "load") -> Estimate:
+    file = file_of(folder, text, side)
+    assert file.loop is not None
+    return identify(file.record(), file.loop, file.method, parameters=file.parameters)
+
+
+@pytest.fixture(scope="module")
+def motor(folder: Path) -> Estimate:
+    return identified(folder, ON_THE_MOTOR)
+
+
+def test_three_files_give_one_answer(folder: Path, motor: Estimate) -> None:
+    by_motor, by_load = identified(folder, GEARED, "motor"), identified(folder, BY_THE_LOAD)
+    assert by_load.joint.kind == "prismatic"
+    assert by_load["inertia"].value == pytest.approx(2e-4 * R**2, rel=0.01)  # 79 kg
+    assert by_load["offset"].value == pytest.approx(-0.02 * R, rel=0.05)  # the screw turns it round
+    for found in (by_motor.parameters, by_load.other_side):
+        for p, q in zip(found, motor.parameters, strict=True):
+            assert (p.name, p.unit) == (q.name, q.unit)
+            for value, expected in ((p.value, q.value), (p.std, q.std)):
+                assert (value or 0.0) == pytest.approx(expected or 0.0, rel=1e-9), p.name
+    assert by_motor.simulations == by_load.simulations == motor.simulations
+
+
+def test_an_answer_has_both_sides_and_is_read_back(folder: Path, motor: Estimate) -> None:
+    found = identified(folder, BY_THE_LOAD)
+    write(estimate_answer(found), folder / "out.json")
+    answer = json.loads((folder / "out.json").read_text())
+    assert answer["transmission"] == {
+        "motor_per_load": pytest.approx(-R),
+        "lead": 0.01,
+        "motor_kind": "revolute",
+        "load_kind": "prismatic",
+        "side": "load",
+        "efficiency": 1.0,
+    }
+    assert answer["parameters"]["inertia"]["unit"] == "kg"
+    assert answer["other_side"]["side"] == "motor"
+    beside = answer["other_side"]["parameters"]["inertia"]
+    assert (beside["value"], beside["unit"]) == (pytest.approx(motor["inertia"].value, rel=1e-9), "kg m2")
+    assert estimate_answer(motor)["transmission"] is estimate_answer(motor)["other_side"] is None
+
+    file = file_of(folder, BY_THE_LOAD)
+    assert read_identified(folder / "out.json", file.joint, file.loop).values == found.values
+    other = file_of(folder, GEARED, "motor")
+    with pytest.raises(RecordError, match=r"per load, on the load side, and this joint has .* on the motor side"):
+        read_identified(folder / "out.json", other.joint, other.loop)
+    plain = file_of(folder, ON_THE_MOTOR)
+    with pytest.raises(RecordError, match="and this joint has no transmission; correct"):
+        read_identified(folder / "out.json", plain.joint, plain.loop)
+
+
+def test_a_record_is_referred_when_it_is_read_and_comes_back(folder: Path) -> None:
+    on_motor, on_load = file_of(folder, ON_THE_MOTOR).record(), file_of(folder, GEARED).record()
+    back = file_of(folder, GEARED).logged(on_load)
+    kinds = {name: channel.unit for name, channel in on_load.items()}
+    assert kinds == {"torque": "N", "reference": "m", "motor_position": "m", "load_position": "m"}
+    assert {name: channel.unit for name, channel in back.items()} == kinds | {"torque": "N m", "motor_position": "rad"}
+    for record, r in ((on_load, -R), (back, 1.0)):
+        np.testing.assert_allclose(values(record, "torque"), r * values(on_motor, "torque"), rtol=1e-12)
+        np.testing.assert_allclose(values(record, "motor_position"), values(on_motor, "motor_position") / r, rtol=1e-12)
+    np.testing.assert_array_equal(values(on_load, "reference"), values(back, "reference"))
+
+
+def values(record: Record, name: str) -> np.ndarray:
+    return dict(record.items())[name].values
+
+
+def test_the_file_is_written_and_read_back(folder: Path) -> None:
+    for text in (GEARED, BY_THE_LOAD):
+        file = file_of(folder, text)
+        again = loads(dumps(file), folder)
+        assert again == file
+        assert again.joint.transmission == Transmission(load="prismatic", lead=0.01, sign=-1)
+        assert again.controller == file.controller
+
+
+def test_an_added_inertia_is_on_the_load(folder: Path) -> None:
+    runs = '[[records]]\nfile = "a.csv"\n[[records]]\nfile = "b.csv"\nadded_inertia = 10.0\n'
+    assert file_of(folder, GEARED + runs).added_inertias == (0.0, 10.0)
+    assert file_of(folder, GEARED + runs, "motor").added_inertias == (0.0, pytest.approx(10.0 / R**2))
+    assert file_of(folder, ON_THE_MOTOR + runs).added_inertias == (0.0, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (
+            GEARED.replace('kind = "prismatic"', 'kind = "revolute"').replace(" [mm]", "").replace(" [mN m]", ""),
+            "transmission.lead is 10, but the load is revolute; expected a ratio: give that, or set "
+            'joint.kind = "prismatic".',
+        ),
+        (
+            GEARED.replace("lead = 10.0", "lead = 10.0\nratio = 3.0"),
+            "transmission.lead is 10 beside ratio = 3; expected one of them: leave one out.",
+        ),
+        (
+            GEARED.replace('lead = 10.0\nlead_unit = "mm"\n', ""),
+            "transmission has neither ratio nor lead; expected one of them: add it.",
+        ),
+        (
+            GEARED.replace("lead = 10.0", "ratio = -10.0").replace('lead_unit = "mm"\n', ""),
+            "transmission.ratio is -10.0; expected a positive number: use sign = -1 to turn the load round.",
+        ),
+        (
+            GEARED.replace('lead_unit = "mm"', 'lead_unit = "deg"'),
+            'transmission.lead_unit is "deg"; expected a unit of length, one of m, mm, cm, um, nm, inch: correct it, '
+            "or leave it out.",
+        ),
+        (
+            GEARED.replace(', side = "load"', ""),
+            'record.channels.reference.column names the unit "mm", a unit of length; expected one of rad, mrad, deg, '
+            'rev, turn, counts: give one of them, or set side = "load".',
+        ),
+        (
+            ON_THE_MOTOR.replace('turns [rev]" }\nmotor', 'turns [rev]", side = "load" }\nmotor'),
+            'record.channels.reference.side is "load", but nothing lies between motor and load: add [transmission], or '
+            "leave it out.",
+        ),
+        (
+            ON_THE_MOTOR.replace("kv = 0.02", 'kv = 0.02\nside = "motor"'),
+            'controller.side is "motor", but nothing lies between motor and load: add [transmission], or leave it out.',
+        ),
+    ],
+)
+def test_a_fault_is_one_sentence(text: str, sentence: str) -> None:
+    with pytest.raises(JointFileError) as caught:
+        loads(text.replace("SIDE", "load"))
+    assert caught.value.faults == (sentence,)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        ({"ratio": 1.0, "lead": 1.0}, "either a ratio .* or a lead"),
+        ({}, "either a ratio .* or a lead"),
+        ({"ratio": -100.0}, "sign = -1 to turn round"),
+        ({"ratio": math.nan}, "a positive number"),
+        ({"lead": 0.01}, "of a revolute one give the ratio"),
+        ({"ratio": 3.0, "sign": 0}, "received 0, load and revolute"),
+        ({"ratio": 3.0, "side": "gear"}, "received 1, gear and revolute"),
+    ],
+)
+def test_a_transmission_that_cannot_be_is_refused(wrong: dict[str, float], sentence: str) -> None:
+    with pytest.raises(MethodError, match=sentence):
+        Transmission(load="revolute", **wrong)  # type: ignore[arg-type]
+
+
+def test_a_joint_is_of_the_side_that_is_reported() -> None:
+    with pytest.raises(
+        MethodError, match="is prismatic, but the joint on it is said to be revolute; give the joint the"
+    ):
+        RigidJoint("revolute", transmission=Transmission(load="prismatic", lead=0.01))
+    assert (
+        RigidJoint("revolute", transmission=Transmission(load="prismatic", lead=0.01, side="motor")).kind == "revolute"
+    )
+
+
+def test_the_commands_say_the_side(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    geared, estimate = folder / "geared.toml", folder / "estimate.json"
+    save(file_of(folder, BY_THE_LOAD), geared)
+
+    def said(*words: object) -> str:
+        with pytest.raises(SystemExit) as end:
+            main([str(word) for word in words])
+        assert end.value.code == 0
+        return capsys.readouterr().out
+
+    side = f"transmission: {Transmission(load='prismatic', lead=LEAD, sign=-1)}\n"
+    assert side.endswith(
+        "10 mm per turn, turned round, without loss (efficiency taken as 1); values are on the load side\n"
+    )
+    assert side in said("identify", geared, "--json", estimate, "--figure", folder / "torque.svg", "-q")
+    assert "load side" in (folder / "torque.svg").read_text()
+    assert side in said("validate", geared, "--estimate", estimate, "-q")
+    assert side in said("compare", geared, "-q")
+    assert side in said("intervals", geared, "--of", "inertia", "-q")
+    assert side in said("advise", geared, "-q")
+    assert side in said("simulate", geared, "--estimate", estimate, "--out", folder / "out.csv", "-q")
+    names = {"torque": "torque", "motor_position": "motor_position", "reference": Column("reference", side="load")}
+    written = read(folder / "out.csv", names, transmission=Transmission(load="prismatic", lead=LEAD, sign=-1))
+    np.testing.assert_allclose(values(written, "reference"), values(file_of(folder, GEARED).record(), "reference"))
+    np.testing.assert_allclose(
+        values(written, "motor_position"), values(written, "reference"), atol=4e-3
+    )  # the loop follows, on the load
+    plain = read(folder / "out.csv", {"torque": "torque"}, kind="revolute")
+    assert np.max(np.abs(values(plain, "torque"))) < 0.5  # N m of the motor
+
+
+def test_a_side_needs_a_transmission(folder: Path) -> None:
+    with pytest.raises(
+        RecordError, match='has side = "load", but no transmission is given; give it, or leave side out'
+    ):
+        read(folder / "run.csv", {"reference": Column("x [mm]", side="load")})
+    with pytest.raises(RecordError, match='is "motor" or "load"; got "gear"'):
+        Column("x", side="gear")  # type: ignore[arg-type]
+
+
+def test_an_injected_force_may_be_on_the_other_side_of_the_torque(folder: Path) -> None:
+    injected = 'injected = { column = "f [N]", side = "load" }\n[parameters]'
+    assert file_of(folder, GEARED.replace("[parameters]", injected)).columns["injected"].side == "load"
+    with pytest.raises(JointFileError, match="injected is in A, but the torque in N m: give both in one unit"):
+        file_of(folder, GEARED.replace("[parameters]", injected.replace("f [N]", "f [A]")))
+
+
+def test_a_drive_s_own_units_are_those_of_its_motor(folder: Path) -> None:
+    """Per mille of a rated torque in N m, and counts per turn, of a screw whose load is reported in m and N."""
+    drive = "[drive]\nrated_torque = 0.5\ncounts_per_turn = 4096\n[record]"
+    text = (
+        GEARED.replace("tau [mN m]", "share")
+        .replace('"share"', '"share", unit = "permille"')
+        .replace(
+            'motor_position = { column = "turns [rev]" }', 'motor_position = { column = "counts", unit = "counts" }'
+        )
+    )
+    table = np.genfromtxt(folder / "run.csv", delimiter=",", skip_header=1)
+    made = np.column_stack([table[:, 0], table[:, 1] / 0.5, table[:, 2] * 4096, table[:, 3]])
+    np.savetxt(folder / "drive.csv", made, delimiter=",", header="t,share,counts,x [mm]", comments="", fmt="%.17g")
+    file = file_of(folder, text.replace("[record]", drive).replace('"run.csv"', '"drive.csv"'))
+    record, plain = file.record(), file_of(folder, GEARED).record()
+    for name in ("torque", "motor_position", "reference"):
+        np.testing.assert_allclose(values(record, name), values(plain, name), rtol=1e-9, atol=1e-12)
+        assert dict(record.items())[name].unit == dict(plain.items())[name].unit

@@ -1,0 +1,52 @@
+"""What examples/kr300/README.md says of the real record is what comes out."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+import jointid as ji
+
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "kr300"
+PAGE = (EXAMPLE / "README.md").read_text(encoding="utf-8")
+ROWS = re.findall(r"^\| (\d) \| ([AB]) \| (.*) \|$", PAGE, re.MULTILINE)
+
+
+def axis(number: int, data_dir: Path, record: str) -> tuple[ji.JointFile, ji.Record]:
+    file = ji.load(EXAMPLE / f"axis{number}.toml")
+    return file, file.record(data_dir / "kr300" / f"rec_{record}.mat")
+
+
+def test_every_axis_and_record_is_on_the_page() -> None:
+    assert [(row[0], row[1]) for row in ROWS] == [(str(k), name) for k in range(1, 7) for name in "AB"]
+
+
+@pytest.mark.parametrize(("number", "name", "cells"), ROWS)
+def test_the_table_is_what_comes_out(data_dir: Path, number: str, name: str, cells: str) -> None:
+    file, record = axis(int(number), data_dir, name)
+    estimate = ji.identify(record, file.joint, file.method)
+    said = [float(text) for text in re.findall(r"-?[\d.]+", cells)]
+    values = [estimate[each] for each in ("inertia", "viscous", "coulomb", "offset")]
+    found = [part for one in values for part in (one.value or 0.0, 2 * (one.std or 0.0))]
+    (warning,) = (text for text in estimate.warnings if text.startswith("other axes moved too"))
+    found += [100 * estimate.filtered_error, *map(float, re.findall(r"(\d+) %", warning))]
+    assert len(said) == len(found)
+    for text, value in zip(said, found, strict=True):
+        assert text == pytest.approx(value, rel=0.01, abs=1.0)
+
+
+@pytest.mark.parametrize(("number", "name"), [(1, "A"), (1, "B"), (3, "A")])
+def test_both_encoders_are_refused_with_the_reason(data_dir: Path, number: int, name: str) -> None:
+    _, record = axis(number, data_dir, name)
+    with pytest.raises(ji.MethodError, match=r"load_inertia = -.*as if load_position were 3(\.1)? ms later"):
+        ji.identify(record, ji.FlexibleJoint("revolute"), ji.IDIM())
+
+
+@pytest.mark.parametrize(("number", "name", "stiffness"), [(2, "A", 0.76e6), (2, "B", 0.55e6), (3, "B", 0.006e6)])
+def test_a_stiffness_from_both_encoders_is_warned_of(data_dir: Path, number: int, name: str, stiffness: float) -> None:
+    _, record = axis(number, data_dir, name)
+    estimate = ji.identify(record, ji.FlexibleJoint("revolute"), ji.IDIM())
+    assert estimate["K12"].value == pytest.approx(stiffness, rel=0.05)
+    assert any("a stiffness from both encoders is not to be trusted" in text for text in estimate.warnings)
