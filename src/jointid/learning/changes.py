@@ -72,6 +72,22 @@ def neighbours(structure: Structure, channel: bool) -> Iterator[Structure]:
             yield one
 
 
+def all_laws(frame: Structure, channel: bool) -> Iterator[Structure]:
+    """Yield all laws with a frame's clocks and filters and all feed-forwards, each under its canonical name.
+
+    Args:
+        frame: with the clocks and filters.
+        channel: whether the record has the reference's velocity.
+    """
+    seen = set[Structure]()
+    for law in _other_laws(replace(frame, feedforward=frozenset(FEEDFORWARDS)), channel):
+        for one in (law, replace(law, reference_delay=True)):
+            known = canonical(one)
+            if known.frame == frame and known not in seen:
+                seen.add(known)
+                yield known
+
+
 def combinations(structure: Structure) -> Iterator[Structure]:
     """Yield all laws with all filters, each under its canonical name, and the rest as one structure has it.
 
@@ -103,21 +119,32 @@ def _changes(structure: Structure, channel: bool) -> Iterator[Structure]:
 
 
 def _other_rates(structure: Structure) -> Iterator[Structure]:
-    """Yield the same law at the next faster and slower rate, and with its position loop at others.
+    """Yield the same law at other rates, with means over the same time, and with its position loop at others.
 
     A loop faster than the log is tried with a position loop at its own rate, or at the log's.
     """
-    rates = (1, *RATES)
-    at = rates.index(structure.rate)
-    for rate in rates[max(at - 1, 0) : at + 2]:
-        if rate != structure.rate:
-            yield replace(structure, rate=rate, every=rate if structure.every > 1 else 1, offset=0)
+    for rate in (1, *RATES):
+        slower = rate if structure.every > 1 else 1
+        mean = _as_long(structure.velocity_filter, rate / structure.rate)
+        for curved in (False, True) if rate > 1 else (False,):
+            for filtered in {structure.velocity_filter, mean}:
+                yield replace(structure, rate=rate, curved=curved, every=slower, offset=0, velocity_filter=filtered)
     if not structure.cascade:
         return
     pairs = [(structure.rate, 0)] if structure.rate > 1 else [(n, k) for n in SLOWER for k in range(n)]
     for every, offset in [(1, 0), *pairs]:
         if (every, offset) != (structure.every, structure.offset):
             yield replace(structure, every=every, offset=offset)
+
+
+def _as_long(velocity_filter: str, periods: float) -> str:
+    """Return the mean over the same time where a sample becomes so many periods; other filters as they are."""
+    if velocity_filter not in ("none", *(f"mean {n}" for n in MEANS)):
+        return velocity_filter
+    samples = (1 if velocity_filter == "none" else int(velocity_filter.split()[1])) * periods
+    if samples == 1:
+        return "none"
+    return f"mean {samples:.0f}" if samples in MEANS else velocity_filter
 
 
 def _other_laws(structure: Structure, channel: bool) -> Iterator[Structure]:

@@ -63,14 +63,17 @@ class Task:
 
     def residual(self, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
         """Return logged less predicted torque, (samples,), 0 where it is left out."""
-        return self._left(self.law(structure, numbers), numbers)
+        return self._left(structure, self.law(structure, numbers), numbers)
 
-    def _left(self, law: SampledLaw, numbers: Mapping[str, float]) -> FloatArray:
-        predicted = self.watched.predicted(law, numbers.get(INTEGRAL, 0.0) * self.gain)
+    def _left(self, structure: Structure, law: SampledLaw, numbers: Mapping[str, float]) -> FloatArray:
+        predicted = self.watched.predicted(law, numbers.get(INTEGRAL, 0.0) * self.gain, structure.curved)
         return (self.watched.torque - predicted) * self.watched.kept
 
-    def _response(self, law: SampledLaw) -> FloatArray:
+    def response(self, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
         """Return the magnitude of a law's response to the position at the residual's frequencies."""
+        return self._response(self.law(structure, numbers))
+
+    def _response(self, law: SampledLaw) -> FloatArray:
         samples = self.watched.samples
         response = spread(law.feedback(grid(self.watched.period, samples)), samples)
         # Between the samples a faster law sees splines, which pass on less of the position's error.
@@ -79,7 +82,7 @@ class Task:
     def whitened(self, structure: Structure, numbers: Mapping[str, float], noise: Noise) -> FloatArray:
         """Return the residual made white by a noise, (samples,)."""
         law = self.law(structure, numbers)
-        error = self._left(law, numbers)
+        error = self._left(structure, law, numbers)
         response = self._response(law) if noise.position else np.zeros(error.size // 2 + 1)
         return np.fft.irfft(np.fft.rfft(error) * noise.weights(response), error.size)
 
@@ -87,7 +90,8 @@ class Task:
         """Return the noise that explains what a law leaves."""
         law = self.law(structure, numbers)
         watched = self.watched
-        return noise_of(self._left(law, numbers), self._response(law), watched.torque, watched.kept)
+        left, response = self._left(structure, law, numbers), self._response(law)
+        return noise_of(left, response, watched.torque, watched.kept, watched.quietest)
 
     def slopes(self, structure: Structure, x: FloatArray, base: FloatArray, noise: Noise) -> FloatArray:
         """Return the derivatives of the whitened residual by the numbers, (samples, numbers), by differences."""

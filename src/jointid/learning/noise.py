@@ -31,6 +31,8 @@ _BINS = 160  # of the averaged periodogram
 _LOUDER = 4.0  # times the noise, in power: what is not tells of the noise, not of the law
 _FLOOR = 1e-4  # of the torque: no log is taken to be truer
 _STEPS = 30
+_QUIET = 14  # bands of a position's spectrum, of which one is the quietest
+_QUIETER = 1.5  # times as much power a white noise has as its quietest band, at most
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +91,9 @@ def _shares(size: int) -> FloatArray:
     return np.linspace(0.0, 1.0, size // 2 + 1)
 
 
-def noise_of(error: FloatArray, response: FloatArray, torque: FloatArray, kept: FloatArray) -> Noise:
+def noise_of(
+    error: FloatArray, response: FloatArray, torque: FloatArray, kept: FloatArray, most: float = math.inf
+) -> Noise:
     """Return the noise that explains a residual.
 
     Args:
@@ -97,6 +101,7 @@ def noise_of(error: FloatArray, response: FloatArray, torque: FloatArray, kept: 
         response: |G| of the law at the frequencies of its real transform.
         torque: (samples,) logged.
         kept: (samples,) 1 where the residual counts, else 0.
+        most: variance of the position's error at most, see `quietest`.
 
     Raises:
         MethodError: the residual, or the response, is beyond all numbers.
@@ -110,11 +115,24 @@ def noise_of(error: FloatArray, response: FloatArray, torque: FloatArray, kept: 
             "No law that is searched for gives this record's torque: the best one runs away. Check units, signs and "
             "sides of torque, reference and motor_position, or declare the law."
         )
-    a, b = _two_sources(seen, gains, _FLOOR**2 * float(np.mean(torque**2)))
+    a, b = _two_sources(seen, gains, _FLOOR**2 * float(np.mean(torque**2)), most)
     signal = _averaged(np.abs(np.fft.rfft(np.hanning(size) * (torque - torque.mean()))) ** 2 / (size * 0.375))
     loud = signal > _LOUDER * np.maximum(a + b * gains, seen)
     heard = np.repeat(loud, np.diff(_edges(response.size))).astype(np.float64)
     return Noise(a, b, np.concatenate([[1.0], heard]))
+
+
+def quietest(position: FloatArray) -> float:
+    """Return the power of a logged position at the frequency where it is least: its error is not larger.
+
+    Where a law leaves more than its noise, the rest must not be taken for an error of the position: one that is too
+    large rewards a law for reacting to it.
+    """
+    flat = position - np.linspace(position[0], position[-1], position.size)
+    window = np.hanning(position.size)
+    power = np.abs(np.fft.rfft(window * flat)) ** 2 / (position.size * 0.375)
+    edges = np.linspace(power.size // 8, power.size, _QUIET + 1).astype(np.intp)
+    return _QUIETER * float(np.min(np.add.reduceat(power, edges[:-1]) / np.diff(edges)))
 
 
 def everything(variance: float, samples: int) -> Noise:
@@ -131,7 +149,7 @@ def _averaged(values: FloatArray) -> FloatArray:
     return np.asarray(np.add.reduceat(values, edges[:-1]) / np.diff(edges))
 
 
-def _two_sources(seen: FloatArray, gains: FloatArray, floor: float) -> tuple[float, float]:
+def _two_sources(seen: FloatArray, gains: FloatArray, floor: float, most: float) -> tuple[float, float]:
     """Return (a, b) of the largest Whittle likelihood, ``sum log S + I / S``, by scoring; both at least 0."""
     from scipy.optimize import nnls
 
@@ -141,6 +159,9 @@ def _two_sources(seen: FloatArray, gains: FloatArray, floor: float) -> tuple[flo
         columns = np.column_stack([np.ones_like(gains), gains]) / spectrum[:, np.newaxis]
         scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)  # a law may not look at the position at all
         found = nnls(columns / scale, seen / spectrum)[0] / scale
+        if found[1] > most:
+            weights = columns[:, 0]
+            found = np.array([weights @ (seen / spectrum - most * columns[:, 1]) / (weights @ weights), most])
         a, b = max(float(found[0]), floor), float(found[1])
         new = a + b * gains
         if step and np.max(np.abs(np.log(new / spectrum))) < 1e-6:

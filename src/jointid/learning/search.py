@@ -1,4 +1,4 @@
-"""The search for the law's structure: from one that may hold too much, in single changes, down its criterion.
+"""The search for the law's structure: from what explains most whatever the gains, in single changes, down a criterion.
 
 The criterion is Schwarz's: the whitened cost, in units of what the best structure leaves, and log(samples) for each
 number. Of two structures, ten less is as good as certain: exp(-5) to 1.
@@ -7,40 +7,32 @@ number. Of two structures, ten less is as good as certain: exp(-5) to 1.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
-from jointid.learning.changes import combinations, neighbours, without
+from jointid.learning.changes import neighbours, without
 from jointid.learning.fitting import Fitted, Task, fit
-from jointid.learning.noise import Noise, everything
-from jointid.learning.regression import cascade_start
-from jointid.learning.structures import (
-    ACCELERATION,
-    CONSTANT,
-    COULOMB,
-    INTEGRAL,
-    LATE,
-    VELOCITY,
-    Structure,
-    starts,
-)
+from jointid.learning.noise import Noise
+from jointid.learning.regression import Explained, Regression, gains_of, regression
+from jointid.learning.structures import FIELDS, SIGNED, Structure, converted, starts
+from jointid.learning.survey import Standing, candidates, survey
 
-_SEEDS = 4  # structures that a search may begin at
 _STRETCH = 4000  # samples that a search looks at
-_JUDGED = 10  # rivals that the whole record judges
+_JUDGED = 20  # rivals that the whole record judges
 MATERIAL = 1e-3  # of the torque's rms: a part that carries less is none
 REMOVABLE = (
     "ki", "velocity_feedforward", "acceleration_feedforward", "viscous_feedforward", "coulomb_feedforward",
     "constant_feedforward", "reference_delay", "torque_filters.0.time_constant",
 )  # fmt: skip
-_RICH = frozenset({VELOCITY, ACCELERATION, COULOMB, CONSTANT})
 _EXPLAINS = 0.8  # of the cost without: a limit that leaves more was a torque that only lingered
-_SEEDING = 5  # steps of Gauss and Newton of what a search may begin at
+_LIKELIEST = 40  # laws of the survey that are fitted
 _SCREENING = 2  # steps of Gauss and Newton after which a candidate is judged, and perhaps left
-_PROMISING = 12  # candidates that are fitted to the end in a round
+_PROMISING = 20  # candidates that are fitted to the end in a round
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,44 +63,161 @@ class Found:
     rivals: tuple[Rival, ...]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ground:
+    """What a search fits to.
+
+    Attributes:
+        task: the record's stretch.
+        regression: on it.
+        limited: whether the limit acts in it.
+    """
+
+    task: Task
+    regression: Regression
+    limited: bool = False
+
+    @property
+    def limit(self) -> float:
+        """The limit that the log shows, in controller units."""
+        return (self.task.watched.plateau or math.inf) / self.task.gain
+
+    def explained(self, structure: Structure, numbers: Mapping[str, float], standing: Standing) -> Explained | None:
+        """Return what a structure explains; None where its filters or its delay cannot be."""
+        try:
+            return self.regression.explained(structure, numbers, *standing, free=False)[0]
+        except MethodError:
+            return None
+
+    def tried(self, structure: Structure, known: Mapping[str, float], standing: Standing) -> Explained | None:
+        """Return the best of a structure's starts: from known numbers, else on a grid."""
+        begun = starts(structure, known, self.task.watched.period)
+        found = (self.explained(structure, numbers, standing) for numbers in begun)
+        return min((one for one in found if one is not None), key=lambda one: one.cost, default=None)
+
+    def known(self, one: Fitted, standing: Standing) -> Fitted | None:
+        """Return a law fitted again from its own numbers."""
+        tried = self.tried(replace(one.structure, limited=False), one.numbers, standing)
+        return None if tried is None else self.refined(tried, standing)
+
+    def refined(self, one: Explained, standing: Standing) -> Fitted | None:
+        """Return a structure with the numbers of least cost; None where they make no law."""
+        try:
+            return self.fitted(self.regression.refined(one, *standing, free=False), standing.noise)
+        except MethodError:
+            return None
+
+    def fitted(self, one: Explained, noise: Noise) -> Fitted | None:
+        """Return what was explained as a law, exactly where a limit acts; None where a gain is negative."""
+        numbers = gains_of(one, self.task.gain)
+        if any(value < 0 for name, value in numbers.items() if name not in SIGNED):
+            return None
+        if not self.limited:
+            return Fitted(one.structure, numbers, one.cost, noise)
+        return fit(self.task, replace(one.structure, limited=True), numbers | {"limit": self.limit}, noise)
+
+    def standing(self, best: Fitted) -> Standing:
+        """Return what rivals of a law are judged under."""
+        return Standing(best.noise, self.task.response(best.structure, best.numbers))
+
+
 def search(task: Task, progress: Progress = silent) -> Found:
     """Return the structure of the least criterion, and its rivals: found on a stretch, and judged on the whole."""
-    stretch = task.stretch(_STRETCH)
-    best, seen = _settled(stretch, _seed(stretch)), set[Structure]()
+    ground, likeliest, best = _begun(task.stretch(_STRETCH), _channel(task), progress)
+    best, seen = _settled(ground.task, best), set[Structure]()
     while True:
         progress(f"{best.structure.words}: {len(best.structure.names)} numbers")
         seen.add(best.structure)
-        rivals = _ranked(stretch, best, _around(stretch, best, neighbours(best.structure, _channel(task))))
+        best = _around(ground, best, [best.structure])[0]
+        rivals = _ranked(ground.task, best, _around(ground, best, neighbours(best.structure, _channel(task))))
         if not rivals or rivals[0].worse >= 0.0:
-            as_plain = (s for s in combinations(best.structure) if s.parts <= best.structure.parts)
-            others = _around(stretch, best, as_plain)
-            rivals = _ranked(stretch, best, [*others, *(rival.fitted for rival in rivals)])
+            others = _refitted(ground, likeliest, ground.standing(best))
+            rivals = _ranked(ground.task, best, [*others, *(rival.fitted for rival in rivals)])
         if not rivals or rivals[0].worse >= 0.0:
             break
-        better = _settled(stretch, rivals[0].fitted)
+        better = _settled(ground.task, rivals[0].fitted)
         if better.structure in seen:  # its own noise speaks for either: the whole record decides
             break
         best = better
-    return _on_the_whole(task, best, [rival.fitted for rival in rivals[:_JUDGED]])
+    progress(f"{best.structure.words}, and {len(rivals[:_JUDGED])} others on the whole record")
+    whole = replace(ground, task=task, regression=replace(regression(task.watched), own=True))
+    return _on_the_whole(whole, best, _distinct(rival.fitted for rival in rivals)[:_JUDGED])
 
 
-def _on_the_whole(task: Task, best: Fitted, others: list[Fitted]) -> Found:
+def _begun(task: Task, channel: bool, progress: Progress) -> tuple[_Ground, list[Explained], Fitted]:
+    """Return what a search is made on, the likeliest laws of a survey, and the best of them."""
+    ground = _Ground(task, replace(regression(task.watched), own=True))
+    standing, late = survey(ground.regression, progress)
+    begun = candidates(ground.regression, standing, late, channel, progress)[:_LIKELIEST]
+    likeliest = [one for one in (ground.explained(one.structure, one.numbers, standing) for one in begun) if one]
+    for keep in (_LIKELIEST, _PROMISING):
+        refined = (ground.regression.refined(one, *standing, free=False) for one in likeliest[:keep])
+        trimmed = (_trimmed(ground, one, standing) for one in refined)
+        rows = standing.noise.rows
+        likeliest = sorted(trimmed, key=lambda one: _weighed(one, rows))
+        standing = Standing(ground.regression.noise(likeliest[0]), likeliest[0].response)
+    best = next(one for one in (ground.fitted(one, standing.noise) for one in likeliest) if one is not None)
+    ground, best = _within(ground, best)
+    return ground, likeliest, best
+
+
+def _refitted(ground: _Ground, likeliest: Iterable[Explained], standing: Standing) -> list[Fitted]:
+    """Return laws fitted again under another noise, each with the feed-forwards that pay."""
+    refined = (ground.refined(_trimmed(ground, one, standing), standing) for one in likeliest)
+    return [one for one in refined if one is not None]
+
+
+def _weighed(one: Explained | Fitted, rows: float) -> float:
+    """Return a structure's cost with what its parts weigh."""
+    return one.cost + one.structure.parts * math.log(rows)
+
+
+def _trimmed(ground: _Ground, one: Explained, standing: Standing) -> Explained:
+    """Return a law without the feed-forwards that do not pay, or would be negative."""
+    rows = standing.noise.rows
+    for part, name in FIELDS.items():
+        if part not in one.structure.feedforward:
+            continue
+        fewer = replace(one.structure, feedforward=one.structure.feedforward - {part})
+        without_it = ground.regression.explained(fewer, one.numbers, *standing, free=False)[0]
+        negative = name not in SIGNED and gains_of(one, 1.0)[name] < 0
+        if negative or _weighed(without_it, rows) <= _weighed(one, rows):
+            one = without_it
+    return one
+
+
+def _within(ground: _Ground, best: Fitted) -> tuple[_Ground, Fitted]:
+    """Return a law with the limit that the log shows, where that explains more than without."""
+    task = ground.task
+    if task.watched.plateau is None:
+        return ground, best
+    plain = fit(task, best.structure, best.numbers, best.noise)
+    numbers = best.numbers | {"limit": ground.limit}
+    limited = fit(task, replace(best.structure, limited=True), numbers, best.noise)
+    if limited is None or (plain is not None and limited.cost > _EXPLAINS * plain.cost):
+        return ground, plain or best
+    return replace(ground, limited=True), limited
+
+
+def _on_the_whole(ground: _Ground, best: Fitted, others: list[Fitted]) -> Found:
     """Return what the whole record says of structures that a stretch of it left."""
-    seen = set[Structure]()
+    visits = Counter[Structure]()
     while True:
-        best = _settled(task, best)
-        seen.add(best.structure)
-        fitted = [fit(task, one.structure, one.numbers | _content(one, best), best.noise, 4) for one in others]
-        rivals = _ranked(task, best, [one for one in fitted if one is not None])
-        if not rivals or rivals[0].worse >= 0.0 or rivals[0].fitted.structure in seen:
+        best = _settled(ground.task, best)
+        visits[best.structure] += 1
+        standing = ground.standing(best)
+        own, *fitted = (ground.known(one, standing) or one for one in (best, *others))
+        rivals = _ranked(ground.task, own, fitted)
+        # One that was left may come back with better numbers, but once: two noises may speak each for another law.
+        if not rivals or rivals[0].worse >= 0.0 or visits[rivals[0].fitted.structure] > 1:
             return Found(best, tuple(rivals))
         others = [best, *(rival.fitted for rival in rivals[1:])]
         best = rivals[0].fitted
 
 
-def _content(one: Fitted, best: Fitted) -> dict[str, float]:
-    """Return the integral's content at the record's first sample, where a structure has one and it is known."""
-    return {INTEGRAL: best.numbers.get(INTEGRAL, 0.0)} if one.structure.integrates else {}
+def _distinct(fitted: Iterable[Fitted]) -> list[Fitted]:
+    """Return the first of each structure."""
+    return list({one.structure: one for one in reversed(list(fitted))}.values())[::-1]
 
 
 def _settled(task: Task, best: Fitted) -> Fitted:
@@ -123,12 +232,14 @@ def _channel(task: Task) -> bool:
     return task.watched.record.reference_velocity is not None
 
 
-def _around(task: Task, best: Fitted, structures: Iterable[Structure]) -> list[Fitted]:
+def _around(ground: _Ground, best: Fitted, structures: Iterable[Structure]) -> list[Fitted]:
     """Return the most promising structures, fitted under one noise."""
-    others = (s for s in structures if s != best.structure)
-    screened = [_tried(task, s, best, best.noise, _SCREENING) for s in others]
-    promising = sorted((one for one in screened if one is not None), key=lambda one: criterion(one, best))
-    return [fit(task, one.structure, one.numbers, best.noise) or one for one in promising[:_PROMISING]]
+    standing = ground.standing(best)
+    tried = (ground.tried(replace(s, limited=False), best.numbers, standing) for s in structures)
+    rows = best.noise.rows
+    promising = sorted((one for one in tried if one is not None), key=lambda one: _weighed(one, rows))[:_PROMISING]
+    fitted = (ground.refined(one, standing) for one in promising)
+    return [one for one in fitted if one is not None]
 
 
 def _ranked(task: Task, best: Fitted, others: list[Fitted]) -> list[Rival]:
@@ -156,8 +267,7 @@ def _pruned(task: Task, best: Fitted) -> Fitted:
         if name not in REMOVABLE or name not in best.structure.names:
             continue
         fewer = without(best.structure, name)
-        start = starts(fewer, best.numbers, task.watched.period, 0.0)[0]
-        fitted = fit(task, fewer, start, best.noise, _SCREENING)
+        fitted = fit(task, fewer, converted(fewer, best.numbers), best.noise, _SCREENING)
         if fitted is not None and apart(task, fitted, best) < MATERIAL:
             best = fitted
     return best
@@ -172,66 +282,4 @@ def apart(task: Task, one: Fitted, other: Fitted) -> float:
 def criterion(one: Fitted, best: Fitted) -> float:
     """Return Schwarz's criterion of a structure, its cost in units of what the best one leaves."""
     rows = one.noise.rows
-    return rows * one.cost / best.cost + len(one.structure.names) * math.log(rows)
-
-
-def _tried(task: Task, structure: Structure, near: Fitted, noise: Noise, steps: int) -> Fitted | None:
-    """Return a structure fitted from the numbers of a similar one, and from a regression where it is another law."""
-    watched, period = task.watched, task.watched.period / structure.rate
-    tried = []
-    for start in starts(structure, near.numbers, period, (watched.plateau or math.inf) / task.gain):
-        tried.append(fit(task, structure, start, noise, steps))
-        if structure.law == "P-PI" and near.structure.law != "P-PI":
-            made = task.controller(structure, start | {"kp": 1.0, "kv": 1.0})
-            filtered = getattr(made, "velocity_filter", (1.0,))
-            gains = cascade_start(watched, filtered, structure.late, task.gain)
-            begun = start | {name: value for name, value in gains.items() if name in structure.names}
-            tried.append(fit(task, structure, begun, noise, steps))
-    return min((one for one in tried if one is not None), key=lambda one: one.cost, default=None)
-
-
-def _seed(task: Task) -> Fitted:
-    """Return the best of some structures that hold all that is linear in its numbers."""
-    best = _first(task)
-    limited = best.structure.limited
-    # How late the log is comes first: filters and delays of other kinds would be bent to make up for it.
-    noise = task.noise(best.structure, best.numbers)
-    like = replace(best.structure, law="PID", velocity_filter="first order", feedforward=_RICH - {CONSTANT})
-    tried = _all_tried(task, [replace(like, late=n) for n in (0, *LATE)], best, noise)
-    best, chosen = tried[0], [s for one in tried[:2] for s in _rich(limited, one.structure.late)]
-    for keep in (_SEEDS, 1):
-        noise = task.noise(best.structure, best.numbers)
-        tried = _all_tried(task, chosen, best, noise)
-        best, chosen = tried[0], [one.structure for one in tried[:keep]]
-    return best
-
-
-def _all_tried(task: Task, structures: Iterable[Structure], near: Fitted, noise: Noise) -> list[Fitted]:
-    """Return structures fitted under one noise, that of the least cost first."""
-    tried = (_tried(task, structure, near, noise, _SEEDING) for structure in structures)
-    return sorted((one for one in tried if one is not None), key=lambda one: one.cost)
-
-
-def _first(task: Task) -> Fitted:
-    """Return a law that is linear in its numbers, within the log's plateau where that explains more than without."""
-    torque, plateau = task.watched.torque, task.watched.plateau
-    noise = everything(float(np.var(torque)), torque.size)
-    structure = Structure("PD", "none", "mean 2", _RICH)
-    best = fit(task, structure, dict.fromkeys(structure.names, 0.0), noise)
-    assert best is not None  # nothing of it depends on the record but the columns of a linear regression
-    if plateau is None:
-        return best
-    limited = fit(task, replace(structure, limited=True), best.numbers | {"limit": plateau / task.gain}, noise)
-    return limited if limited is not None and limited.cost < _EXPLAINS * best.cost else best
-
-
-def _rich(limited: bool, late: int) -> Iterable[Structure]:
-    parts = frozenset({ACCELERATION, COULOMB})
-    for filtered in ("none", "mean 2", "first order", "second order"):
-        like = Structure(velocity_filter=filtered, limited=limited, late=late)
-        yield replace(like, law="P-P", reference_velocity="share", feedforward=parts | {CONSTANT})
-        yield replace(like, law="P-PI", reference_velocity="share", feedforward=parts)
-        yield replace(like, law="PID", reference_velocity="none", feedforward=parts | {VELOCITY})
-        if filtered != "none":
-            yield replace(like, law="PD", reference_velocity="difference", feedforward=parts | {CONSTANT})
-            yield replace(like, law="PID", reference_velocity="difference", feedforward=parts)
+    return rows * one.cost / best.cost + one.structure.parts * math.log(rows)

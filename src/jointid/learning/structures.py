@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Literal
 
 from jointid.model.controllers import (
@@ -14,6 +15,7 @@ from jointid.model.controllers import (
     Controller,
     Filter,
     FirstOrder,
+    Interpolation,
     Notch,
     SecondOrder,
 )
@@ -44,7 +46,6 @@ INTEGRAL = "integral"
 """The torque that an integral holds at the first sample, in controller units: a number of the record, not the law."""
 
 _FULL = 1.0
-_BUTTERWORTH = math.sqrt(0.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +62,7 @@ class Structure:
         reference_delay: whether the law sees the reference later.
         late: samples by which the log shows the torque later than the position it follows from.
         rate: periods of the law in one sample of the log.
+        curved: whether a law that is faster than the log fills in its reference by cubics; else by straight lines.
         every, offset: of a cascade's position loop, in periods of the law.
         limited: whether the limit acts in the record.
     """
@@ -73,6 +75,7 @@ class Structure:
     reference_delay: bool = False
     late: int = 0
     rate: int = 1
+    curved: bool = False
     every: int = 1
     offset: int = 0
     limited: bool = False
@@ -86,6 +89,19 @@ class Structure:
     def integrates(self) -> bool:
         """Whether it has an integral."""
         return self.law in ("P-PI", "PID")
+
+    @property
+    def frame(self) -> Structure:
+        """The plain law with its clocks and filters."""
+        return Structure(
+            velocity_filter=self.velocity_filter,
+            torque_filter=self.torque_filter,
+            late=self.late,
+            rate=self.rate,
+            curved=self.curved,
+            every=self.every,
+            offset=self.offset,
+        )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -111,7 +127,7 @@ class Structure:
     @property
     def parts(self) -> int:
         """How much it is made of: numbers, and each delay, rate or offset that is not as in a plain law."""
-        return len(self.names) + (self.rate > 1) + (self.every > 1) + (self.late > 0)
+        return len(self.names) + (self.rate > 1) + self.curved + (self.every > 1) + (self.late > 0)
 
     @property
     def words(self) -> str:
@@ -130,7 +146,7 @@ class Structure:
         if self.late:
             said.append(f"torque {self.late} samples late")
         if self.rate > 1:
-            said.append(f"{self.rate} periods per sample")
+            said.append(f"{self.rate} periods per sample" + (" on a curved reference" if self.curved else ""))
         if self.every > 1:
             said.append(f"position loop every {self.every} periods, from the {self.offset}th")
         return ", ".join(said)
@@ -142,6 +158,9 @@ FIELDS = {
     COULOMB: "coulomb_feedforward",
     CONSTANT: "constant_feedforward",
 }
+SIGNED = (INTEGRAL, "constant_feedforward")
+"""Numbers that may be negative."""
+
 _REFERENCE_VELOCITY = {
     (True, "share"): "velocity feed-forward",
     (True, "full"): "full velocity feed-forward",
@@ -150,11 +169,17 @@ _REFERENCE_VELOCITY = {
     (False, "channel"): "on the reference's velocity channel",
 }
 _FILTERS: Mapping[str, Mapping[str, tuple[float, ...]]] = {
-    "first order": {"time_constant": (1.0, 5.0)},
-    "second order": {"frequency": (0.1, 0.03), "damping": (_BUTTERWORTH, _BUTTERWORTH)},
-    "notch": {"frequency": (0.03, 0.06, 0.12), "bandwidth": (0.02, 0.03, 0.06), "depth": (0.3, 0.3, 0.3)},
+    "first order": {"time_constant": (0.5, 1.2, 3.0, 10.0)},
+    "second order": {"frequency": (0.03, 0.07, 0.12, 0.18, 0.27), "damping": (0.7,)},
+    "notch": {"frequency": (0.03, 0.06, 0.09, 0.13, 0.18, 0.27), "bandwidth": (0.035,), "depth": (0.2,)},
 }
-"""Numbers of the filters with their starts, in periods of the law and shares of its rate."""
+"""Numbers of the filters and where a search for them begins, in samples of the log and shares of its rate."""
+
+INTEGRAL_GAINS = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1)
+"""Where a cascade's ki is looked for, in shares of the log's rate."""
+
+_DELAYS = (0.5, 1.5, 3.0)
+"""Where a delay of the reference is looked for, in samples of the log."""
 
 
 def _filter_names(place: str, kind: str) -> list[str]:
@@ -165,60 +190,64 @@ def _spelled(kind: str) -> str:
     return f"mean of {kind.split()[1]} samples" if kind.startswith("mean") else kind
 
 
-def starts(structure: Structure, known: Mapping[str, float], period: float, limit: float) -> list[dict[str, float]]:
-    """Return numbers to begin from: those known of a similar structure, and for each new filter several.
+def starts(structure: Structure, known: Mapping[str, float], sample_time: float) -> Iterator[dict[str, float]]:
+    """Yield where to look for the numbers that a law is not linear in: as known of a similar structure, or on a grid.
 
     Args:
         structure: that they are for.
         known: numbers of a similar one.
-        period: of the law, seconds.
-        limit: of the torque in controller units, where the log reaches one.
+        sample_time: of the log, seconds.
     """
-    given = _converted(structure, known)
-    base = {name: given.get(name, 0.0) for name in structure.names}
-    if structure.limited:
-        base["limit"] = given.get("limit", limit)
-    if structure.reference_delay and "reference_delay" not in given:
-        base["reference_delay"] = period
-    found = [base]
+    places: list[Iterable[dict[str, float]]] = []
     for place, kind in (("velocity_filter", structure.velocity_filter), ("torque_filters.0", structure.torque_filter)):
-        fresh = {n: v for n, v in _FILTERS.get(kind, {}).items() if f"{place}.{n}" not in given}
-        if fresh:
-            count = len(next(iter(fresh.values())))
-            found = [
-                one | {f"{place}.{name}": _dimensioned(name, values[i], period) for name, values in fresh.items()}
-                for one in found
-                for i in range(count)
-            ]
-    return found
+        names = _filter_names(place, kind)
+        if all(name in known for name in names):
+            places.append([{name: known[name] for name in names}])
+        else:
+            grid = product(*([_dimensioned(n, v, sample_time) for v in values] for n, values in _FILTERS[kind].items()))
+            places.append([dict(zip(names, one, strict=True)) for one in grid])
+    if structure.cascade and structure.integrates:
+        begun = [share / sample_time for share in INTEGRAL_GAINS]
+        if known.get("ki"):  # kv kp ki of a cascade is the ki of a PID, its kv kp the kp
+            begun = [known["ki"] if "kv" in known else known["ki"] / known["kp"]]
+        places.append([{"ki": ki} for ki in begun])
+    if structure.reference_delay:
+        begun = [known["reference_delay"]] if "reference_delay" in known else [n * sample_time for n in _DELAYS]
+        places.append([{"reference_delay": delay} for delay in begun])
+    for parts in product(*places):
+        yield {name: value for part in parts for name, value in part.items()}
 
 
-def _dimensioned(name: str, value: float, period: float) -> float:
-    if name == "time_constant":
-        return value * period
-    return value if name in ("damping", "depth") else value / period
+def converted(structure: Structure, known: Mapping[str, float]) -> dict[str, float]:
+    """Return a law's numbers from those of a similar one; ``kp kv`` of a cascade is the kp of a PD.
 
-
-def _converted(structure: Structure, known: Mapping[str, float]) -> dict[str, float]:
-    """Return the gains of one form of the law in the other: ``kp kv`` of a cascade is the kp of a PD."""
+    Args:
+        structure: of the law; what is not known of it is 0.
+        known: numbers of the other.
+    """
     given = dict(known)
-    if structure.cascade and "kd" in given and "velocity_feedforward" in structure.names and given["kd"]:
-        given.setdefault("velocity_feedforward", given.get("viscous_feedforward", 0.0) / given["kd"])
     if structure.cascade and "kd" in given:
         given["kv"] = given.pop("kd")
         given["kp"] = given["kp"] / given["kv"] if given["kv"] else 0.0
-        given["ki"] = given["ki"] / max(given["kp"] * given["kv"], 1e-300) if given.get("ki") else 0.0
+        given["ki"] = given.get("ki", 0.0) / max(given["kp"] * given["kv"], 1e-300)
+        given.setdefault("velocity_feedforward", given.get("viscous_feedforward", 0.0) / max(given["kv"], 1e-300))
     elif not structure.cascade and "kv" in given:
         given["kd"] = given.pop("kv")
-        given["ki"] = given.get("ki", 0.0) * given["kp"] * given["kd"]
         given["kp"] = given["kp"] * given["kd"]
-    return given
+        given["ki"] = given.get("ki", 0.0) * given["kp"]
+    return {name: given.get(name, 0.0) for name in structure.names}
+
+
+def _dimensioned(name: str, value: float, sample_time: float) -> float:
+    if name == "time_constant":
+        return value * sample_time
+    return value if name in ("damping", "depth") else value / sample_time
 
 
 def bounds(name: str, period: float) -> tuple[float, float]:
     """Return between what a number is looked for."""
     last = name.rpartition(".")[2]
-    if name in (INTEGRAL, "constant_feedforward"):
+    if name in SIGNED:
         return -math.inf, math.inf
     return {
         "time_constant": (1e-2 * period, 2e3 * period),
@@ -243,14 +272,16 @@ def controller(structure: Structure, numbers: Mapping[str, float], period: float
     settings: dict[str, Any] = {"gain": gain, **own}
     if structure.limited:
         settings["limit"] = max(numbers["limit"], 1e-300)
+    velocity, torque = filters_of(structure, numbers)
     if structure.velocity_filter != "none":
-        settings["velocity_filter"] = _filter(structure.velocity_filter, "velocity_filter", numbers)
+        settings["velocity_filter"] = velocity
     if structure.torque_filter != "none":
-        settings["torque_filters"] = (_filter(structure.torque_filter, "torque_filters.0", numbers),)
+        settings["torque_filters"] = (torque,)
     if structure.late:
         settings["delay"] = structure.late * period
     if structure.rate > 1:
         settings["period"] = period / structure.rate
+        settings["interpolation"] = interpolation(structure)
     own_period = period / structure.rate
     if structure.cascade:
         if structure.every > 1:
@@ -265,7 +296,24 @@ def controller(structure: Structure, numbers: Mapping[str, float], period: float
     return PID(**settings) if structure.integrates else PD(**settings)
 
 
+def interpolation(structure: Structure) -> Interpolation | None:
+    """Return how a law that is faster than the log fills in its reference."""
+    if structure.rate == 1:
+        return None
+    return "cubic" if structure.curved else "linear"
+
+
+def filters_of(structure: Structure, numbers: Mapping[str, float]) -> tuple[Filter | tuple[float, ...], ...]:
+    """Return the filters of a structure, that of the velocity and that of the torque."""
+    return (
+        _filter(structure.velocity_filter, "velocity_filter", numbers),
+        _filter(structure.torque_filter, "torque_filters.0", numbers),
+    )
+
+
 def _filter(kind: str, place: str, numbers: Mapping[str, float]) -> Filter | tuple[float, ...]:
+    if kind == "none":
+        return (1.0,)
     if kind.startswith("mean"):
         samples = int(kind.split()[1])
         return (1.0 / samples,) * samples

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 
 from jointid.common.errors import RecordError
 from jointid.data.record import FloatArray, InjectionPoint, Record, Tap, Timing
-from jointid.learning.structures import RATES
+from jointid.learning.noise import quietest
+from jointid.learning.structures import RATES, SLOWER
 from jointid.model.controllers import (
     INJECTED,
     POSITION,
     REFERENCE_VELOCITY,
     Cascade,
+    Interpolation,
     Ran,
     SampledLaw,
     run,
@@ -22,7 +25,6 @@ from jointid.model.controllers import (
 from jointid.simulation.experiment import at_period, known_memory, law_inputs
 
 _NEEDED = ("torque", "reference", "motor_position")
-_PLAIN = Cascade(kp=1.0, kv=1.0)  # what is read beside the position is the same for all laws, but for the rate
 _FEWEST = 500  # samples
 _BEGIN = 20  # samples that are left out: what the law's filters hold at the first one is only guessed
 _PLATEAU = 3  # samples in a row at the top, to be a limit
@@ -50,12 +52,19 @@ class Watched:
     kept: FloatArray
     plateau: float | None
     begin: int = 0
-    _inputs: dict[int, FloatArray] = field(default_factory=dict)
+    _inputs: dict[tuple[int, bool], FloatArray] = field(default_factory=dict)
 
     @property
     def samples(self) -> int:
         """Of the log."""
         return self.torque.size
+
+    @property
+    def quietest(self) -> float:
+        """Variance of the position's error at most, see `noise.quietest`."""
+        assert self.record.motor_position is not None
+        position = at_period(self.record.motor_position, self.period, self.record.torque.values.size, "position")
+        return quietest(position)
 
     def stretch(self, samples: int) -> Watched:
         """Return so many samples of the record, those in which the reference is accelerated most."""
@@ -65,36 +74,37 @@ class Watched:
         reference = at_period(self.record.reference, self.period, self.samples, "reference")
         bent = np.concatenate([np.zeros(2), np.cumsum(np.diff(reference, 2) ** 2)])
         begin = int(np.argmax(bent[samples:] - bent[:-samples]))
+        begin -= begin % max(SLOWER)  # a slower loop is in the same phase as on the whole record
         kept = self.kept[begin : begin + samples].copy()
         kept[:_BEGIN] = 0.0
         rows = slice(begin, begin + samples)
         part = Watched(self.record, self.period, self.torque[rows], self.added[rows], kept, self.plateau, begin)
-        for rate in (1, *RATES):
-            part._inputs[rate] = self.inputs(rate)[begin * rate : (begin + samples) * rate]
+        for rate, curved in ((1, False), *product(RATES, (False, True))):
+            part._inputs[rate, curved] = self.inputs(rate, curved)[begin * rate : (begin + samples) * rate]
         return part
 
-    def inputs(self, rate: int) -> FloatArray:
+    def inputs(self, rate: int, curved: bool) -> FloatArray:
         """Return what a law with so many periods per sample reads, (periods, INPUTS)."""
-        if rate not in self._inputs:
-            self._inputs[rate] = self._read(rate)
-        return self._inputs[rate]
+        if (rate, curved) not in self._inputs:
+            self._inputs[rate, curved] = self._read(rate, "cubic" if curved else None)
+        return self._inputs[rate, curved]
 
-    def _read(self, rate: int) -> FloatArray:
+    def _read(self, rate: int, filled: Interpolation | None) -> FloatArray:
         record, periods, period = self.record, self.samples * rate, self.period / rate
-        inputs = law_inputs(_PLAIN, record, period, periods)
+        inputs = law_inputs(Cascade(kp=1.0, kv=1.0, interpolation=filled), record, period, periods)
         assert record.motor_position is not None
         inputs[:, POSITION] = _between(at_period(record.motor_position, self.period, self.samples, "position"), rate)
         if record.reference_velocity is not None:
-            velocity = at_period(record.reference_velocity, period, periods, "reference_velocity")
+            velocity = at_period(record.reference_velocity, period, periods, "reference_velocity", filled)
             inputs[:, REFERENCE_VELOCITY] = velocity
         if record.injected is not None and record.injected.at is InjectionPoint.BEFORE_LIMIT:
             inputs[:, INJECTED] = at_period(record.injected.channel, period, periods, "injected")
         return inputs
 
-    def ran(self, law: SampledLaw, content: float) -> Ran:
+    def ran(self, law: SampledLaw, content: float, curved: bool) -> Ran:
         """Return what a law does with the record's reference and position; its integral begins with a torque."""
         rate = round(self.period / law.period)
-        inputs = self.inputs(rate)
+        inputs = self.inputs(rate, curved)
         position = inputs[: 5 * rate + 1, POSITION]
         slope = (position[-1] - position[0]) / (5 * self.period)
         state = known_memory(law, inputs) + law.memory(POSITION, float(position[0]), float(slope))
@@ -103,15 +113,16 @@ class Watched:
             state = state + integral * content
         return run(law, inputs, state)
 
-    def predicted(self, law: SampledLaw, content: float = 0.0) -> FloatArray:
+    def predicted(self, law: SampledLaw, content: float = 0.0, curved: bool = False) -> FloatArray:
         """Return the torque that the log would show of a law, (samples,).
 
         Args:
             law: the law.
             content: torque that its integral holds at the first sample.
+            curved: whether the reference is filled in by cubics between the log's samples.
         """
         rate = round(self.period / law.period)
-        ran = self.ran(law, content)
+        ran = self.ran(law, content, curved)
         output = ran.tapped if self.record.tap is Tap.COMMAND else ran.output
         assert self.record.torque is not None
         if self.record.torque.timing is not Timing.AVERAGED:

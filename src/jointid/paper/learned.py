@@ -18,7 +18,7 @@ from jointid.data.record import FloatArray, Record, Tap
 from jointid.learning.changes import canonical
 from jointid.learning.learn import learn_loop
 from jointid.learning.learned import LearnedLoop
-from jointid.learning.structures import INTEGRAL, Structure, controller
+from jointid.learning.structures import ACCELERATION, INTEGRAL, Structure, controller
 from jointid.model.joints import RigidJoint
 from jointid.simulation.closed_loop import Initial, in_threads
 from jointid.simulation.experiment import ClosedLoop
@@ -240,7 +240,8 @@ def _law(rng: np.random.Generator, inertia: float) -> tuple[Structure, dict[str,
     if extra == "late":
         structure = replace(structure, late=int(rng.integers(1, 4)))
     if extra == "rate":
-        structure = replace(structure, rate=int(rng.choice([2, 4, 8])))
+        # Of lines an acceleration is all jerks, where they meet: between the log's samples, where no log shows it.
+        structure = replace(structure, rate=int(rng.choice([2, 4, 8])), curved=ACCELERATION in parts)
     if extra == "every" and cascade:
         every = int(rng.choice([2, 4, 8]))
         structure = replace(structure, every=every, offset=int(rng.integers(every)))

@@ -1,0 +1,145 @@
+"""Clocks and filters, told from each other before a law is: each with what it explains whatever the gains."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from jointid.common.errors import MethodError
+from jointid.common.progress import Progress, silent
+from jointid.data.record import FloatArray
+from jointid.learning.changes import all_laws
+from jointid.learning.noise import Noise, everything
+from jointid.learning.regression import Compressed, Explained, Regression
+from jointid.learning.structures import (
+    COMMON,
+    INTEGRAL_GAINS,
+    LATE,
+    MEANS,
+    RATES,
+    SLOWER,
+    TORQUE_FILTERS,
+    Structure,
+    starts,
+)
+
+_FINEST = 8  # frames whose filters' numbers are searched for
+_DELAYS = 2  # of the log's, with which laws are tried
+
+
+class Standing(NamedTuple):
+    """What structures are judged under.
+
+    Attributes:
+        noise: of torque and position.
+        response: |G| of the law that the noise is of.
+    """
+
+    noise: Noise
+    response: FloatArray
+
+
+class Candidate(NamedTuple):
+    """A law, and where to begin.
+
+    Attributes:
+        structure: of the law.
+        numbers: of its filters, ki of a cascade, and the reference's delay.
+        cost: what it would leave after a step of Gauss and Newton.
+    """
+
+    structure: Structure
+    numbers: dict[str, float]
+    cost: float
+
+
+def survey(regression: Regression, progress: Progress = silent) -> tuple[Standing, list[int]]:
+    """Return what laws may be judged under, and the log's likeliest delays.
+
+    What is quiet beside the noise shows only once something explains the rest: the noise is that of the frame that
+    explains most whatever the gains, and all are judged again under it. At first by one spectrum, as the law's own
+    would reward a far-off law for reacting to the position; at last by each its own, as one for all would reward a
+    filter that keeps the noise away.
+    """
+    size = regression.watched.samples
+    standing = Standing(everything(float(np.var(regression.watched.torque)), size), np.ones(size // 2 + 1))
+    progress("what explains the torque, whatever the gains")
+    best = _best_of_each(_all_explained(regression, standing))[:_FINEST]
+    for own in (False, False, True):
+        standing = Standing(regression.noise(best[0]), best[0].response)
+        finer = replace(regression, own=own)
+        best = sorted((finer.refined(one, *standing) for one in best), key=lambda one: one.cost)
+    late = list(dict.fromkeys(one.structure.late for one in best))
+    return Standing(regression.noise(best[0]), best[0].response), late[:_DELAYS]
+
+
+def candidates(
+    regression: Regression, standing: Standing, late: Sequence[int], channel: bool, progress: Progress = silent
+) -> list[Candidate]:
+    """Return all laws in all frames, each where it begins best, the likeliest first.
+
+    Args:
+        regression: on a stretch of a record.
+        standing: what they are judged under.
+        late: the log's delays that are tried.
+        channel: whether the record has the reference's velocity.
+        progress: is told the turns.
+    """
+    progress("all laws, with all clocks and filters")
+    period, rows = regression.watched.period, standing.noise.rows
+    best: dict[Structure, Candidate] = {}
+    for frame in _frames(Structure()):
+        plain = frame.rate == frame.every == 1
+        for delayed in (False, True) if plain and frame.torque_filter == "none" else (False,):
+            laws = [law for law in all_laws(frame, channel) if law.reference_delay == delayed]
+            for numbers in starts(replace(frame, reference_delay=delayed), {}, period):
+                try:
+                    compressed = regression.compressed(frame, numbers, *standing, late if plain else [0])
+                except MethodError:  # a filter that cannot be at this rate
+                    continue
+                for one in (one for law in laws for one in _begun(compressed, law, period)):
+                    if one.structure not in best or one.cost < best[one.structure].cost:
+                        best[one.structure] = one
+    return sorted(best.values(), key=lambda one: one.cost + one.structure.parts * math.log(rows))
+
+
+def _begun(compressed: Compressed, law: Structure, period: float) -> Iterator[Candidate]:
+    gains = INTEGRAL_GAINS if law.cascade and law.integrates else (None,)
+    for share in gains:
+        ki = None if share is None else share / period
+        numbers = compressed.numbers if ki is None else compressed.numbers | {"ki": ki}
+        for late, cost in zip(compressed.late, compressed.costs(law, ki), strict=True):
+            yield Candidate(replace(law, late=late), numbers, float(cost))
+
+
+def _best_of_each(explained: Iterator[Explained]) -> list[Explained]:
+    best: dict[Structure, Explained] = {}
+    for one in explained:
+        if one.structure not in best or one.cost < best[one.structure].cost:
+            best[one.structure] = one
+    return sorted(best.values(), key=lambda one: one.cost)
+
+
+def _all_explained(regression: Regression, standing: Standing) -> Iterator[Explained]:
+    for frame in _frames(Structure()):
+        late = (0, *LATE) if frame.rate == frame.every == 1 else (0,)
+        for numbers in starts(frame, {}, regression.watched.period):
+            try:
+                yield from regression.explained(frame, numbers, *standing, late)
+            except MethodError:  # a filter that cannot be at this rate
+                continue
+
+
+def _frames(plain: Structure) -> Iterator[Structure]:
+    """Yield clocks with the common filters, and the log's own clock with all pairs of filters."""
+    for filtered in ("none", *(f"mean {n}" for n in MEANS), "first order", "second order"):
+        like = replace(plain, velocity_filter=filtered)
+        yield like
+        if filtered in COMMON:
+            yield from (replace(like, torque_filter=one) for one in TORQUE_FILTERS[1:])
+            yield from (replace(like, rate=n, curved=curved) for n in RATES for curved in (False, True))
+            yield from (replace(like, every=n, offset=k) for n in SLOWER for k in range(n))
