@@ -14,7 +14,7 @@ from jointid.data.profiles import side_of
 from jointid.data.transmission import Side
 from jointid.jointfile import wording
 from jointid.jointfile.gearing import TransmissionTable, kind_of
-from jointid.jointfile.schema import ChannelTable
+from jointid.jointfile.recorded import ChannelTable
 from jointid.model.parameters import TORQUE_UNIT, Kind
 
 

@@ -22,7 +22,8 @@ from jointid.jointfile import written
 from jointid.jointfile.channels import reachable, torque_unit
 from jointid.jointfile.checking import checked
 from jointid.jointfile.fitting import changed, chosen_method, needed_channels
-from jointid.jointfile.schema import CLOSINGS, RecordTable, RunTable
+from jointid.jointfile.recorded import RecordTable
+from jointid.jointfile.schema import CLOSINGS, RunTable
 from jointid.model.controllers import Controller, with_numbers
 from jointid.model.joints import Joint
 from jointid.model.parameters import Parameter
