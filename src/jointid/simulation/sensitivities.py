@@ -23,15 +23,12 @@ from jointid.simulation.closed_loop import (
     Outcome,
     Response,
     Run,
-    acting,
-    as_logged,
-    averages,
     first_state,
     response_of,
     run,
-    seen_torque,
 )
 from jointid.simulation.experiment import ClosedLoop, Experiment, known_memory
+from jointid.simulation.logged import acting, as_logged, averages, seen_torque
 
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
@@ -137,7 +134,7 @@ def _logged(experiment: Experiment, out: Run, command: FloatArray, names: Sequen
     torque = as_logged(experiment, command)
     if "delay" in names and experiment.tap is Tap.MEASURED and experiment.timing is Timing.AVERAGED:
         # An edge of the torque that moves takes its height from the mean over the sample time it stands in.
-        edges = -np.diff(acting(experiment, seen_torque(experiment, out)), prepend=out.before)
+        edges = -np.diff(acting(experiment, seen_torque(experiment, out.command, out.tapped)), prepend=out.before)
         torque[:, list(names).index("delay")] += averages(experiment, edges)
     return torque
 
