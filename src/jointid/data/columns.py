@@ -104,6 +104,11 @@ def unit_in_name(column: str, known: tuple[str, ...]) -> str | None:
     return match[1] if match[1] in known or column.rstrip().endswith("]") else None
 
 
+def unit_fault(what: str, name: str, known: tuple[str, ...]) -> str:
+    """Return the fault of a unit that is not among those known."""
+    return f'{what} is in "{name}"; expected one of {", ".join(known)}: give its unit, and the gain to it.'
+
+
 def known_units(channel: str, kind: str) -> tuple[str, ...]:
     """Return the units that a channel of a joint of this kind can have, SI first."""
     if channel in ("torque", "injected"):
