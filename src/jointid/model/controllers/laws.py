@@ -20,7 +20,7 @@ from typing import Literal
 from jointid.common.errors import MethodError
 from jointid.model.controllers.diagram import Diagram, Signal
 from jointid.model.controllers.drawn import Drawn
-from jointid.model.controllers.sampled import POSITION, REFERENCE_VELOCITY, SampledLaw, referred
+from jointid.model.controllers.sampled import POSITION, REFERENCE_VELOCITY, SampledLaw
 
 _WHOLE = 1e-6  # how near to a whole number of periods a slower loop's must be
 _SLOWEST = 64  # periods in a cycle at most
@@ -91,7 +91,7 @@ class Cascade(Drawn):
             if self.limit < math.inf:
                 into = _unwound(drawn, into, limit, self.anti_windup, self.kv * self.ki * self.gain)
             drawn.follow(state, integral + into)
-        return referred(drawn.law(output=output, tap=limit, delay=self.delay), self.ratio)
+        return self._lowered(drawn, output, limit)
 
     def _diagram(self, period: float) -> Diagram:
         phases = (self.position_period or period) / period
@@ -147,7 +147,7 @@ class PD(Drawn):
         drawn = Diagram(self.period or sample_time)
         _, controlled = self._controlled(drawn)
         output, limit = self._torque(drawn, controlled)
-        return referred(drawn.law(output=output, tap=limit, delay=self.delay), self.ratio)
+        return self._lowered(drawn, output, limit)
 
     def _controlled(self, drawn: Diagram) -> tuple[Signal, Signal]:
         """Return the position error and the output, without an integral."""
@@ -191,7 +191,7 @@ class PID(PD):
         if self.limit < math.inf and self.ki:
             into = _unwound(drawn, into, limit, self.anti_windup, self.ki * self.gain)
         drawn.follow(state, integral + into)
-        return referred(drawn.law(output=output, tap=limit, delay=self.delay), self.ratio)
+        return self._lowered(drawn, output, limit)
 
 
 def _unwound(drawn: Diagram, into: Signal, limit: int, anti_windup: str, weight: float) -> Signal:
