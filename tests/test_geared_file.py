@@ -20,13 +20,13 @@ from jointid.data.transmission import Transmission
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.identify import identify
 from jointid.jointfile import JointFile, dumps, loads, save
-from jointid.model.controllers import Cascade
 from jointid.model.joints import RigidJoint
 from jointid.simulation.experiment import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
+from tests.geared import LAW, RATE, RIGID, TURNED_SCREW
+from tests.joint_files import faults
 
-RATE, LEAD = 1e-3, 0.010
-R = 2 * math.pi / LEAD
+R = abs(TURNED_SCREW.motor_per_load)
 
 CONTROLLER = """
 [controller]
@@ -76,10 +76,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the log of a screw whose nut goes down while its motor turns forwards."""
     made = tmp_path_factory.mktemp("screw")
     reference = trapezoids((20.0, 40.0), 400.0, 60.0, RATE, duration=8.0)
-    loop = ClosedLoop(RigidJoint("revolute"), Cascade(kp=25.0, kv=0.02, limit=3.0))
-    values = {"inertia": 2e-4, "viscous": 1e-3, "coulomb": 0.03, "offset": 0.02}
+    loop = ClosedLoop(RigidJoint("revolute"), LAW)
     noise = 0.004 * np.random.default_rng(2).standard_normal(reference.size)
-    torque = simulated_record(loop, reference, values, sample_time=RATE, torque_noise=noise).torque
+    torque = simulated_record(loop, reference, RIGID, sample_time=RATE, torque_noise=noise).torque
     assert torque is not None
     time = np.arange(reference.size) * RATE
     columns = [time, 1e3 * torque.values, reference / (2 * math.pi), -1e3 * reference / R]
@@ -165,7 +164,7 @@ def test_the_file_is_written_and_read_back(folder: Path) -> None:
         file = file_of(folder, text)
         again = loads(dumps(file), folder)
         assert again == file
-        assert again.joint.transmission == Transmission(load="prismatic", lead=0.01, sign=-1)
+        assert again.joint.transmission == TURNED_SCREW
         assert again.controller == file.controller
 
 
@@ -218,9 +217,7 @@ def test_an_added_inertia_is_on_the_load(folder: Path) -> None:
     ],
 )
 def test_a_fault_is_one_sentence(text: str, sentence: str) -> None:
-    with pytest.raises(JointFileError) as caught:
-        loads(text.replace("SIDE", "load"))
-    assert caught.value.faults == (sentence,)
+    assert faults(text.replace("SIDE", "load")) == (sentence,)
 
 
 @pytest.mark.parametrize(
@@ -260,7 +257,7 @@ def test_the_commands_say_the_side(folder: Path, capsys: pytest.CaptureFixture[s
         assert end.value.code == 0
         return capsys.readouterr().out
 
-    side = f"transmission: {Transmission(load='prismatic', lead=LEAD, sign=-1)}\n"
+    side = f"transmission: {TURNED_SCREW}\n"
     assert side.endswith(
         "10 mm per turn, turned round, without loss (efficiency taken as 1); values are on the load side\n"
     )
@@ -272,7 +269,7 @@ def test_the_commands_say_the_side(folder: Path, capsys: pytest.CaptureFixture[s
     assert side in said("advise", geared, "-q")
     assert side in said("simulate", geared, "--estimate", estimate, "--out", folder / "out.csv", "-q")
     names = {"torque": "torque", "motor_position": "motor_position", "reference": Column("reference", side="load")}
-    written = read(folder / "out.csv", names, transmission=Transmission(load="prismatic", lead=LEAD, sign=-1))
+    written = read(folder / "out.csv", names, transmission=TURNED_SCREW)
     np.testing.assert_allclose(values(written, "reference"), values(file_of(folder, GEARED).record(), "reference"))
     np.testing.assert_allclose(
         values(written, "motor_position"), values(written, "reference"), atol=4e-3

@@ -64,6 +64,7 @@ from jointid.model.friction import AsymmetricFriction, SymmetricFriction
 from jointid.model.gravity import GRAVITY_PARAMETERS, Counterbalance, Gravity
 from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.model.parameters import Parameter
+from tests.joint_files import faults
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "emps" / "joint.toml"
@@ -79,12 +80,6 @@ motor_position = { column = "q" }
 CASCADE = '[controller]\nlaw = "cascade"\nkp = 100.0\nkv = 2000.0\n'
 SMALLEST = JOINT + CHANNELS + CASCADE
 FLEXIBLE = SMALLEST.replace(JOINT, JOINT + 'model = "flexible"\n')
-
-
-def faults(text: str) -> tuple[str, ...]:
-    with pytest.raises(JointFileError) as caught:
-        loads(text)
-    return caught.value.faults
 
 
 def table(name: str) -> dict[str, Any]:

@@ -38,18 +38,16 @@ from jointid.simulation.experiment import ClosedLoop
 from jointid.simulation.open_loop import OpenLoop
 from jointid.simulation.synthesis import simulated_record
 from jointid.together.together import identify_together
+from tests.geared import FLEXIBLE, RATE, RIGID, SCREW
+from tests.geared import LAW as UNFILTERED
 
-RATE = 1e-3
 GEAR = Transmission(load="revolute", ratio=100.0)
 TURNED = Transmission(load="revolute", ratio=100.0, sign=-1)
-SCREW = Transmission(load="prismatic", lead=0.010)
-LAW = Cascade(kp=25.0, kv=0.02, velocity_filter=(0.5, 0.5), limit=3.0)
-"""On the motor's side, where a drive closes its loops."""
+LAW = replace(UNFILTERED, velocity_filter=(0.5, 0.5))
 
 CLOSE = 1e-9
 """How far answers may differ, relative."""
 
-RIGID = {"inertia": 2e-4, "viscous": 1e-3, "coulomb": 0.03, "offset": 0.02}
 RIGID_ASYMMETRIC = {
     "inertia": 2e-4,
     "viscous_forwards": 1e-3,
@@ -57,17 +55,6 @@ RIGID_ASYMMETRIC = {
     "viscous_backwards": 1.4e-3,
     "coulomb_backwards": 0.04,
     "offset": 0.0,
-}
-FLEXIBLE = {
-    "motor_inertia": 1.2e-4,
-    "motor_viscous": 6e-4,
-    "motor_coulomb": 0.02,
-    "stiffness": 1.5,
-    "damping": 3e-4,
-    "load_inertia": 0.8e-4,
-    "load_viscous": 4e-4,
-    "load_coulomb": 0.01,
-    "offset": 0.02,
 }
 
 
