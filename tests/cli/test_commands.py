@@ -11,7 +11,12 @@ import pytest
 
 from jointid.cli.app import app, main
 from jointid.data.excitation import trapezoids
+from jointid.data.formats import Table, write_table
 from jointid.data.reading import read, write
+from jointid.data.record import Record
+from jointid.jointfile import load
+from jointid.learning.learned import LearnedLoop
+from jointid.model.controllers import Cascade
 from jointid.model.joints import FlexibleJoint
 from jointid.paper.twin import CONTROLLERS, JOINT_FILE, TABLE_2, twin
 from jointid.simulation.experiment import ClosedLoop
@@ -237,6 +242,49 @@ own = ["motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb", "dampin
     assert "Records 1 and 2 are the same record" in capsys.readouterr().err
     assert run("together", joint, "-q", "--record", tmp_path / "light.csv") == 2
     assert "lists 2 records and 1 are named" in capsys.readouterr().err
+
+
+@pytest.fixture
+def learned(monkeypatch: pytest.MonkeyPatch) -> Cascade:
+    """What `jointid loop` finds here, at once: a position loop that is evaluated at every fourth sample."""
+    controller = Cascade(kp=40.0, kv=2.0, position_period=4e-3, position_offset=3e-3)
+    nothing = np.zeros(0)
+
+    def learn_loop(record: Record, **_: object) -> LearnedLoop:
+        return LearnedLoop(
+            controller, "P-P", (), nothing, (), (), (), 0.0, 0.0, 0.0, 0.0, 1.0, nothing, "N m", "rad", record.name, ""
+        )
+
+    monkeypatch.setattr("jointid.learning.learn.learn_loop", learn_loop)
+    return controller
+
+
+def test_a_learned_offset_is_written_as_the_joint_file_counts_it(
+    tmp_path: Path, learned: Cascade, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The record begins at the first refresh of its torque, two samples after its file."""
+    time = np.arange(400) * 1e-3
+    refreshed = np.cos(7e-3 * ((np.arange(400) - 2) // 4 * 4))
+    write_table(tmp_path / "run.csv", Table({"t": time, "i": refreshed, "q": np.sin(time)}))
+    (tmp_path / "joint.toml").write_text(
+        """[joint]
+kind = "revolute"
+[record]
+file = "run.csv"
+[record.channels]
+torque = { column = "i", update_time = 0.004 }
+reference = { column = "q" }
+motor_position = { column = "q" }
+[method]
+name = "idim"
+""",
+        encoding="utf-8",
+    )
+    assert run("loop", tmp_path / "joint.toml", "--write", tmp_path / "out.toml", "-q") == 0
+    assert "position_offset = 0.001\n" in capsys.readouterr().out  # 3 + 2 samples, modulo 4
+    found = load(tmp_path / "out.toml").controller
+    assert isinstance(found, Cascade)
+    assert (found.position_offset, found.kp) == (0.001, learned.kp)
 
 
 MISTAKES = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -29,20 +30,25 @@ def loop(
     """
     from jointid import answers
     from jointid.cli.console import check_outputs, progress, show
-    from jointid.jointfile import load
+    from jointid.jointfile import controller_text, load
     from jointid.learning.learn import learn_loop
     from jointid.learning.writing import save
+    from jointid.model.controllers import earlier
 
     check_outputs(None, json, write)
     file = load(joint)
     gain = 1.0 if file.controller is None else getattr(file.controller, "gain", 1.0)
+    logged = file.record(record)
     learned = learn_loop(
-        file.record(record),
+        logged,
         gain=gain,
         transmission=file.joint.transmission,
         declared=file.controller,
         progress=progress(quiet),
     )
+    # What is learned counts from the record's first sample, and a joint file from that of the record's file.
+    counted = earlier(learned.controller, logged.begin)
+    learned = replace(learned, controller=counted, table=controller_text(counted, file.joint.transmission))
     show(learned)
     if json is not None:
         answers.write(answers.learned_answer(learned), json)

@@ -87,11 +87,11 @@ def read(
         raise RecordError(reading.faults)
     logged = {n: Refreshed(c, found[n].update_time) for n, c in read_in.items() if c is not None}
     others = {n: Refreshed(c) for n, c in reading.others(found, clock).items()}
-    channels, faults = begun_together({**logged, **others})
+    channels, begin, faults = begun_together({**logged, **others})
     if faults:
         raise RecordError(faults)
     apart = {n: channels.pop(n) for n in others}
-    record = replace(_record(channels, found, name or Path(path).stem), other_axes=apart)
+    record = replace(_record(channels, found, name or Path(path).stem), other_axes=apart, begin=begin)
     faults = scale_faults(record)
     if faults:
         raise RecordError(faults)

@@ -267,7 +267,7 @@ def _explicit(loop: ClosedLoop, experiment: Experiment, out: Run, name: str) -> 
     inputs = experiment.inputs.copy()
     inputs[:, POSITION] = out.states[:: experiment.lengths.size, 0]
     held = _cut(experiment, out, inputs)
-    low, high = (with_numbers(loop.controller, {name: value + by}).law(experiment.sample_time) for by in steps)
+    low, high = (experiment.law_of(with_numbers(loop.controller, {name: value + by})) for by in steps)
     if high.limits.size != low.limits.size or (high.integral() is None) != (low.integral() is None):
         raise MethodError(
             f"The {name} of this controller is 0, and what it belongs to is not there, so it has no derivative; "

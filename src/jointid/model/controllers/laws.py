@@ -14,12 +14,12 @@ All sums are those of earlier periods, all differences backward ones. What is ar
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from jointid.common.errors import MethodError
 from jointid.model.controllers.diagram import Diagram, Signal
-from jointid.model.controllers.drawn import Drawn
+from jointid.model.controllers.drawn import Controller, Drawn
 from jointid.model.controllers.sampled import POSITION, REFERENCE_VELOCITY, SampledLaw
 
 _WHOLE = 1e-6  # how near to a whole number of periods a slower loop's must be
@@ -41,7 +41,7 @@ class Cascade(Drawn):
         reference_velocity: of the feed-forward: "difference" of the reference, or a "channel" of its own.
         velocity_limit: of the velocity command, m/s (rad/s).
         position_period: of the position loop, a multiple of `period`; the same when None.
-        position_offset: seconds from the record's first sample to the position loop's next evaluation.
+        position_offset: seconds from the first sample of the record's file to the position loop's next evaluation.
         velocity_filter, torque_filters, filters_at, ..., gain, limit, period, delay, ...: see `Drawn` and `Timed`.
     """
 
@@ -192,6 +192,19 @@ class PID(PD):
             into = _unwound(drawn, into, limit, self.anti_windup, self.ki * self.gain)
         drawn.follow(state, integral + into)
         return self._lowered(drawn, output, limit)
+
+
+def earlier(controller: Controller, seconds: float) -> Controller:
+    """Return a controller as it is for a log that begins so many seconds earlier: what its offset counts grows by them.
+
+    Only a `Cascade` with a position loop of its own has instants that a later beginning could miss.
+    """
+    if not isinstance(controller, Cascade) or controller.position_period is None:
+        return controller
+    cycle = controller.position_period
+    offset = (controller.position_offset + seconds) % cycle
+    at_end = math.isclose(offset, cycle, rel_tol=_WHOLE)
+    return replace(controller, position_offset=0.0 if at_end else float(f"{offset:.12g}"))
 
 
 def _unwound(drawn: Diagram, into: Signal, limit: int, anti_windup: str, weight: float) -> Signal:
