@@ -1294,6 +1294,7 @@ def joint_files(draw: st.DrawFn) -> JointFile:
                 axis=st.none() | whole,
                 rated_torque=st.none() | positive,
                 counts_per_metre=positive,
+                load_counts_per_metre=positive,
             )
         ),
         parameters={

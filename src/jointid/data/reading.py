@@ -172,11 +172,12 @@ class _Reading:
             return self.kind
         return self.transmission.kind_of(side_of(channel, column, self.drive.traces, self.drive.axis))
 
-    def unit(self, what: str, name: str, known: tuple[str, ...], kind: str) -> units.Unit | None:
+    def unit(self, what: str, name: str, known: tuple[str, ...], kind: str, *, of_load: bool) -> units.Unit | None:
         """Return the unit of that name on a side that moves so; one that is not among `known` is a fault."""
         if name in known:
             try:
-                return self.drive.resolved(units.unit(name), kind)
+                geared = self.transmission is not None and self.transmission.geared
+                return self.drive.resolved(units.unit(name), kind, of_load=of_load, geared=geared)
             except units.UnitError as error:
                 self.faults.append(f'{what} is in "{name}", {error}.')
                 return None
@@ -210,7 +211,7 @@ class _Reading:
         if name == "injected" and "torque" in found:
             stated = found["torque"].stated_unit(known)  # on another side of a transmission it may be no unit here
             default = stated if stated in known else default
-        unit = self.unit(what, column.stated_unit(known) or default, known, kind)
+        unit = self.unit(what, column.stated_unit(known) or default, known, kind, of_load=name == "load_position")
         if unit is None or period is None:
             return None
         held = name in ("torque", "injected")

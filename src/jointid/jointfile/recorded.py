@@ -110,6 +110,8 @@ class DriveTable(Table):
     torque_constant: Positive | None = Field(None, description="torque per current [N m/A or N/A]")
     counts_per_turn: Positive | None = Field(None, description="of the encoder, revolute")
     counts_per_metre: Positive | None = Field(None, description="of the encoder, prismatic")
+    load_counts_per_turn: Positive | None = Field(None, description="of the load's encoder, if another, revolute")
+    load_counts_per_metre: Positive | None = Field(None, description="of the load's encoder, if another, prismatic")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield that the numbers contradict each other."""
