@@ -1,4 +1,4 @@
-"""From a file to a record and back: the clock, the channels in SI, and every fault reported at once."""
+"""From a file to a record: the clock, the channels in SI, and every fault reported at once."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from jointid.common.errors import RecordError
 from jointid.data.axes import other_axes
 from jointid.data.checks import CLOCK_TOLERANCE, finite_faults, scale_faults
 from jointid.data.clock import Clock, clock_of
-from jointid.data.columns import Column, known_units, unit_fault
+from jointid.data.columns import Column, known_units, unit_fault, unit_of_column
 from jointid.data.conditioning import unwrapped, wrap_faults
 from jointid.data.drive import Drive
-from jointid.data.formats import Table, read_table, write_table
+from jointid.data.formats import Table, read_table
 from jointid.data.profiles import side_of
 from jointid.data.record import CHANNELS, Channel, Injection, Record, Tap, Timing
 from jointid.data.refreshing import Refreshed, begun_together
@@ -96,29 +96,6 @@ def read(
     if faults:
         raise RecordError(faults)
     return record
-
-
-def write(record: Record, path: str | os.PathLike[str]) -> None:
-    """Write a record to a file: the time as column "t" [s], and every channel in SI under its own name.
-
-    `read` gives it back to the last bit once told what a table of numbers does not hold: the joint's kind, a
-    torque in A or V, and what differs from the defaults of `Column`. The positions of other axes are not written.
-
-    Args:
-        record: the record; its channels share one rate and have at least two samples.
-        path: the file; its suffix tells the format. A file that is there is replaced.
-
-    Raises:
-        RecordError: the channels differ in rate or have one sample, or the file cannot be written.
-    """
-    channels = dict(record.items())
-    if len({channel.sample_time for channel in channels.values()}) > 1:
-        rates = ", ".join(f"{name} {channel.sample_time:g} s" for name, channel in channels.items())
-        raise RecordError(f"A file holds channels of one rate; got {rates}: write each rate to a file of its own.")
-    time = next(iter(channels.values())).time
-    if time.size < 2:
-        raise RecordError("A record of one sample has no time between samples; write two samples or more.")
-    write_table(path, Table({"t": time, **{name: channel.values for name, channel in channels.items()}}))
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,12 +183,8 @@ class _Reading:
             self.faults.append(
                 f'{what} has side = "{column.side}", but no transmission is given; give it, or leave side out.'
             )
-        known = known_units(name, kind)
-        default = known[0]
-        if name == "injected" and "torque" in found:
-            stated = found["torque"].stated_unit(known)  # on another side of a transmission it may be no unit here
-            default = stated if stated in known else default
-        unit = self.unit(what, column.stated_unit(known) or default, known, kind, of_load=name == "load_position")
+        stated = unit_of_column(name, found, kind)
+        unit = self.unit(what, stated, known_units(name, kind), kind, of_load=name == "load_position")
         if unit is None or period is None:
             return None
         held = name in ("torque", "injected")
