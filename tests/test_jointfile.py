@@ -1034,6 +1034,21 @@ def test_a_fault_is_one_sentence(text: str, sentence: str) -> None:
     assert faults(text) == (sentence,)
 
 
+@pytest.mark.parametrize(
+    ("wrong", "meant"),
+    [
+        (SMALLEST + "KI = 3.0", "controller.KI is not a known key; .* did you mean ki"),
+        (SMALLEST + "[Method]", "Method is not a known key; .* did you mean method"),
+        (SMALLEST + "[drive]\nratedTorque = 3.0", "drive.ratedTorque is not a known key; .* did you mean rated_torque"),
+        (SMALLEST + "torque_filters = [{ D = 1.0, numerator = [1.0] }]", "0.D is not a known key; .*: leave it out."),
+        (SMALLEST.replace('"cascade"', '"PID"'), 'law is "PID"; .* did you mean "pid"'),
+    ],
+)
+def test_the_case_of_a_word_does_not_hide_which_was_meant(wrong: str, meant: str) -> None:
+    (said,) = faults(wrong)
+    assert re.search(meant, said)
+
+
 def test_all_faults_come_at_once() -> None:
     found = faults(
         """
