@@ -42,6 +42,7 @@ from jointid.jointfile import (
     loads,
     save,
     with_controller,
+    with_paths,
 )
 from jointid.jointfile.schema import CLOSINGS, DIDIMS, FILTERINGS, OF_IDIM
 from jointid.model.controllers import (
@@ -1369,6 +1370,28 @@ def test_a_controller_is_put_into_the_text_of_a_file(controller: Cascade | PID) 
     assert tomllib.loads(with_controller("", controller)) == tomllib.loads(controller_text(controller))
     with pytest.raises(JointFileError, match="is not TOML"):
         with_controller("[joint", controller)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('[record]\nfile = "a.csv" # mine\n', '[record]\nfile = "../runs/a.csv" # mine\n'),
+        ("[record]\ntime = 't'\n  file='sub/a.csv'\n", "[record]\ntime = 't'\n  file=\"../runs/sub/a.csv\"\n"),
+        ('[record]\nfile = "../there/a.csv"\n', '[record]\nfile = "a.csv"\n'),
+        ('[record]\nfile = "/data/a.csv"\n', '[record]\nfile = "/data/a.csv"\n'),
+        ('[record]\nfile = "Größe \\"1\\".csv"\n', '[record]\nfile = "../runs/Größe \\"1\\".csv"\n'),
+        (
+            '[[records]]\nfile = "a.csv"\n[[records]]\nown = ["file"]\nfile = "b.csv"\n',
+            '[[records]]\nfile = "../runs/a.csv"\n[[records]]\nown = ["file"]\nfile = "../runs/b.csv"\n',
+        ),
+        ('record = { file = "a.csv" }\n', '[record]\nfile = "../runs/a.csv"\n'),
+        ('[record]\nfile = """a.csv"""\n', '[record]\nfile = "../runs/a.csv"\n'),
+        ('[joint]\nfile = "a.csv"\n', '[joint]\nfile = "a.csv"\n'),
+    ],
+)
+def test_paths_lead_to_the_same_files_from_another_folder(text: str, expected: str, tmp_path: Path) -> None:
+    assert with_paths(text, tmp_path / "runs", tmp_path / "there") == expected
+    assert with_paths(text, tmp_path / "runs", tmp_path / "there" / ".." / "runs") == text
 
 
 def test_numbers_of_filters_are_named_with_points() -> None:

@@ -328,6 +328,40 @@ name = "idim"
     assert (found.position_offset, found.kp) == (0.001, learned.kp)
 
 
+@pytest.mark.parametrize("place", [".", "learned/here", "../beside"])
+def test_a_learned_joint_file_finds_its_record_from_any_folder(
+    tmp_path: Path, learned: Cascade, place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = tmp_path / "home"
+    home.mkdir()
+    time = np.arange(400) * 1e-3
+    write_table(
+        home / "run 1.csv",
+        Table({"t": time, "torque": np.cos(time), "position": np.sin(time), "reference": np.sin(time)}),
+    )
+    (home / "joint.toml").write_text(
+        """[joint]
+kind = "revolute"
+[record]
+file = 'run 1.csv'               # of the morning
+[drive]
+profile = "generic"
+[method]
+name = "idim"
+""",
+        encoding="utf-8",
+    )
+    folder = home / place
+    folder.mkdir(parents=True, exist_ok=True)
+    monkeypatch.chdir(home)
+    assert run("loop", "joint.toml", "--record", "run 1.csv", "--write", f"{place}/out.toml", "-q") == 0
+    made = load(folder / "out.toml")
+    assert made.source.file is not None
+    assert not Path(made.source.file).is_absolute()
+    assert made.record().name == "run 1"
+    assert "# of the morning" in (folder / "out.toml").read_text(encoding="utf-8")
+
+
 MISTAKES = {
     "no such record": (("identify", EMPS, "--record", "nothing.mat"), "nothing.mat cannot be opened"),
     "no such joint file": (("identify", "nothing.toml"), "nothing.toml cannot be opened"),

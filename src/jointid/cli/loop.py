@@ -30,7 +30,7 @@ def loop(
     """
     from jointid import answers
     from jointid.cli.console import check_outputs, progress, show
-    from jointid.jointfile import controller_text, load
+    from jointid.jointfile import controller_text, load, with_paths
     from jointid.learning.learn import learn_loop
     from jointid.learning.writing import save
     from jointid.model.controllers import earlier
@@ -54,4 +54,6 @@ def loop(
         answers.write(answers.learned_answer(learned), json)
     if write is not None:
         save(learned, file, write)
+        text = with_paths(write.read_text(encoding="utf-8"), joint.parent, write.parent)
+        write.write_text(text, encoding="utf-8", newline="\n")
         show(f"written: {write}")

@@ -199,7 +199,7 @@ def earlier(controller: Controller, seconds: float) -> Controller:
 
     Only a `Cascade` with a position loop of its own has instants that a later beginning could miss.
     """
-    if not isinstance(controller, Cascade) or controller.position_period is None:
+    if not (seconds and isinstance(controller, Cascade) and controller.position_period):
         return controller
     cycle = controller.position_period
     offset = (controller.position_offset + seconds) % cycle
