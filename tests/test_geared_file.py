@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -294,6 +295,19 @@ def test_an_injected_force_may_be_on_the_other_side_of_the_torque(folder: Path) 
     assert file_of(folder, GEARED.replace("[parameters]", injected)).columns["injected"].side == "load"
     with pytest.raises(JointFileError, match="injected is in A, but the torque in N m: give both in one unit"):
         file_of(folder, GEARED.replace("[parameters]", injected.replace("f [N]", "f [A]")))
+
+
+@pytest.mark.parametrize(("side", "unit"), [("load", "N"), ("motor", "N m")])
+def test_a_limit_that_the_torque_does_not_keep_is_told_with_its_side(folder: Path, side: str, unit: str) -> None:
+    """A limit of 0.1 N m, which its motor's torque passes, is 63 N on the load."""
+    number = r"[0-9.]+"
+    with pytest.raises(RecordError) as beyond:
+        file_of(folder, GEARED.replace("limit = 3.0", "limit = 0.1"), side).record()
+    expected = f"reaches {number} {unit} on the {side} side, beyond the controller's limit of {number} {unit} there;"
+    assert re.search(expected, str(beyond.value))
+    measured = GEARED.replace('"tau [mN m]"', '"tau [mN m]", tap = "measured"').replace("limit = 3.0", "limit = 0.1")
+    with pytest.raises(RecordError, match=f"stands at its limit of {number} {unit} on the {side} side in "):
+        file_of(folder, measured, side).record()
 
 
 def test_a_drive_s_own_units_are_those_of_its_motor(folder: Path) -> None:

@@ -353,6 +353,8 @@ def test_a_limit_that_is_not_declared_is_told_in_the_torque_of_the_side() -> Non
     declared = replace(law, limit=math.inf, ratio=TURNED.torque("motor"))
     geared = on_side(record, TURNED)
     estimate = identify(geared, ClosedLoop(joint_of("flexible", TURNED), declared))
-    (finding,) = check_loop(estimate, geared).findings
+    check = check_loop(estimate, geared)
+    (finding,) = check.findings
+    assert re.match(r"the controller's output stops at \d+\.?\d* N m on the load side, which is", check.sentences[0])
     assert finding.suspect.name == "limit"
     assert finding.value == pytest.approx(100 * level, rel=5e-3)

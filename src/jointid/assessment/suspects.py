@@ -121,7 +121,8 @@ def suspected(problem: Problem, x: FloatArray, settings: LoopTests | None = None
     force = units[OFFSET]
     units |= {"torque": force, "velocity": unit_of(Quantity.VELOCITY, joint.kind, force)}
     symbols = {p.name: p.symbol for p in joint.parameters}
-    return LoopCheck(tuple(findings), first or (), settings.level, symbols, units)
+    side = None if joint.transmission is None else joint.transmission.side
+    return LoopCheck(tuple(findings), first or (), settings.level, symbols, units, side)
 
 
 def _tested(state: _State, settings: LoopTests) -> _Tested:

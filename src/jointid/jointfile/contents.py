@@ -189,7 +189,8 @@ class JointFile:
         record = read(path, columns, clock_tolerance=self.source.clock_tolerance, **self._reading)
         controller, torque = self.controller, record.torque
         limit = controller.law(torque.sample_time).limit if controller is not None and torque is not None else None
-        check_record(record, limit=limit)
+        gear = self.joint.transmission
+        check_record(record, limit=limit, side=None if gear is None else gear.side)
         return record
 
     def write(self, record: Record, path: str | os.PathLike[str]) -> None:
