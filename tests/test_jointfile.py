@@ -591,8 +591,8 @@ FAULTS = [
     ),
     (
         SMALLEST + "period = 0.001\nposition_period = 0.0025",
-        "controller: The position loop's period and offset are multiples of the controller's, the period up to 64 "
-        "times; received 0.0025 s and 0 s beside 0.001 s: correct them.",
+        "controller: The position loop's period is a multiple of the controller's, up to 64 times; received 0.0025 s "
+        "beside 0.001 s: correct one of them.",
     ),
     (
         SMALLEST + "period = 1e-9\nreference_delay = 1.0",

@@ -17,7 +17,7 @@ from jointid.data.record import Record
 from jointid.data.writing import write
 from jointid.jointfile import load
 from jointid.learning.learned import LearnedLoop
-from jointid.model.controllers import Cascade
+from jointid.model.controllers import Cascade, begun_later
 from jointid.model.joints import FlexibleJoint
 from jointid.paper.twin import CONTROLLERS, JOINT_FILE, TABLE_2, twin
 from jointid.simulation.experiment import ClosedLoop
@@ -176,6 +176,42 @@ offset = { start = 0.5 }
         assert abs(found[name]["value"] / value - 1) <= 1e-6, name
 
 
+def test_what_is_simulated_from_a_late_beginning_counts_from_its_own(tmp_path: Path) -> None:
+    """The record begins 2 ms after its file, at its first refresh; what is written begins with itself."""
+    text = """[joint]
+kind = "revolute"
+[record]
+file = "trace.csv"
+[record.channels]
+torque = { column = "i", update_time = 0.004 }
+reference = { column = "r", update_time = 0.004 }
+[controller]
+law = "cascade"
+kp = 10.0
+kv = 2.0
+position_period = 0.016
+position_offset = 0.006
+[parameters]
+inertia = { start = 0.05 }
+viscous = { start = 0.2 }
+coulomb = { start = 0.3 }
+offset = { start = 0.1 }
+"""
+    slow = trapezoids((1.0, 2.0), 10.0, 2.0, 4e-3, duration=16.0)
+    samples = 4 * slow.size
+    rows = np.maximum((np.arange(samples) - 2) // 4, 0)
+    columns = {"t": np.arange(samples) * 1e-3, "r": slow[rows], "i": np.sin(0.3 * rows)}
+    write_table(tmp_path / "trace.csv", Table(columns))
+    joint, made, out = tmp_path / "joint.toml", tmp_path / "made.csv", tmp_path / "out.json"
+    joint.write_text(text, encoding="utf-8")
+    assert load(joint).record().begin == pytest.approx(2e-3)
+    assert run("simulate", joint, "--out", made, "-q") == 0
+    assert run("identify", joint, "--record", made, "--json", out, "-q") == 0
+    found = json.loads(out.read_text(encoding="utf-8"))
+    assert found["relative_error_percent"] <= 1e-4
+    assert abs(found["parameters"]["inertia"]["value"] / 0.05 - 1) <= 1e-6
+
+
 @pytest.mark.parametrize("suffix", [".csv", ".mat", ".tsv"])
 def test_the_twin_is_written_in_every_format_that_is_read(suffix: str, tmp_path: Path) -> None:
     out = tmp_path / f"twin{suffix}"
@@ -287,8 +323,8 @@ own = ["motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb", "dampin
 
 @pytest.fixture
 def learned(monkeypatch: pytest.MonkeyPatch) -> Cascade:
-    """What `jointid loop` finds here, at once: a position loop that is evaluated at every fourth sample."""
-    controller = Cascade(kp=40.0, kv=2.0, position_period=4e-3, position_offset=3e-3)
+    """What `jointid loop` finds here, at once: a velocity loop at 4 ms, and a position loop at every fourth of them."""
+    controller = Cascade(kp=40.0, kv=2.0, period=4e-3, position_period=16e-3, position_offset=12e-3)
     nothing = np.zeros(0)
 
     def learn_loop(record: Record, **_: object) -> LearnedLoop:
@@ -322,10 +358,9 @@ name = "idim"
         encoding="utf-8",
     )
     assert run("loop", tmp_path / "joint.toml", "--write", tmp_path / "out.toml", "-q") == 0
-    assert "position_offset = 0.001\n" in capsys.readouterr().out  # 3 + 2 samples, modulo 4
-    found = load(tmp_path / "out.toml").controller
-    assert isinstance(found, Cascade)
-    assert (found.position_offset, found.kp) == (0.001, learned.kp)
+    assert "position_offset = 0.014\n" in capsys.readouterr().out
+    made = load(tmp_path / "out.toml")
+    assert begun_later(made.controller or learned, made.record().begin) == learned
 
 
 @pytest.mark.parametrize("place", [".", "learned/here", "../beside"])

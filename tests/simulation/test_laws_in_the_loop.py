@@ -11,12 +11,11 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import expm
 
-from jointid.common.errors import MethodError
 from jointid.data.excitation import trapezoids
 from jointid.data.record import Channel, Injection, Record, Tap, Timing
 from jointid.estimation.didim import DIDIM
 from jointid.estimation.identify import identify
-from jointid.model.controllers import PD, PID, REFERENCE, Cascade, FirstOrder, Notch, SecondOrder, earlier
+from jointid.model.controllers import PD, PID, REFERENCE, Cascade, FirstOrder, Notch, SecondOrder, begun_later
 from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.experiment import ClosedLoop, prepare
@@ -255,19 +254,23 @@ def test_a_position_loop_keeps_its_instants_where_a_log_begins_later(cut: int) -
     assert found["inertia"].value == pytest.approx(RIGID["inertia"], rel=1e-5)
 
 
-def test_a_record_that_begins_between_two_periods_of_a_slower_loop_is_refused() -> None:
-    loop = ClosedLoop(RigidJoint(), SLOW)
-    with pytest.raises(MethodError, match=r"begins 0\.0025 s after its file.*give position_offset from its new first"):
-        prepare(loop, after(2.5))
-    alike = ClosedLoop(RigidJoint(), replace(SLOW, position_period=None, position_offset=0.0))
-    assert prepare(alike, after(2.5)).begin == 2.5 * T  # one loop has no instants of its own
+def test_a_record_that_begins_between_two_samples_of_the_file_takes_the_next_instant() -> None:
+    """Evaluated at 2, 6, ... ms after the file's first sample; the record's instants are at 2.5, 3.5, ... ms."""
+    assert begun_later(SLOW, 2.5 * T) == replace(SLOW, position_offset=3.5 * T)
+    for off_grid, first in ((3.5, 4), (3.001, 3), (3.1, 4), (0.0, 0)):
+        law, on_grid = (replace(SLOW, position_offset=at * T).law(T) for at in (off_grid, first))
+        np.testing.assert_array_equal(law.A, on_grid.A)
+        np.testing.assert_array_equal(law.B, on_grid.B)
 
 
-@pytest.mark.parametrize("begin", [0, 1, 2, 3, 7])
-def test_a_learned_offset_is_counted_from_the_file(begin: int) -> None:
-    declared = earlier(SLOW, begin * T)
-    assert isinstance(declared, Cascade)
-    assert declared.position_offset == pytest.approx((2 + begin) % 4 * T, abs=1e-15)
-    for one, other in zip(SLOW.law(T).A, declared.law(T).begun(begin * T).A, strict=True):
-        np.testing.assert_array_equal(one, other)
-    assert earlier(PD(kp=1.0, kd=1.0), begin * T) == PD(kp=1.0, kd=1.0)
+@pytest.mark.parametrize("later", [0, 1, 2, 3, 7])
+def test_a_learned_offset_is_counted_from_the_file(later: int) -> None:
+    """What a record that begins later shows, and what its file is told, lead to each other, on any grid."""
+    slow = replace(SLOW, period=4 * T, position_period=16 * T, position_offset=8 * T)
+    for learned in (SLOW, slow):
+        declared = begun_later(learned, -later * T)
+        assert isinstance(declared, Cascade)
+        cycle = learned.position_period or T
+        assert declared.position_offset == pytest.approx((learned.position_offset + later * T) % cycle, abs=1e-15)
+        assert begun_later(declared, later * T) == learned
+    assert begun_later(PD(kp=1.0, kd=1.0), later * T) == PD(kp=1.0, kd=1.0)

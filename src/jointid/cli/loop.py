@@ -33,7 +33,7 @@ def loop(
     from jointid.jointfile import controller_text, load, with_paths
     from jointid.learning.learn import learn_loop
     from jointid.learning.writing import save
-    from jointid.model.controllers import earlier
+    from jointid.model.controllers import begun_later
 
     check_outputs(None, json, write)
     file = load(joint)
@@ -47,7 +47,7 @@ def loop(
         progress=progress(quiet),
     )
     # What is learned counts from the record's first sample, and a joint file from that of the record's file.
-    counted = earlier(learned.controller, logged.begin)
+    counted = begun_later(learned.controller, -logged.begin)
     learned = replace(learned, controller=counted, table=controller_text(counted, file.joint.transmission))
     show(learned)
     if json is not None:

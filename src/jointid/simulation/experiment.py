@@ -26,6 +26,7 @@ from jointid.model.controllers import (
     Controller,
     Interpolation,
     SampledLaw,
+    begun_later,
     respond,
     scaled,
 )
@@ -117,7 +118,7 @@ class Experiment:
 
     def law_of(self, controller: Controller) -> SampledLaw:
         """Return the law of a controller here: its position loop counts from the first sample of the record's file."""
-        return controller.law(self.sample_time).begun(self.begin)
+        return begun_later(controller, self.begin).law(self.sample_time)
 
     def with_law(self, law: SampledLaw) -> Experiment:
         """Return the same experiment under another law of the same period and delay."""
@@ -142,7 +143,7 @@ def prepare(loop: ClosedLoop, record: Record) -> Experiment:
     require_units(record, loop.joint)
     assert record.reference is not None
     log = record.torque or record.reference
-    law = loop.controller.law(log.sample_time).begun(record.begin)
+    law = begun_later(loop.controller, record.begin).law(log.sample_time)
     periods = math.floor(min(record.duration / law.period, 1e9) + _SNAP)
     if periods < _FEWEST:
         raise RecordError(

@@ -23,6 +23,7 @@ from jointid.model.controllers.drawn import Controller, Drawn
 from jointid.model.controllers.sampled import POSITION, REFERENCE_VELOCITY, SampledLaw
 
 _WHOLE = 1e-6  # how near to a whole number of periods a slower loop's must be
+_DRIFT = 1e-2  # of a period: how far clocks may drift apart before an instant is taken for the next one
 _SLOWEST = 64  # periods in a cycle at most
 
 
@@ -41,7 +42,8 @@ class Cascade(Drawn):
         reference_velocity: of the feed-forward: "difference" of the reference, or a "channel" of its own.
         velocity_limit: of the velocity command, m/s (rad/s).
         position_period: of the position loop, a multiple of `period`; the same when None.
-        position_offset: seconds from the first sample of the record's file to the position loop's next evaluation.
+        position_offset: seconds from the first sample of the record's file to the position loop's next evaluation,
+            which is at the controller's instant there, or at the next one.
         velocity_filter, torque_filters, filters_at, ..., gain, limit, period, delay, ...: see `Drawn` and `Timed`.
     """
 
@@ -95,15 +97,14 @@ class Cascade(Drawn):
 
     def _diagram(self, period: float) -> Diagram:
         phases = (self.position_period or period) / period
-        first = self.position_offset / period
-        whole = max(abs(phases - round(phases)), abs(first - round(first))) <= _WHOLE * phases
+        whole = abs(phases - round(phases)) <= _WHOLE * phases
         if not (whole and 1 <= round(phases) <= _SLOWEST):
             raise MethodError(
-                f"The position loop's period and offset are multiples of the controller's, the period up to {_SLOWEST} "
-                f"times; received {self.position_period or period:g} s and {self.position_offset:g} s beside "
-                f"{period:g} s: correct them."
+                f"The position loop's period is a multiple of the controller's, up to {_SLOWEST} times; received "
+                f"{self.position_period or period:g} s beside {period:g} s: correct one of them."
             )
-        return Diagram(period, round(phases), round(first) % round(phases))
+        first = math.ceil(self.position_offset / period - _DRIFT)
+        return Diagram(period, round(phases), first % round(phases))
 
     def _fed(self, drawn: Diagram) -> Signal:
         if not self.velocity_feedforward:
@@ -194,17 +195,17 @@ class PID(PD):
         return self._lowered(drawn, output, limit)
 
 
-def earlier(controller: Controller, seconds: float) -> Controller:
-    """Return a controller as it is for a log that begins so many seconds earlier: what its offset counts grows by them.
+def begun_later(controller: Controller, seconds: float) -> Controller:
+    """Return a controller as it is for a log that begins so many seconds later: a slower loop in it keeps its instants.
 
-    Only a `Cascade` with a position loop of its own has instants that a later beginning could miss.
+    Only a `Cascade` with a position loop of its own has any. Negative: for a log that begins earlier.
     """
     if not (seconds and isinstance(controller, Cascade) and controller.position_period):
         return controller
     cycle = controller.position_period
-    offset = (controller.position_offset + seconds) % cycle
-    at_end = math.isclose(offset, cycle, rel_tol=_WHOLE)
-    return replace(controller, position_offset=0.0 if at_end else float(f"{offset:.12g}"))
+    offset = (controller.position_offset - seconds) % cycle
+    rounding = min(offset, cycle - offset) < _WHOLE * cycle  # of what is a whole cycle
+    return replace(controller, position_offset=0.0 if rounding else float(f"{offset:.12g}"))
 
 
 def _unwound(drawn: Diagram, into: Signal, limit: int, anti_windup: str, weight: float) -> Signal:

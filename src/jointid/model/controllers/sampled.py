@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.errors import MethodError
 from jointid.data.record import FloatArray
 
 REFERENCE, REFERENCE_VELOCITY, DIRECTION, CONSTANT, INJECTED, POSITION = range(6)
@@ -33,7 +32,6 @@ LIMIT = -1
 """What stands for a limit where a gate has the place of its limit."""
 
 _SINGULAR = 1e13  # a condition number
-_WHOLE = 1e-2  # of a period: what is nearer to a whole number of them than clocks drift is one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,24 +84,6 @@ class SampledLaw:
         limits = self.limits.copy()
         limits[self.tap] = level
         return replace(self, limits=limits)
-
-    def begun(self, later: float) -> SampledLaw:
-        """Return the law as it is for inputs that begin so many seconds later: a slower loop in it keeps its instants.
-
-        Raises:
-            MethodError: that is no whole number of periods, so a slower loop would be evaluated between them.
-        """
-        periods = round(later / self.period)
-        if self.phases == 1:
-            return self
-        if abs(later / self.period - periods) > _WHOLE:
-            raise MethodError(
-                f"The record begins {later:g} s after its file, at its first refresh, which is no whole number of the "
-                f"controller's periods of {self.period:g} s, so the instants of its position loop are not those of a "
-                "period: cut the file there, and give position_offset from its new first sample."
-            )
-        turned = {name: np.roll(getattr(self, name), -periods, axis=0) for name in ("A", "B", "C", "D", "E", "F")}
-        return replace(self, **turned)
 
     def memory(self, column: int, value: float, slope: float) -> FloatArray:
         """Return the states an input leaves that has moved uniformly until now, at `value` with `slope` per second.
