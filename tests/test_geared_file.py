@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +21,13 @@ from jointid.data.transmission import Transmission
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.identify import identify
 from jointid.jointfile import JointFile, dumps, loads, save
-from jointid.model.controllers import Cascade
 from jointid.model.joints import RigidJoint
 from jointid.simulation.experiment import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
+from tests.geared import LAW, RATE, RIGID, TURNED_SCREW
+from tests.joint_files import faults
 
-RATE, LEAD = 1e-3, 0.010
-R = 2 * math.pi / LEAD
+R = abs(TURNED_SCREW.motor_per_load)
 
 CONTROLLER = """
 [controller]
@@ -76,10 +77,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the log of a screw whose nut goes down while its motor turns forwards."""
     made = tmp_path_factory.mktemp("screw")
     reference = trapezoids((20.0, 40.0), 400.0, 60.0, RATE, duration=8.0)
-    loop = ClosedLoop(RigidJoint("revolute"), Cascade(kp=25.0, kv=0.02, limit=3.0))
-    values = {"inertia": 2e-4, "viscous": 1e-3, "coulomb": 0.03, "offset": 0.02}
+    loop = ClosedLoop(RigidJoint("revolute"), LAW)
     noise = 0.004 * np.random.default_rng(2).standard_normal(reference.size)
-    torque = simulated_record(loop, reference, values, sample_time=RATE, torque_noise=noise).torque
+    torque = simulated_record(loop, reference, RIGID, sample_time=RATE, torque_noise=noise).torque
     assert torque is not None
     time = np.arange(reference.size) * RATE
     columns = [time, 1e3 * torque.values, reference / (2 * math.pi), -1e3 * reference / R]
@@ -146,14 +146,17 @@ def test_an_answer_has_both_sides_and_is_read_back(folder: Path, motor: Estimate
 
 def test_a_record_is_referred_when_it_is_read_and_comes_back(folder: Path) -> None:
     on_motor, on_load = file_of(folder, ON_THE_MOTOR).record(), file_of(folder, GEARED).record()
-    back = file_of(folder, GEARED).logged(on_load)
+    assert on_load.channels == ("torque", "reference", "motor_position", "load_position")
+    file_of(folder, GEARED).write(on_load, folder / "again.csv")
+    back = read(folder / "again.csv", {"torque": "tau [mN m]", "motor_position": "turns [rev]"}, kind="revolute")
     kinds = {name: channel.unit for name, channel in on_load.items()}
     assert kinds == {"torque": "N", "reference": "m", "motor_position": "m", "load_position": "m"}
-    assert {name: channel.unit for name, channel in back.items()} == kinds | {"torque": "N m", "motor_position": "rad"}
     for record, r in ((on_load, -R), (back, 1.0)):
         np.testing.assert_allclose(values(record, "torque"), r * values(on_motor, "torque"), rtol=1e-12)
         np.testing.assert_allclose(values(record, "motor_position"), values(on_motor, "motor_position") / r, rtol=1e-12)
-    np.testing.assert_array_equal(values(on_load, "reference"), values(back, "reference"))
+    again = file_of(folder, GEARED).record(folder / "again.csv")
+    for name in again.channels:
+        np.testing.assert_allclose(values(again, name), values(on_load, name), rtol=1e-12)
 
 
 def values(record: Record, name: str) -> np.ndarray:
@@ -165,7 +168,7 @@ def test_the_file_is_written_and_read_back(folder: Path) -> None:
         file = file_of(folder, text)
         again = loads(dumps(file), folder)
         assert again == file
-        assert again.joint.transmission == Transmission(load="prismatic", lead=0.01, sign=-1)
+        assert again.joint.transmission == TURNED_SCREW
         assert again.controller == file.controller
 
 
@@ -218,9 +221,7 @@ def test_an_added_inertia_is_on_the_load(folder: Path) -> None:
     ],
 )
 def test_a_fault_is_one_sentence(text: str, sentence: str) -> None:
-    with pytest.raises(JointFileError) as caught:
-        loads(text.replace("SIDE", "load"))
-    assert caught.value.faults == (sentence,)
+    assert faults(text.replace("SIDE", "load")) == (sentence,)
 
 
 @pytest.mark.parametrize(
@@ -260,7 +261,7 @@ def test_the_commands_say_the_side(folder: Path, capsys: pytest.CaptureFixture[s
         assert end.value.code == 0
         return capsys.readouterr().out
 
-    side = f"transmission: {Transmission(load='prismatic', lead=LEAD, sign=-1)}\n"
+    side = f"transmission: {TURNED_SCREW}\n"
     assert side.endswith(
         "10 mm per turn, turned round, without loss (efficiency taken as 1); values are on the load side\n"
     )
@@ -271,13 +272,12 @@ def test_the_commands_say_the_side(folder: Path, capsys: pytest.CaptureFixture[s
     assert side in said("intervals", geared, "--of", "inertia", "-q")
     assert side in said("advise", geared, "-q")
     assert side in said("simulate", geared, "--estimate", estimate, "--out", folder / "out.csv", "-q")
-    names = {"torque": "torque", "motor_position": "motor_position", "reference": Column("reference", side="load")}
-    written = read(folder / "out.csv", names, transmission=Transmission(load="prismatic", lead=LEAD, sign=-1))
+    written = file_of(folder, GEARED).record(folder / "out.csv")
     np.testing.assert_allclose(values(written, "reference"), values(file_of(folder, GEARED).record(), "reference"))
     np.testing.assert_allclose(
         values(written, "motor_position"), values(written, "reference"), atol=4e-3
     )  # the loop follows, on the load
-    plain = read(folder / "out.csv", {"torque": "torque"}, kind="revolute")
+    plain = read(folder / "out.csv", {"torque": "tau [mN m]"}, kind="revolute")
     assert np.max(np.abs(values(plain, "torque"))) < 0.5  # N m of the motor
 
 
@@ -295,6 +295,19 @@ def test_an_injected_force_may_be_on_the_other_side_of_the_torque(folder: Path) 
     assert file_of(folder, GEARED.replace("[parameters]", injected)).columns["injected"].side == "load"
     with pytest.raises(JointFileError, match="injected is in A, but the torque in N m: give both in one unit"):
         file_of(folder, GEARED.replace("[parameters]", injected.replace("f [N]", "f [A]")))
+
+
+@pytest.mark.parametrize(("side", "unit"), [("load", "N"), ("motor", "N m")])
+def test_a_limit_that_the_torque_does_not_keep_is_told_with_its_side(folder: Path, side: str, unit: str) -> None:
+    """A limit of 0.1 N m, which its motor's torque passes, is 63 N on the load."""
+    number = r"[0-9.]+"
+    with pytest.raises(RecordError) as beyond:
+        file_of(folder, GEARED.replace("limit = 3.0", "limit = 0.1"), side).record()
+    expected = f"reaches {number} {unit} on the {side} side, beyond the controller's limit of {number} {unit} there;"
+    assert re.search(expected, str(beyond.value))
+    measured = GEARED.replace('"tau [mN m]"', '"tau [mN m]", tap = "measured"').replace("limit = 3.0", "limit = 0.1")
+    with pytest.raises(RecordError, match=f"stands at its limit of {number} {unit} on the {side} side in "):
+        file_of(folder, measured, side).record()
 
 
 def test_a_drive_s_own_units_are_those_of_its_motor(folder: Path) -> None:

@@ -42,6 +42,7 @@ from jointid.jointfile import (
     loads,
     save,
     with_controller,
+    with_paths,
 )
 from jointid.jointfile.schema import CLOSINGS, DIDIMS, FILTERINGS, OF_IDIM
 from jointid.model.controllers import (
@@ -64,6 +65,7 @@ from jointid.model.friction import AsymmetricFriction, SymmetricFriction
 from jointid.model.gravity import GRAVITY_PARAMETERS, Counterbalance, Gravity
 from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.model.parameters import Parameter
+from tests.joint_files import faults
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "emps" / "joint.toml"
@@ -79,12 +81,6 @@ motor_position = { column = "q" }
 CASCADE = '[controller]\nlaw = "cascade"\nkp = 100.0\nkv = 2000.0\n'
 SMALLEST = JOINT + CHANNELS + CASCADE
 FLEXIBLE = SMALLEST.replace(JOINT, JOINT + 'model = "flexible"\n')
-
-
-def faults(text: str) -> tuple[str, ...]:
-    with pytest.raises(JointFileError) as caught:
-        loads(text)
-    return caught.value.faults
 
 
 def table(name: str) -> dict[str, Any]:
@@ -595,8 +591,8 @@ FAULTS = [
     ),
     (
         SMALLEST + "period = 0.001\nposition_period = 0.0025",
-        "controller: The position loop's period and offset are multiples of the controller's, the period up to 64 "
-        "times; received 0.0025 s and 0 s beside 0.001 s: correct them.",
+        "controller: The position loop's period is a multiple of the controller's, up to 64 times; received 0.0025 s "
+        "beside 0.001 s: correct one of them.",
     ),
     (
         SMALLEST + "period = 1e-9\nreference_delay = 1.0",
@@ -1039,6 +1035,21 @@ def test_a_fault_is_one_sentence(text: str, sentence: str) -> None:
     assert faults(text) == (sentence,)
 
 
+@pytest.mark.parametrize(
+    ("wrong", "meant"),
+    [
+        (SMALLEST + "KI = 3.0", "controller.KI is not a known key; .* did you mean ki"),
+        (SMALLEST + "[Method]", "Method is not a known key; .* did you mean method"),
+        (SMALLEST + "[drive]\nratedTorque = 3.0", "drive.ratedTorque is not a known key; .* did you mean rated_torque"),
+        (SMALLEST + "torque_filters = [{ D = 1.0, numerator = [1.0] }]", "0.D is not a known key; .*: leave it out."),
+        (SMALLEST.replace('"cascade"', '"PID"'), 'law is "PID"; .* did you mean "pid"'),
+    ],
+)
+def test_the_case_of_a_word_does_not_hide_which_was_meant(wrong: str, meant: str) -> None:
+    (said,) = faults(wrong)
+    assert re.search(meant, said)
+
+
 def test_all_faults_come_at_once() -> None:
     found = faults(
         """
@@ -1299,6 +1310,7 @@ def joint_files(draw: st.DrawFn) -> JointFile:
                 axis=st.none() | whole,
                 rated_torque=st.none() | positive,
                 counts_per_metre=positive,
+                load_counts_per_metre=positive,
             )
         ),
         parameters={
@@ -1358,6 +1370,28 @@ def test_a_controller_is_put_into_the_text_of_a_file(controller: Cascade | PID) 
     assert tomllib.loads(with_controller("", controller)) == tomllib.loads(controller_text(controller))
     with pytest.raises(JointFileError, match="is not TOML"):
         with_controller("[joint", controller)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('[record]\nfile = "a.csv" # mine\n', '[record]\nfile = "../runs/a.csv" # mine\n'),
+        ("[record]\ntime = 't'\n  file='sub/a.csv'\n", "[record]\ntime = 't'\n  file=\"../runs/sub/a.csv\"\n"),
+        ('[record]\nfile = "../there/a.csv"\n', '[record]\nfile = "a.csv"\n'),
+        ('[record]\nfile = "/data/a.csv"\n', '[record]\nfile = "/data/a.csv"\n'),
+        ('[record]\nfile = "Größe \\"1\\".csv"\n', '[record]\nfile = "../runs/Größe \\"1\\".csv"\n'),
+        (
+            '[[records]]\nfile = "a.csv"\n[[records]]\nown = ["file"]\nfile = "b.csv"\n',
+            '[[records]]\nfile = "../runs/a.csv"\n[[records]]\nown = ["file"]\nfile = "../runs/b.csv"\n',
+        ),
+        ('record = { file = "a.csv" }\n', '[record]\nfile = "../runs/a.csv"\n'),
+        ('[record]\nfile = """a.csv"""\n', '[record]\nfile = "../runs/a.csv"\n'),
+        ('[joint]\nfile = "a.csv"\n', '[joint]\nfile = "a.csv"\n'),
+    ],
+)
+def test_paths_lead_to_the_same_files_from_another_folder(text: str, expected: str, tmp_path: Path) -> None:
+    assert with_paths(text, tmp_path / "runs", tmp_path / "there") == expected
+    assert with_paths(text, tmp_path / "runs", tmp_path / "there" / ".." / "runs") == text
 
 
 def test_numbers_of_filters_are_named_with_points() -> None:

@@ -39,10 +39,11 @@ if TYPE_CHECKING:
     from jointid.data.columns import Column
     from jointid.data.drive import Drive
     from jointid.data.excitation import pulses, trapezoids
-    from jointid.data.reading import read, write
+    from jointid.data.reading import read
     from jointid.data.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, record_of
     from jointid.data.signals import Filtering
     from jointid.data.transmission import Transmission
+    from jointid.data.writing import write
     from jointid.estimation.didim import DIDIM
     from jointid.estimation.drive_side import DriveSideFit
     from jointid.estimation.estimate import Estimate, IdentifiedJoint
@@ -103,7 +104,8 @@ _HOMES = {
     "data.columns": ("Column",),
     "data.drive": ("Drive",),
     "data.excitation": ("pulses", "trapezoids"),
-    "data.reading": ("read", "write"),
+    "data.reading": ("read",),
+    "data.writing": ("write",),
     "data.record": ("Channel", "Injection", "InjectionPoint", "Record", "Tap", "Timing", "record_of"),
     "data.signals": ("Filtering",),
     "data.transmission": ("Transmission",),

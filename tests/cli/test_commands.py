@@ -11,7 +11,13 @@ import pytest
 
 from jointid.cli.app import app, main
 from jointid.data.excitation import trapezoids
-from jointid.data.reading import read, write
+from jointid.data.formats import Table, write_table
+from jointid.data.reading import read
+from jointid.data.record import Record
+from jointid.data.writing import write
+from jointid.jointfile import load
+from jointid.learning.learned import LearnedLoop
+from jointid.model.controllers import Cascade, begun_later
 from jointid.model.joints import FlexibleJoint
 from jointid.paper.twin import CONTROLLERS, JOINT_FILE, TABLE_2, twin
 from jointid.simulation.experiment import ClosedLoop
@@ -121,11 +127,89 @@ def test_identify_validate_simulate_on_the_real_axis(
     words = ("--record", emps_path, "--estimate", out, "--out", made, "--json", summary, "-q")
     assert run("simulate", EMPS, *words) == 0
     assert json.loads(summary.read_text(encoding="utf-8"))["outcome"] == "finished"
-    again = read(made, {"torque": "torque", "reference": "reference", "motor_position": "motor_position"})
-    assert again.torque is not None
-    assert again.torque.values.size == answer["record"]["samples"]
-    assert run("identify", EMPS, "--record", made) == 2  # its columns have other names
-    assert 'has no column "vir"' in capsys.readouterr().err
+    capsys.readouterr()
+    assert run("identify", EMPS, "--record", made, "--json", check, "-q") == 0  # it has the columns of EMPS itself
+    again = json.loads(check.read_text(encoding="utf-8"))
+    assert again["record"]["samples"] == answer["record"]["samples"]
+    for name in ("inertia", "viscous", "coulomb", "offset"):
+        assert abs(again["parameters"][name]["value"] / answer["parameters"][name]["value"] - 1) <= 1e-6, name
+    assert again["relative_error_percent"] <= 1e-4
+
+
+def test_what_is_simulated_for_a_profile_is_identified_by_it(tmp_path: Path) -> None:
+    """A geared axis traced by a CiA 402 drive, in counts and per mille: simulate and identify, with one joint file."""
+    text = """[joint]
+kind = "revolute"
+[transmission]
+ratio = 50
+[record]
+file = "trace.csv"
+[record.channels]
+reference = { sign = -1 }
+[drive]
+profile = "cia402"
+rated_torque = 1.27
+counts_per_turn = 1048576
+[controller]
+law = "cascade"
+kp = 25.0
+kv = 0.02
+[parameters]
+inertia = { start = 0.5 }
+viscous = { start = 2.5 }
+coulomb = { start = 1.5 }
+offset = { start = 0.5 }
+"""
+    reference = trapezoids((20.0, 40.0), 400.0, 60.0, 1e-3, duration=8.0) / (2 * np.pi) * 2**20  # counts of the motor
+    still = np.zeros(reference.size)
+    still[0] = 1.0  # a torque that nothing is identified from
+    columns = {"t": np.arange(reference.size) * 1e-3, "6074h": still, "6062h": -reference}
+    write_table(tmp_path / "trace.csv", Table(columns))
+    joint, made, out = tmp_path / "joint.toml", tmp_path / "made.csv", tmp_path / "out.json"
+    joint.write_text(text, encoding="utf-8")
+    assert run("simulate", joint, "--out", made, "-q") == 0
+    names = made.read_text(encoding="utf-8").splitlines()[0]
+    assert names == "t,6074h,6062h,6064h"
+    assert run("identify", joint, "--record", made, "--json", out, "-q") == 0
+    found = json.loads(out.read_text(encoding="utf-8"))["parameters"]
+    for name, value in {"inertia": 0.5, "viscous": 2.5, "coulomb": 1.5, "offset": 0.5}.items():
+        assert abs(found[name]["value"] / value - 1) <= 1e-6, name
+
+
+def test_what_is_simulated_from_a_late_beginning_counts_from_its_own(tmp_path: Path) -> None:
+    """The record begins 2 ms after its file, at its first refresh; what is written begins with itself."""
+    text = """[joint]
+kind = "revolute"
+[record]
+file = "trace.csv"
+[record.channels]
+torque = { column = "i", update_time = 0.004 }
+reference = { column = "r", update_time = 0.004 }
+[controller]
+law = "cascade"
+kp = 10.0
+kv = 2.0
+position_period = 0.016
+position_offset = 0.006
+[parameters]
+inertia = { start = 0.05 }
+viscous = { start = 0.2 }
+coulomb = { start = 0.3 }
+offset = { start = 0.1 }
+"""
+    slow = trapezoids((1.0, 2.0), 10.0, 2.0, 4e-3, duration=16.0)
+    samples = 4 * slow.size
+    rows = np.maximum((np.arange(samples) - 2) // 4, 0)
+    columns = {"t": np.arange(samples) * 1e-3, "r": slow[rows], "i": np.sin(0.3 * rows)}
+    write_table(tmp_path / "trace.csv", Table(columns))
+    joint, made, out = tmp_path / "joint.toml", tmp_path / "made.csv", tmp_path / "out.json"
+    joint.write_text(text, encoding="utf-8")
+    assert load(joint).record().begin == pytest.approx(2e-3)
+    assert run("simulate", joint, "--out", made, "-q") == 0
+    assert run("identify", joint, "--record", made, "--json", out, "-q") == 0
+    found = json.loads(out.read_text(encoding="utf-8"))
+    assert found["relative_error_percent"] <= 1e-4
+    assert abs(found["parameters"]["inertia"]["value"] / 0.05 - 1) <= 1e-6
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".mat", ".tsv"])
@@ -205,8 +289,6 @@ def test_the_flexible_axis_by_command(demo: Path, tmp_path: Path, capsys: pytest
 
 
 def test_several_records_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from jointid.data.reading import write
-
     light = twin(noise="white", seed=1)
     write(light.record, tmp_path / "light.csv")
     write(twin(noise="white", seed=2, added_mass=True).record, tmp_path / "heavy.csv")
@@ -237,6 +319,82 @@ own = ["motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb", "dampin
     assert "Records 1 and 2 are the same record" in capsys.readouterr().err
     assert run("together", joint, "-q", "--record", tmp_path / "light.csv") == 2
     assert "lists 2 records and 1 are named" in capsys.readouterr().err
+
+
+@pytest.fixture
+def learned(monkeypatch: pytest.MonkeyPatch) -> Cascade:
+    """What `jointid loop` finds here, at once: a velocity loop at 4 ms, and a position loop at every fourth of them."""
+    controller = Cascade(kp=40.0, kv=2.0, period=4e-3, position_period=16e-3, position_offset=12e-3)
+    nothing = np.zeros(0)
+
+    def learn_loop(record: Record, **_: object) -> LearnedLoop:
+        return LearnedLoop(
+            controller, "P-P", (), nothing, (), (), (), 0.0, 0.0, 0.0, 0.0, 1.0, nothing, "N m", "rad", record.name, ""
+        )
+
+    monkeypatch.setattr("jointid.learning.learn.learn_loop", learn_loop)
+    return controller
+
+
+def test_a_learned_offset_is_written_as_the_joint_file_counts_it(
+    tmp_path: Path, learned: Cascade, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The record begins at the first refresh of its torque, two samples after its file."""
+    time = np.arange(400) * 1e-3
+    refreshed = np.cos(7e-3 * ((np.arange(400) - 2) // 4 * 4))
+    write_table(tmp_path / "run.csv", Table({"t": time, "i": refreshed, "q": np.sin(time)}))
+    (tmp_path / "joint.toml").write_text(
+        """[joint]
+kind = "revolute"
+[record]
+file = "run.csv"
+[record.channels]
+torque = { column = "i", update_time = 0.004 }
+reference = { column = "q" }
+motor_position = { column = "q" }
+[method]
+name = "idim"
+""",
+        encoding="utf-8",
+    )
+    assert run("loop", tmp_path / "joint.toml", "--write", tmp_path / "out.toml", "-q") == 0
+    assert "position_offset = 0.014\n" in capsys.readouterr().out
+    made = load(tmp_path / "out.toml")
+    assert begun_later(made.controller or learned, made.record().begin) == learned
+
+
+@pytest.mark.parametrize("place", [".", "learned/here", "../beside"])
+def test_a_learned_joint_file_finds_its_record_from_any_folder(
+    tmp_path: Path, learned: Cascade, place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = tmp_path / "home"
+    home.mkdir()
+    time = np.arange(400) * 1e-3
+    write_table(
+        home / "run 1.csv",
+        Table({"t": time, "torque": np.cos(time), "position": np.sin(time), "reference": np.sin(time)}),
+    )
+    (home / "joint.toml").write_text(
+        """[joint]
+kind = "revolute"
+[record]
+file = 'run 1.csv'               # of the morning
+[drive]
+profile = "generic"
+[method]
+name = "idim"
+""",
+        encoding="utf-8",
+    )
+    folder = home / place
+    folder.mkdir(parents=True, exist_ok=True)
+    monkeypatch.chdir(home)
+    assert run("loop", "joint.toml", "--record", "run 1.csv", "--write", f"{place}/out.toml", "-q") == 0
+    made = load(folder / "out.toml")
+    assert made.source.file is not None
+    assert not Path(made.source.file).is_absolute()
+    assert made.record().name == "run 1"
+    assert "# of the morning" in (folder / "out.toml").read_text(encoding="utf-8")
 
 
 MISTAKES = {

@@ -75,6 +75,7 @@ def test_a_slow_column_is_picked_at_its_refreshes(tmp_path: Path, phase: int) ->
     assert (record.torque.sample_time, record.torque.timing) == (4 * T, Timing.HELD)
     assert record.motor_position.sample_time == T
     np.testing.assert_allclose(record.torque.values, TORQUE[phase::4])
+    assert record.begin == pytest.approx(phase * T)
     np.testing.assert_allclose(record.motor_position.values, MOTION[phase:] * 1e-6)
 
 
@@ -85,6 +86,7 @@ def test_two_slow_columns_begin_together(tmp_path: Path) -> None:
     assert record.reference is not None
     np.testing.assert_allclose(record.torque.values, TORQUE[3::4])
     np.testing.assert_allclose(record.reference.values, TORQUE[3::2])
+    assert record.begin == pytest.approx(3 * T)
     path = saved(tmp_path / "run.csv", i=slow(4, 3), r=slow(2, 0))
     with pytest.raises(RecordError, match="never refreshed at one instant"):
         read(path, {"torque": Column("i", update_time=4 * T), "reference": Column("r", update_time=2 * T)})

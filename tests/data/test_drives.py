@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.errors import RecordError
+from jointid.common.errors import JointFileError, RecordError
 from jointid.common.units import COUNTS, SHARE, unit
 from jointid.data.columns import Column, known_units
 from jointid.data.drive import Drive
 from jointid.data.profiles import profile_named, profile_names
 from jointid.data.reading import read
 from jointid.data.record import CHANNELS, Record, Tap, Timing
+from jointid.data.transmission import Transmission
 from jointid.jointfile import load, loads
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -78,6 +79,50 @@ def test_what_is_declared_wins(tmp_path: Path) -> None:
     assert (record.torque.timing, record.tap) == (Timing.AVERAGED, Tap.MEASURED)
     np.testing.assert_allclose(record.torque.values, -PER_MILLE / 1e3 * RATED)
     np.testing.assert_allclose(record.motor_position.values, COUNTED * 1e-3)
+
+
+LOAD_COUNTS = 20_000
+
+
+@pytest.mark.parametrize("ratio", [1.0, 50.0])
+def test_two_encoders_have_their_own_counts(tmp_path: Path, ratio: float) -> None:
+    """Behind a gear the counts of the motor's turn say nothing of the load's encoder: without its own it is refused."""
+    gear = Transmission(load="revolute", ratio=ratio)
+    turned = np.round(ANGLE / ratio / (2 * math.pi) * LOAD_COUNTS)
+    path = trace(tmp_path, t=TIME, motor=COUNTED, load=turned)
+    columns = {"motor_position": Column("motor", unit="counts"), "load_position": Column("load", unit="counts")}
+    one, two = (Drive(counts_per_turn=COUNTS_PER_TURN, load_counts_per_turn=own) for own in (None, LOAD_COUNTS))
+    record = read(path, columns, drive=two, kind="revolute", transmission=gear)
+    for channel, step in ((record.motor_position, ratio * COUNTS_PER_TURN), (record.load_position, LOAD_COUNTS)):
+        assert channel is not None
+        np.testing.assert_allclose(channel.values, ANGLE / ratio, atol=1.001 * math.pi / step)
+    if ratio == 1.0:  # two encoders of one kind
+        assert read(path, columns, drive=one, kind="revolute", transmission=gear).load_position is not None
+        return
+    sentence = (
+        "needs the drive's load_counts_per_turn, of the load's own encoder (counts_per_turn is the motor's): give it, "
+        "or gain and another unit."
+    )
+    with pytest.raises(RecordError, match=re.escape(sentence)):
+        read(path, columns, drive=one, kind="revolute", transmission=gear)
+    text = """[joint]
+kind = "revolute"
+[transmission]
+ratio = 50
+[drive]
+counts_per_turn = 8192
+[record.channels]
+torque = { column = "i [A]" }
+motor_position = { column = "motor", unit = "counts" }
+load_position = { column = "load", unit = "counts" }
+[method]
+name = "idim"
+"""
+    with pytest.raises(
+        JointFileError, match=re.escape(f'load_position is in "counts", which behind a transmission {sentence}')
+    ):
+        loads(text)
+    assert loads(text.replace("8192", "8192\nload_counts_per_turn = 20000")).drive == two
 
 
 def test_the_unit_in_a_name_wins_over_the_profiles(tmp_path: Path) -> None:

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from jointid.common.errors import JointidError, RecordError
 from jointid.data.columns import Column
 from jointid.data.formats import Table, read_table, write_table
-from jointid.data.reading import read, write
+from jointid.data.reading import read
 from jointid.data.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
+from jointid.data.writing import write
 
 NAN = float("nan")
 RATE = 1e-3

@@ -13,9 +13,10 @@ from jointid import answers
 from jointid.common.errors import RecordError
 from jointid.common.text import number
 from jointid.data.signals import Filtering
-from jointid.estimation.estimate import Estimate, Iteration, fingerprint, relative_error
+from jointid.estimation.estimate import Estimate, Iteration, fingerprint, law_fingerprint, relative_error
 from jointid.estimation.estimated import EstimatedParameter
 from jointid.estimation.regression import Conditioning, least_squares
+from jointid.model.controllers import Cascade
 from jointid.model.joints import RigidJoint
 from jointid.report.figures import save, torque_figure
 from jointid.simulation.experiment import ClosedLoop
@@ -184,3 +185,15 @@ def test_least_squares_is_the_textbook_s() -> None:
     assert fit.conditioning.raw == pytest.approx(np.linalg.cond(W))
     assert fit.conditioning.normalised < 2.0
     assert fit.conditioning.scaled == pytest.approx(np.linalg.cond(W * np.abs(expected)))
+
+
+@pytest.mark.parametrize("slow", [2e-3, 3.1e-3, 16e-3, 1.0])
+def test_a_law_with_a_slower_loop_and_no_period_of_its_own_has_a_fingerprint(slow: float) -> None:
+    """Whatever the slower period is: the one at which laws are compared need not divide it."""
+    loops = [
+        ClosedLoop(RigidJoint(), Cascade(kp=kp, kv=2.0, position_period=slow, position_offset=offset))
+        for kp, offset in ((1.0, 0.0), (1.0, 0.0), (1.1, 0.0), (1.0, slow / 2))
+    ]
+    first, again, *others = (law_fingerprint(loop) for loop in loops)
+    assert first == again
+    assert first not in others

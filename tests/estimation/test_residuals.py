@@ -9,6 +9,7 @@ from jointid.common.errors import MethodError
 from jointid.data.signals import Filtering, decimate
 from jointid.inference.repeatable import Repeatable
 from jointid.inference.residuals import residual_report, whiteness
+from jointid.inference.uncertainty import different, robust, white
 
 FILTERING = Filtering(cutoff=60.0).resolved(1e-3)
 STEP = 6e-3
@@ -29,6 +30,21 @@ def test_white_noise_through_the_filter_is_white(loud: bool) -> None:
     assert len(found) == 300
     assert np.mean(np.array(found) <= 0.05) == pytest.approx(0.05, abs=2.5 * np.sqrt(0.05 * 0.95 / 300))
     assert np.mean(found) == pytest.approx(0.5, abs=0.06)
+
+
+def test_white_in_the_band_and_robust_deviations_far_from_white_ones_are_two_answers() -> None:
+    """Rows four times as close as the pass band needs are correlated, of noise that is white in the band."""
+    close = Filtering(cutoff=60.0, decimation=2).resolved(1e-3)
+    error = decimate(np.random.default_rng(6).standard_normal(SAMPLES), close, 1e-3)
+    test = whiteness(error, 2e-3, 60.0)
+    level = np.ones((error.size, 1))
+    sentence = different(("offset",), white(level, error), robust(level, level, error))
+    assert test is not None
+    assert test.white
+    assert sentence is not None
+    assert str(test).startswith("within the pass band the residual is white")
+    assert "which asks more than whiteness within the pass band" in sentence
+    assert "the residual is not white" not in sentence
 
 
 def test_the_usual_test_would_call_it_coloured() -> None:

@@ -192,6 +192,24 @@ def test_every_fault_is_told_in_a_sentence(check: LoopCheck, sentence: str) -> N
     assert check.sentences == (sentence + _TAKEN,)
 
 
+@pytest.mark.parametrize(
+    ("check", "sentence"),
+    [
+        (
+            _check("limit", 1.0, 0.02, value=195.0),
+            "the controller's output stops at 195.0 N on the load side, which",
+        ),
+        (_check("offset", -3.16, 0.05), "a constant force of -3.16 +- 0.10 N on the load side is not declared"),
+        (
+            _check("stribeck", 6.1, 1.0, shape=5e-3),
+            "below some 0.0050 m/s on the load side, the friction is 6.10",
+        ),
+    ],
+)
+def test_behind_a_transmission_a_fault_names_its_side(check: LoopCheck, sentence: str) -> None:
+    assert sentence in replace(check, side="load").sentences[0]
+
+
 def test_what_cannot_be_told_apart_is_said() -> None:
     check = _check("kv", -10.0, 1.0, 240.0, alike=("gain",))
     rivalled = replace(check, findings=(replace(check.findings[0], rivals=("log_gain",)),))

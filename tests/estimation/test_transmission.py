@@ -38,18 +38,16 @@ from jointid.simulation.experiment import ClosedLoop
 from jointid.simulation.open_loop import OpenLoop
 from jointid.simulation.synthesis import simulated_record
 from jointid.together.together import identify_together
+from tests.geared import FLEXIBLE, RATE, RIGID, SCREW
+from tests.geared import LAW as UNFILTERED
 
-RATE = 1e-3
 GEAR = Transmission(load="revolute", ratio=100.0)
 TURNED = Transmission(load="revolute", ratio=100.0, sign=-1)
-SCREW = Transmission(load="prismatic", lead=0.010)
-LAW = Cascade(kp=25.0, kv=0.02, velocity_filter=(0.5, 0.5), limit=3.0)
-"""On the motor's side, where a drive closes its loops."""
+LAW = replace(UNFILTERED, velocity_filter=(0.5, 0.5))
 
 CLOSE = 1e-9
 """How far answers may differ, relative."""
 
-RIGID = {"inertia": 2e-4, "viscous": 1e-3, "coulomb": 0.03, "offset": 0.02}
 RIGID_ASYMMETRIC = {
     "inertia": 2e-4,
     "viscous_forwards": 1e-3,
@@ -57,17 +55,6 @@ RIGID_ASYMMETRIC = {
     "viscous_backwards": 1.4e-3,
     "coulomb_backwards": 0.04,
     "offset": 0.0,
-}
-FLEXIBLE = {
-    "motor_inertia": 1.2e-4,
-    "motor_viscous": 6e-4,
-    "motor_coulomb": 0.02,
-    "stiffness": 1.5,
-    "damping": 3e-4,
-    "load_inertia": 0.8e-4,
-    "load_viscous": 4e-4,
-    "load_coulomb": 0.01,
-    "offset": 0.02,
 }
 
 
@@ -366,6 +353,8 @@ def test_a_limit_that_is_not_declared_is_told_in_the_torque_of_the_side() -> Non
     declared = replace(law, limit=math.inf, ratio=TURNED.torque("motor"))
     geared = on_side(record, TURNED)
     estimate = identify(geared, ClosedLoop(joint_of("flexible", TURNED), declared))
-    (finding,) = check_loop(estimate, geared).findings
+    check = check_loop(estimate, geared)
+    (finding,) = check.findings
+    assert re.match(r"the controller's output stops at \d+\.?\d* N m on the load side, which is", check.sentences[0])
     assert finding.suspect.name == "limit"
     assert finding.value == pytest.approx(100 * level, rel=5e-3)

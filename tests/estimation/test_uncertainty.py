@@ -104,6 +104,7 @@ def test_where_the_white_and_the_robust_deviations_differ_is_said() -> None:
     assert sentence is not None
     assert "mean 2." in sentence
     assert "quick" not in sentence
+    assert "row by row" in sentence
     noise = random.standard_normal(2000)
     assert different(("mean", "quick"), white(W, noise), sandwich(W, W, noise)) is None
 

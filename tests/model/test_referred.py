@@ -27,8 +27,9 @@ from jointid.model.controllers import (
 from jointid.model.joints import FlexibleJoint
 from jointid.simulation.closed_loop import simulate
 from jointid.simulation.experiment import ClosedLoop, prepare
+from tests.geared import FLEXIBLE, RATE
 
-T, RATIOS = 1e-3, (100.0, -100.0, 2 * np.pi / 0.01, -0.3)
+T, RATIOS = RATE, (100.0, -100.0, 2 * np.pi / 0.01, -0.3)
 FED = {"acceleration_feedforward": 2e-4, "viscous_feedforward": 1e-3, "coulomb_feedforward": 0.03}
 LAWS = {
     "PI cascade that holds": Cascade(
@@ -84,21 +85,10 @@ def test_a_loop_moves_alike_on_both_sides(controller: Controller, ratio: float, 
     """With saturation, sticking, an integral and feed-forward; the load is the joint's side."""
     reference = trapezoids((20.0, 40.0), 400.0, 20.0, T, duration=3.0)
     pulse = 0.2 * (np.arange(reference.size) % 500 < 10)
-    values = {
-        "motor_inertia": 1.2e-4,
-        "motor_viscous": 6e-4,
-        "motor_coulomb": 0.02,
-        "stiffness": 1.5,
-        "damping": 3e-4,
-        "load_inertia": 0.8e-4,
-        "load_viscous": 4e-4,
-        "load_coulomb": 0.01,
-        "offset": 0.02,
-    }
     powers = {"coulomb": abs(ratio), "offset": ratio}
-    there = {name: v * powers.get(name.split("_")[-1], ratio**2) for name, v in values.items()}
+    there = {name: v * powers.get(name.split("_")[-1], ratio**2) for name, v in FLEXIBLE.items()}
     runs = []
-    for r, law, v in ((1.0, controller, values), (ratio, replace(controller, ratio=ratio), there)):  # type: ignore[type-var]
+    for r, law, v in ((1.0, controller, FLEXIBLE), (ratio, replace(controller, ratio=ratio), there)):  # type: ignore[type-var]
         velocity = np.gradient(reference / r, T)
         record = Record(
             reference=Channel(reference / r, "rad", T),

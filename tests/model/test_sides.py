@@ -11,9 +11,9 @@ from jointid.model.effects import Drift, PositionHarmonics, effect_parameters
 from jointid.model.friction import AsymmetricFriction
 from jointid.model.joints import FlexibleJoint, RigidJoint
 from jointid.model.sides import OtherSide
+from tests.geared import TURNED_SCREW
 
-SCREW = Transmission(load="prismatic", lead=0.010, sign=-1)
-R = abs(SCREW.motor_per_load)
+R = abs(TURNED_SCREW.motor_per_load)
 
 
 @pytest.mark.parametrize(
@@ -24,8 +24,8 @@ R = abs(SCREW.motor_per_load)
     ],
 )
 def test_each_quantity_has_its_unit_and_its_power_of_the_ratio(torque_unit: str | None, units: dict[str, str]) -> None:
-    joint = FlexibleJoint("prismatic", torque_unit=torque_unit, transmission=SCREW)
-    there = OtherSide(SCREW, torque_unit or "N")
+    joint = FlexibleJoint("prismatic", torque_unit=torque_unit, transmission=TURNED_SCREW)
+    there = OtherSide(TURNED_SCREW, torque_unit or "N")
     factors = {"stiffness": R**-2, "motor_inertia": R**-2, "offset": -1 / R, "motor_viscous": R**-2}
     for p in joint.parameters:
         if p.name in units:
@@ -42,7 +42,7 @@ def test_both_ways_lead_back() -> None:
     back = Transmission(load="prismatic", lead=0.010, sign=-1, side="motor")
     effects = (PositionHarmonics(0.01, 2), Drift("both"))
     for joint in (RigidJoint("prismatic", AsymmetricFriction()), FlexibleJoint("prismatic", AsymmetricFriction())):
-        here, there = OtherSide(SCREW, "N"), OtherSide(back, "N m")
+        here, there = OtherSide(TURNED_SCREW, "N"), OtherSide(back, "N m")
         for p in (*joint.parameters, *effect_parameters(effects)):
             unit, name = joint.unit(p), here.name(p.name)
             assert here.factor(p.name, unit) * there.factor(p.name, here.unit(unit)) == pytest.approx(1.0), p.name
@@ -53,8 +53,8 @@ def test_both_ways_lead_back() -> None:
 
 def test_a_current_stays_a_current() -> None:
     logged = Channel(np.array([1.0, -2.0]), "A", 1e-3, Timing.AVERAGED, "run.csv: i_q")
-    seen = SCREW.referred("torque", logged, "motor")
+    seen = TURNED_SCREW.referred("torque", logged, "motor")
     np.testing.assert_allclose(seen.values, -R * logged.values)
     assert (seen.unit, seen.timing, seen.source) == ("A", Timing.AVERAGED, "run.csv: i_q")
-    speed = SCREW.referred("reference_velocity", Channel(np.array([R]), "rad/s", 1e-3), "motor")
+    speed = TURNED_SCREW.referred("reference_velocity", Channel(np.array([R]), "rad/s", 1e-3), "motor")
     assert (speed.values[0], speed.unit) == (pytest.approx(-1.0), "m/s")

@@ -13,10 +13,13 @@ from scipy.linalg import expm
 
 from jointid.data.excitation import trapezoids
 from jointid.data.record import Channel, Injection, Record, Tap, Timing
-from jointid.model.controllers import PD, PID, REFERENCE, Cascade, FirstOrder, Notch, SecondOrder
+from jointid.estimation.didim import DIDIM
+from jointid.estimation.identify import identify
+from jointid.model.controllers import PD, PID, REFERENCE, Cascade, FirstOrder, Notch, SecondOrder, begun_later
 from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.experiment import ClosedLoop, prepare
+from jointid.simulation.sensitivities import simulate_sensitivities
 from tests.model.written_out import Sample, begun
 from tests.simulation.oracle import Plant, _Joint
 
@@ -210,3 +213,64 @@ def test_a_fast_loop_with_a_slow_position_gain_has_not_gone_far() -> None:
     run = simulate(loop, prepare(loop, Record(reference=Channel(reference, "m", 1e-3))), RIGID)
     assert run.outcome is Outcome.FINISHED
     assert np.ptp(run.motor_position) > 0.9 * np.ptp(reference)
+
+
+T = 1e-3
+SLOW = Cascade(kp=60.0, kv=6e3, position_period=4 * T, position_offset=2 * T, velocity_feedforward=0.5)
+AT_REST = np.concatenate([np.zeros(12), trapezoids((0.1, 0.2), 2.0, 0.1, T, duration=2.0)])
+
+
+def after(cut: float, law: Cascade = SLOW) -> Record:
+    """What remains of a log from so many samples on, while nothing moves: as if its first refresh had been there."""
+    loop = ClosedLoop(RigidJoint(), law)
+    whole = Record(reference=Channel(AT_REST, "m", T))
+    torque = simulate(loop, prepare(loop, whole), RIGID | {"offset": 0.0}).torque
+    first = math.ceil(cut)
+    kept = (Channel(AT_REST[first:], "m", T), Channel(torque[first:], "N", T, Timing.HELD))
+    return Record(reference=kept[0], torque=kept[1], begin=cut * T)
+
+
+@pytest.mark.parametrize("cut", [0, 1, 3, 6])
+def test_a_position_loop_keeps_its_instants_where_a_log_begins_later(cut: int) -> None:
+    """Simulated, differentiated and identified: the law of the whole log, whatever was cut off."""
+    loop, record, values = ClosedLoop(RigidJoint(), SLOW), after(cut), RIGID | {"offset": 0.0}
+    assert record.torque is not None
+    run = simulate(loop, prepare(loop, record), values)
+    size = float(np.max(np.abs(record.torque.values)))
+    np.testing.assert_allclose(run.torque, record.torque.values, atol=1e-9 * size)
+    missed = simulate(loop, prepare(loop, replace(record, begin=record.begin + T)), values)
+    assert np.max(np.abs(missed.torque - record.torque.values)) > 0.01 * size
+
+    slope = simulate_sensitivities(loop, prepare(loop, record), values, ("kp",)).torque[:, 0]
+    low, high = (after(cut, replace(SLOW, kp=SLOW.kp + by)).torque for by in (-1e-3, 1e-3))
+    assert low is not None
+    assert high is not None
+    difference = (high.values - low.values) / 2e-3
+    np.testing.assert_allclose(slope, difference, atol=1e-4 * np.max(np.abs(difference)))
+
+    wrong = ClosedLoop(RigidJoint(), replace(SLOW, kp=1.02 * SLOW.kp))
+    found = identify(record, wrong, DIDIM(free=("kp",)))
+    assert found["kp"].value == pytest.approx(SLOW.kp, rel=1e-5)
+    assert found["inertia"].value == pytest.approx(RIGID["inertia"], rel=1e-5)
+
+
+def test_a_record_that_begins_between_two_samples_of_the_file_takes_the_next_instant() -> None:
+    """Evaluated at 2, 6, ... ms after the file's first sample; the record's instants are at 2.5, 3.5, ... ms."""
+    assert begun_later(SLOW, 2.5 * T) == replace(SLOW, position_offset=3.5 * T)
+    for off_grid, first in ((3.5, 4), (3.001, 3), (3.1, 4), (0.0, 0)):
+        law, on_grid = (replace(SLOW, position_offset=at * T).law(T) for at in (off_grid, first))
+        np.testing.assert_array_equal(law.A, on_grid.A)
+        np.testing.assert_array_equal(law.B, on_grid.B)
+
+
+@pytest.mark.parametrize("later", [0, 1, 2, 3, 7])
+def test_a_learned_offset_is_counted_from_the_file(later: int) -> None:
+    """What a record that begins later shows, and what its file is told, lead to each other, on any grid."""
+    slow = replace(SLOW, period=4 * T, position_period=16 * T, position_offset=8 * T)
+    for learned in (SLOW, slow):
+        declared = begun_later(learned, -later * T)
+        assert isinstance(declared, Cascade)
+        cycle = learned.position_period or T
+        assert declared.position_offset == pytest.approx((learned.position_offset + later * T) % cycle, abs=1e-15)
+        assert begun_later(declared, later * T) == learned
+    assert begun_later(PD(kp=1.0, kd=1.0), later * T) == PD(kp=1.0, kd=1.0)

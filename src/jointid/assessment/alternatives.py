@@ -27,8 +27,8 @@ import numpy as np
 from jointid.data.record import FloatArray, Tap
 from jointid.estimation.problem import Problem
 from jointid.model.controllers import numbers_of
-from jointid.simulation.closed_loop import as_logged
 from jointid.simulation.experiment import Experiment
+from jointid.simulation.logged import as_logged
 
 STRIBECK, PRESLIDING, LIMIT, OFFSET, INJECTED_GAIN = "stribeck", "presliding", "limit", "offset", "injected_gain"
 ONE_SIDED = (STRIBECK, PRESLIDING, LIMIT)

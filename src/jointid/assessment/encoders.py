@@ -37,7 +37,8 @@ import numpy as np
 
 from jointid.data.record import Channel, FloatArray
 from jointid.estimation.problem import Problem
-from jointid.simulation.closed_loop import Outcome, as_logged
+from jointid.simulation.closed_loop import Outcome
+from jointid.simulation.logged import as_logged
 
 Noise: TypeAlias = Literal["loop", "log"]
 

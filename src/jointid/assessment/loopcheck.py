@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from jointid.assessment.alternatives import INJECTED_GAIN, LIMIT, OFFSET, PRESLIDING, STRIBECK
 from jointid.common.text import aligned, number
+from jointid.data.transmission import Side
 
 _SLIGHT = 0.5  # of a deviation: a smaller change of a parameter is not worth a word
 _TOLD = 3  # parameters whose change is told in a sentence
@@ -78,6 +79,7 @@ class LoopCheck:
         level: the share of records with nothing wrong in which something is found, at most.
         symbols: of the joint's parameters, by name.
         units: of the joint's parameters by name, and of "torque" and "velocity".
+        side: of the transmission, on which all of these numbers are; None without one.
     """
 
     findings: tuple[Finding, ...]
@@ -85,6 +87,7 @@ class LoopCheck:
     level: float
     symbols: Mapping[str, str]
     units: Mapping[str, str]
+    side: Side | None = None
 
     @property
     def as_declared(self) -> bool:
@@ -126,7 +129,8 @@ class LoopCheck:
 
     def _fault(self, finding: Finding) -> str:
         """Return what is wrong, in words."""
-        s, torque = finding.suspect, self.units["torque"]
+        s, here = finding.suspect, "" if self.side is None else f" on the {self.side} side"
+        torque = self.units["torque"] + here
         interval = f"{number(abs(s.size), 3)} +- {number(2 * s.std, 2)}"
         if s.name in ("delay", "log_delay"):
             sense = "later" if s.size > 0 else "earlier"
@@ -140,7 +144,8 @@ class LoopCheck:
         if s.name in (STRIBECK, PRESLIDING):
             speed = f"{number(s.shape, 2)} {self.units['velocity']}"
             sense = "larger" if s.name == STRIBECK else "smaller"
-            return f"towards standstill, below some {speed}, the friction is {interval} {torque} {sense} than Coulomb's"
+            slow = f"towards standstill, below some {speed}{here}"
+            return f"{slow}, the friction is {interval} {self.units['torque']} {sense} than Coulomb's"
         if s.name == OFFSET:
             return f"a constant force of {number(s.size, 3)} +- {number(2 * s.std, 2)} {torque} is not declared"
         scale = 1.0 if s.name in _RATIOS else abs(s.declared)

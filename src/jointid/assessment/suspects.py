@@ -121,7 +121,8 @@ def suspected(problem: Problem, x: FloatArray, settings: LoopTests | None = None
     force = units[OFFSET]
     units |= {"torque": force, "velocity": unit_of(Quantity.VELOCITY, joint.kind, force)}
     symbols = {p.name: p.symbol for p in joint.parameters}
-    return LoopCheck(tuple(findings), first or (), settings.level, symbols, units)
+    side = None if joint.transmission is None else joint.transmission.side
+    return LoopCheck(tuple(findings), first or (), settings.level, symbols, units, side)
 
 
 def _tested(state: _State, settings: LoopTests) -> _Tested:
@@ -193,7 +194,7 @@ def _freed(problem: Problem, suspect: Suspect) -> tuple[Problem, float]:
     if suspect.name == LIMIT:  # what is declared may be infinite, where no search can begin
         start = (suspect.shape or 0.0) / _torque_per_unit(problem)
         loop = replace(problem.loop, controller=with_numbers(problem.loop.controller, {LIMIT: start}))
-        law = loop.controller.law(problem.experiment.sample_time)
+        law = problem.experiment.law_of(loop.controller)
         problem = replace(problem, loop=loop, experiment=problem.experiment.with_law(law))
     wider = problem.freeing(suspect.name)
     p = next(p for p in wider.parameters if p.name == suspect.name)

@@ -34,7 +34,7 @@ def demo(
     from jointid.cli.console import make_folder, progress, ready, show
     from jointid.common.errors import RecordError
     from jointid.common.text import aligned, number
-    from jointid.data.reading import write
+    from jointid.data.writing import write
     from jointid.estimation.identify import identify
     from jointid.jointfile import load
     from jointid.paper.twin import JOINT_FILE, twin

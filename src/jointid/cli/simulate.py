@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -31,7 +32,7 @@ def simulate(
         joint: the joint file (TOML).
         record: the record whose reference (and injected signal) drives the loop.
         estimate: what identify --json wrote; its parameters are used.
-        out: write torque, reference and positions to this file, CSV or MAT.
+        out: write torque, reference and positions to this file, CSV or MAT, as the joint file reads them.
         json: also write a summary as JSON to this file.
         twin: the paper's digital twin instead, under this loop.
         added_mass: of the twin: with 10 kg on the load.
@@ -71,7 +72,8 @@ def _joint(
         file = file.overridden(friction=answers.read_friction(estimate))
     if file.loop is None:
         raise MethodError("A simulation needs the controller; add a [controller] table to the joint file.")
-    logged = file.record(record)
+    # What is written begins with its first sample, from where a position loop's offset will be counted.
+    logged = replace(file.record(record), begin=0.0)
     listener = progress(quiet)
     if estimate is None:
         values = file.values()
@@ -90,10 +92,9 @@ def _joint(
         f"{simulation.events} reversals, stops and starts, {100 * simulation.at_limit:.2f} % of the time at the limit"
     )
     if out is not None:
-        from jointid.data.reading import write
         from jointid.simulation.synthesis import as_record
 
-        write(file.logged(as_record(logged, simulation)), out)
+        file.write(as_record(logged, simulation), out)
     if json is not None:
         answers.write(answers.simulation_answer(simulation, file.joint, values, logged.name), json)
 
@@ -107,7 +108,7 @@ def _twin(
     quiet: bool,
 ) -> None:
     from jointid.cli.console import progress, ready, show
-    from jointid.data.reading import write
+    from jointid.data.writing import write
     from jointid.paper.twin import twin
 
     ready(progress(quiet))

@@ -51,13 +51,16 @@ RATIO_TOLERANCE = 0.1
 """How near a ratio is to a unit's factor to name that unit."""
 
 
-def check_record(record: Record, *, limit: float | None = None, limit_share: float = LIMIT_SHARE) -> None:
+def check_record(
+    record: Record, *, limit: float | None = None, limit_share: float = LIMIT_SHARE, side: str | None = None
+) -> None:
     """Check that a record is what it is declared to be, and that a joint can be identified from it.
 
     Args:
         record: the record.
         limit: the controller's torque limit, in the unit of the record's torque; None does not check it.
         limit_share: share of the samples that may stand at the limit.
+        side: of a transmission, on which the record's torque and the limit are told; None without one.
 
     Raises:
         RecordError: with one sentence for each fault found.
@@ -65,7 +68,7 @@ def check_record(record: Record, *, limit: float | None = None, limit_share: flo
     faults = [f for name, c in record.items() for f in finite_faults(name, c.values, c.time)]
     if not faults:  # of numbers that are none, nothing more can be said
         faults += [*scale_faults(record), *still_faults(record)]
-        faults += [] if limit is None else limit_faults(record, limit, limit_share)
+        faults += [] if limit is None else limit_faults(record, limit, limit_share, side)
     if faults:
         raise RecordError(faults)
 
@@ -166,7 +169,7 @@ def still_faults(record: Record) -> list[str]:
     return faults
 
 
-def limit_faults(record: Record, limit: float, limit_share: float = LIMIT_SHARE) -> list[str]:
+def limit_faults(record: Record, limit: float, limit_share: float = LIMIT_SHARE, side: str | None = None) -> list[str]:
     """Return the faults of a torque that stands at the controller's limit, or goes beyond it.
 
     What is known to be added after the limit is taken off the torque first.
@@ -175,6 +178,7 @@ def limit_faults(record: Record, limit: float, limit_share: float = LIMIT_SHARE)
         record: the record; without a torque there is no fault.
         limit: largest torque the controller can ask for, positive, in the unit of the record's torque.
         limit_share: share of the samples that may stand at the limit.
+        side: see `check_record`.
     """
     if not limit > 0:
         return [f"The torque limit is a positive number; got {limit:g}."]
@@ -184,19 +188,19 @@ def limit_faults(record: Record, limit: float, limit_share: float = LIMIT_SHARE)
     injected = record.injected
     if injected is not None and injected.in_torque and injected.at is InjectionPoint.AFTER_LIMIT:
         output = output - np.interp(record.torque.time, injected.channel.time, injected.channel.values)
-    size = np.abs(output)
+    size, here = np.abs(output), "" if side is None else f" on the {side} side"
     # Measured currents carry noise, and filters overshoot: only the command itself never passes the limit.
     beyond = float(np.mean(size > limit * (1 + AT_LIMIT)))
     if record.tap is Tap.COMMAND and beyond > BEYOND_SHARE:
         return [
-            f"The torque reaches {size.max():g} {unit_name}, beyond the controller's limit of {limit:g} "
-            f"{unit_name}; check the limit, and the torque's unit and gain."
+            f"The torque reaches {size.max():g} {unit_name}{here}, beyond the controller's limit of {limit:g} "
+            f"{unit_name}{here and ' there'}; check the limit, and the torque's unit and gain."
         ]
     share = float(np.mean(size >= limit * (1 - AT_LIMIT)))
     if share <= limit_share:
         return []
     return [
-        f"The torque stands at its limit of {limit:g} {unit_name} in {share:.1%} of the samples (at most "
+        f"The torque stands at its limit of {limit:g} {unit_name}{here} in {share:.1%} of the samples (at most "
         f"{limit_share:.1%} expected), where it says little of the joint; record a slower motion."
     ]
 

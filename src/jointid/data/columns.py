@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from jointid.common import units
@@ -104,12 +105,27 @@ def unit_in_name(column: str, known: tuple[str, ...]) -> str | None:
     return match[1] if match[1] in known or column.rstrip().endswith("]") else None
 
 
+def unit_fault(what: str, name: str, known: tuple[str, ...]) -> str:
+    """Return the fault of a unit that is not among those known."""
+    return f'{what} is in "{name}"; expected one of {", ".join(known)}: give its unit, and the gain to it.'
+
+
 def known_units(channel: str, kind: str) -> tuple[str, ...]:
     """Return the units that a channel of a joint of this kind can have, SI first."""
     if channel in ("torque", "injected"):
         return units.units_of(*units.TORQUE_UNITS[kind])
     dimensions = units.VELOCITY_UNITS if channel == "reference_velocity" else units.POSITION_UNITS
     return units.units_of(*dimensions[kind])
+
+
+def unit_of_column(channel: str, columns: Mapping[str, Column], kind: str) -> str:
+    """Return the unit of a channel's values: as stated, or SI, of what is injected that of the torque."""
+    known = known_units(channel, kind)
+    default = known[0]
+    if channel == "injected" and "torque" in columns:
+        stated = columns["torque"].stated_unit(known)  # on another side of a transmission it may be no unit here
+        default = stated if stated in known else default
+    return columns[channel].stated_unit(known) or default
 
 
 def period_faults(what: str, sample_time: float | None) -> list[str]:

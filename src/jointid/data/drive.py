@@ -17,6 +17,10 @@ _AGREES = 0.05  # of a rated torque: nameplates are rounded, and peak and rms am
 
 _TORQUE = {"prismatic": "N", "revolute": "N m"}
 _POSITION = {"prismatic": "m", "revolute": "rad"}
+_NUMBERS = (
+    "rated_torque", "rated_current", "torque_constant", "counts_per_turn", "counts_per_metre", "load_counts_per_turn",
+    "load_counts_per_metre",
+)  # fmt: skip
 _COUNTS = {"prismatic": "counts_per_metre", "revolute": "counts_per_turn"}
 
 
@@ -30,8 +34,9 @@ class Drive:
         rated_torque: N m or N, what the torque is given as a share of.
         rated_current: A, likewise, where the torque constant is known and the rated torque is not.
         torque_constant: N m/A or N/A; a torque in A is then read in N m or N.
-        counts_per_turn: of the encoder, of a revolute joint.
-        counts_per_metre: of the encoder, of a prismatic joint.
+        counts_per_turn: of the encoder, where it turns.
+        counts_per_metre: of the encoder, where it moves straight.
+        load_counts_per_turn, load_counts_per_metre: of the load's encoder, where that is another one.
 
     Raises:
         RecordError: there is no such profile, a number is not positive and finite, the axis is not a whole number from
@@ -45,11 +50,13 @@ class Drive:
     torque_constant: float | None = None
     counts_per_turn: float | None = None
     counts_per_metre: float | None = None
+    load_counts_per_turn: float | None = None
+    load_counts_per_metre: float | None = None
 
     def __post_init__(self) -> None:
         faults = [
             f"The drive's {name} is a positive number; got {value:g}: correct it."
-            for name in ("rated_torque", "rated_current", "torque_constant", "counts_per_turn", "counts_per_metre")
+            for name in _NUMBERS
             if (value := getattr(self, name)) is not None and not (math.isfinite(value) and value > 0)
         ]
         if self.axis is not None and (not isinstance(self.axis, int) or self.axis < 1):
@@ -78,12 +85,14 @@ class Drive:
             return None
         return self.rated_current * self.torque_constant
 
-    def resolved(self, unit: units.Unit, kind: str) -> units.Unit:
+    def resolved(self, unit: units.Unit, kind: str, *, of_load: bool = False, geared: bool = False) -> units.Unit:
         """Return a unit with its factor to SI; one that is no drive's own as it is.
 
         Args:
             unit: of a channel.
-            kind: of the joint.
+            kind: of the side on which the channel is measured.
+            of_load: whether it is measured by the load's own encoder.
+            geared: whether that moves like the motor's, but by another amount: its counts are then no guide.
 
         Raises:
             UnitError: a number is missing; the message is the end of a sentence that begins with what has the unit.
@@ -92,6 +101,13 @@ class Drive:
         if unit.dimension == units.COUNTS:
             name = _COUNTS[kind]
             counts = getattr(self, name)
+            if of_load:
+                counts = getattr(self, f"load_{name}") or (None if geared else counts)
+            if counts is None and of_load and geared:
+                raise units.UnitError(
+                    f"which behind a transmission needs the drive's load_{name}, of the load's own encoder ({name} is "
+                    "the motor's): give it, or gain and another unit"
+                )
             if counts is None:
                 said = "" if traces is None or kind == "prismatic" else f" ({traces.counts})"
                 raise units.UnitError(f"which needs the drive's {name}{said}: give it, or gain and another unit")

@@ -97,6 +97,30 @@ class Profile:
         signals = self.signals(channel, column, axis) if column else list(self.channels.get(channel, ()))
         return signals[0].side if signals else None
 
+    def column(
+        self, channel: str, declared: Column | None, axis: int | None, kind: str, tap: Tap | None = None
+    ) -> Column | None:
+        """Return a column that would be found as a channel: the one declared, or the first of the names there are.
+
+        Args:
+            channel: of the record.
+            declared: what is said of it, which need not be its name.
+            axis: of the trace.
+            kind: of the side of the joint it is measured on.
+            tap: where a torque was logged, if that is to tell one signal from another.
+        """
+        signals = self.channels.get(channel, ())
+        if declared is not None and declared.column:
+            signals = tuple(self.signals(channel, declared.column, axis))
+        elif tap is not None:
+            signals = tuple(s for s in signals if (s.tap or Tap.COMMAND) is tap) or signals
+        named = [(signal, name) for signal in signals for name in signal.called(axis)]
+        if not named:
+            return declared if declared is not None and declared.column else None
+        signal, name = named[0]
+        column = declared if declared is not None else Column(optional=True)
+        return signal.filled(replace(column, column=column.column or name), known_units(channel, kind))
+
     def time_column(self, columns: Iterable[str]) -> str | None:
         """Return the time column, where the profile has a name for it and a trace this one column."""
         wanted = [_words(name) for name in self.time]

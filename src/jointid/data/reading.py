@@ -1,10 +1,8 @@
-"""From a file to a record and back: the clock, the channels in SI, and every fault reported at once."""
+"""From a file to a record: the clock, the channels in SI, and every fault reported at once."""
 
 from __future__ import annotations
 
-import difflib
 import os
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,25 +12,18 @@ import numpy as np
 from jointid.common import units
 from jointid.common.errors import RecordError
 from jointid.data.axes import other_axes
-from jointid.data.checks import CLOCK_TOLERANCE, clock_faults, finite_faults, scale_faults
-from jointid.data.columns import Column, known_units, period_faults, unit_in_name
+from jointid.data.checks import CLOCK_TOLERANCE, finite_faults, scale_faults
+from jointid.data.clock import Clock, clock_of
+from jointid.data.columns import Column, known_units, unit_fault, unit_of_column
 from jointid.data.conditioning import unwrapped, wrap_faults
 from jointid.data.drive import Drive
-from jointid.data.formats import Table, read_table, write_table
+from jointid.data.formats import Table, read_table
 from jointid.data.profiles import side_of
-from jointid.data.record import CHANNELS, Channel, FloatArray, Injection, Record, Tap, Timing
+from jointid.data.record import CHANNELS, Channel, Injection, Record, Tap, Timing
 from jointid.data.refreshing import Refreshed, begun_together
 from jointid.data.transmission import Transmission
 
-RATE_TOLERANCE = 1e-3
-"""How far a given sample time may be from that of the time stamps, as a share of it.
-
-Clocks of drives and computers differ by 0.01 %; a wrong rate is wrong by far more.
-"""
-
 _MOVES = 0.01  # of this axis's travel: an axis that moves less is held
-_LISTED = 20  # columns that a message lists; some MAT files have thousands
-_TIME = re.compile(r"(?:t|time)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
 
 
 def read(
@@ -85,56 +76,26 @@ def read(
         table = _without_tails(table)
     reading = _Reading(table, kind, transmission, drive, [])
     found = reading.found(reading.profiled(wanted))
-    clock = _Clock(sample_time)
+    clock = Clock(sample_time)
     if time is None and sample_time is None and drive.traces is not None:
         time = drive.traces.time_column(table.columns)
     if time is not None or any(column.sample_time is None for column in found.values()):
-        clock = reading.clock(time, time_unit, sample_time, clock_tolerance)
+        clock, wrong = clock_of(table, time, time_unit, sample_time, clock_tolerance)
+        reading.faults.extend(wrong)
     read_in = {channel: reading.channel(channel, found, clock) for channel in found}
     if reading.faults:
         raise RecordError(reading.faults)
     logged = {n: Refreshed(c, found[n].update_time) for n, c in read_in.items() if c is not None}
     others = {n: Refreshed(c) for n, c in reading.others(found, clock).items()}
-    channels, faults = begun_together({**logged, **others})
+    channels, begin, faults = begun_together({**logged, **others})
     if faults:
         raise RecordError(faults)
     apart = {n: channels.pop(n) for n in others}
-    record = replace(_record(channels, found, name or Path(path).stem), other_axes=apart)
+    record = replace(_record(channels, found, name or Path(path).stem), other_axes=apart, begin=begin)
     faults = scale_faults(record)
     if faults:
         raise RecordError(faults)
     return record
-
-
-def write(record: Record, path: str | os.PathLike[str]) -> None:
-    """Write a record to a file: the time as column "t" [s], and every channel in SI under its own name.
-
-    `read` gives it back to the last bit once told what a table of numbers does not hold: the joint's kind, a
-    torque in A or V, and what differs from the defaults of `Column`. The positions of other axes are not written.
-
-    Args:
-        record: the record; its channels share one rate and have at least two samples.
-        path: the file; its suffix tells the format. A file that is there is replaced.
-
-    Raises:
-        RecordError: the channels differ in rate or have one sample, or the file cannot be written.
-    """
-    channels = dict(record.items())
-    if len({channel.sample_time for channel in channels.values()}) > 1:
-        rates = ", ".join(f"{name} {channel.sample_time:g} s" for name, channel in channels.items())
-        raise RecordError(f"A file holds channels of one rate; got {rates}: write each rate to a file of its own.")
-    time = next(iter(channels.values())).time
-    if time.size < 2:
-        raise RecordError("A record of one sample has no time between samples; write two samples or more.")
-    write_table(path, Table({"t": time, **{name: channel.values for name, channel in channels.items()}}))
-
-
-@dataclass(frozen=True, slots=True)
-class _Clock:
-    """The time between samples [s] and the time stamps [s], as far as they are known."""
-
-    sample_time: float | None = None
-    stamps: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,65 +139,9 @@ class _Reading:
         missing = {n: column for n, column in wanted.items() if column.column not in self.table.columns}
         needed = [f'"{column.column}" (for {n})' for n, column in missing.items() if not column.optional]
         if needed:
-            listed = self.listed(" ".join(column.column for column in missing.values()))
+            listed = self.table.listed(" ".join(column.column for column in missing.values()))
             self.faults.append(f"{self.table.source} has no column {' and no '.join(needed)}; it has {listed}.")
         return {n: column for n, column in wanted.items() if n not in missing}
-
-    def listed(self, wanted: str) -> str:
-        """Return the names of the table's columns; of very many, those most like the one that was wanted."""
-        names = list(self.table.columns)
-        shown = names if len(names) <= _LISTED else difflib.get_close_matches(wanted, names, _LISTED, cutoff=0.0)
-        rest = f" and {len(names) - len(shown)} more" if len(shown) < len(names) else ""
-        return (", ".join(f'"{name}"' for name in shown) or "none") + rest
-
-    def clock(self, time: str | None, time_unit: str | None, sample_time: float | None, tolerance: float) -> _Clock:
-        """Return the record's clock, from the stamps, from the sample time, or from both."""
-        wrong = period_faults("sample time", sample_time)
-        if wrong or (sample_time is not None and time is None):
-            self.faults.extend(wrong)
-            return _Clock(None if wrong else sample_time)
-        column = self.time_column(time)
-        if column is None:
-            return _Clock()
-        known = units.units_of("time")
-        named = unit_in_name(column, known)
-        if time_unit is not None and named is not None and named != time_unit:
-            self.faults.append(
-                f'The time column "{column}" names its unit, and time_unit is "{time_unit}"; leave time_unit out, or '
-                "rename the column."
-            )
-            return _Clock()
-        unit = self.unit(f'time (column "{column}")', time_unit or unit_in_name(column, known) or "s", known, self.kind)
-        if unit is None:
-            return _Clock()
-        stamps = self.table.columns[column] * unit.factor
-        wrong = clock_faults(stamps, tolerance)
-        if wrong:
-            self.faults.extend(wrong)
-            return _Clock()
-        period = _period(stamps)
-        if sample_time is not None and abs(sample_time / period - 1) > RATE_TOLERANCE:
-            self.faults.append(
-                f'The sample time is given as {sample_time:g} s, and column "{column}" has {period:g} s; '
-                "mend one, or leave sample_time or time out."
-            )
-        return _Clock(sample_time or period, stamps)
-
-    def time_column(self, time: str | None) -> str | None:
-        """Return the name of the time column; one that is missing or in doubt is a fault."""
-        source = self.table.source
-        if time is not None:
-            if time not in self.table.columns:
-                self.faults.append(f'{source} has no time column "{time}"; it has {self.listed(time)}.')
-                return None
-            return time
-        names = [name for name in self.table.columns if _TIME.fullmatch(name)]
-        if len(names) == 1:
-            return names[0]
-        several = ", ".join(f'"{name}"' for name in names)
-        fact = f"more than one time column ({several})" if names else 'no column called "t" or "time"'
-        self.faults.append(f"{source} has {fact}; give sample_time, or the name of the time column as time.")
-        return None
 
     def kind_of(self, channel: str, column: Column | None) -> str:
         """Return how the side moves on which a channel is measured."""
@@ -244,19 +149,19 @@ class _Reading:
             return self.kind
         return self.transmission.kind_of(side_of(channel, column, self.drive.traces, self.drive.axis))
 
-    def unit(self, what: str, name: str, known: tuple[str, ...], kind: str) -> units.Unit | None:
+    def unit(self, what: str, name: str, known: tuple[str, ...], kind: str, *, of_load: bool) -> units.Unit | None:
         """Return the unit of that name on a side that moves so; one that is not among `known` is a fault."""
         if name in known:
             try:
-                return self.drive.resolved(units.unit(name), kind)
+                geared = self.transmission is not None and self.transmission.geared
+                return self.drive.resolved(units.unit(name), kind, of_load=of_load, geared=geared)
             except units.UnitError as error:
                 self.faults.append(f'{what} is in "{name}", {error}.')
                 return None
-        expected = ", ".join(known)
-        self.faults.append(f'{what} is in "{name}"; expected one of {expected}: give its unit, and the gain to it.')
+        self.faults.append(unit_fault(what, name, known))
         return None
 
-    def channel(self, name: str, found: Mapping[str, Column], clock: _Clock) -> Channel | None:
+    def channel(self, name: str, found: Mapping[str, Column], clock: Clock) -> Channel | None:
         """Return a channel in SI, None if its unit or its rate is at fault."""
         column = found[name]
         what, values = f'{name} (column "{column.column}")', self.table.columns[column.column]
@@ -278,12 +183,8 @@ class _Reading:
             self.faults.append(
                 f'{what} has side = "{column.side}", but no transmission is given; give it, or leave side out.'
             )
-        known = known_units(name, kind)
-        default = known[0]
-        if name == "injected" and "torque" in found:
-            stated = found["torque"].stated_unit(known)  # on another side of a transmission it may be no unit here
-            default = stated if stated in known else default
-        unit = self.unit(what, column.stated_unit(known) or default, known, kind)
+        stated = unit_of_column(name, found, kind)
+        unit = self.unit(what, stated, known_units(name, kind), kind, of_load=name == "load_position")
         if unit is None or period is None:
             return None
         held = name in ("torque", "injected")
@@ -298,7 +199,7 @@ class _Reading:
             gear.referred(name, channel, side_of(name, column, self.drive.traces, self.drive.axis)) if gear else channel
         )
 
-    def others(self, found: Mapping[str, Column], clock: _Clock) -> dict[str, Channel]:
+    def others(self, found: Mapping[str, Column], clock: Clock) -> dict[str, Channel]:
         """Return the positions of other axes that moved, by their columns; one that cannot be read is left out."""
         position = next((channel for channel in ("motor_position", "reference") if channel in found), None)
         own = position and replace(self, faults=[]).channel(position, found, clock)
@@ -323,15 +224,6 @@ def _without_tails(table: Table) -> Table:
         filled = np.flatnonzero(~np.isnan(values))
         cut[name] = values[: filled[-1] + 1] if filled.size else values
     return Table(cut, table.scalars, table.source)
-
-
-def _period(stamps: FloatArray) -> float:
-    """Return the time between samples [s] of stamps that have been checked."""
-    index, first = np.arange(stamps.size), float(stamps[1] - stamps[0])
-    if np.array_equal(stamps[0] + index * first, stamps):
-        return first  # stamps that were computed give their sample time back to the last bit
-    # The mean over the record is better than any one step; its thirteenth digit is rounding.
-    return float(f"{(stamps[-1] - stamps[0]) / index[-1]:.12g}")
 
 
 def _record(channels: Mapping[str, Channel], found: Mapping[str, Column], name: str) -> Record:

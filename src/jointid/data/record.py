@@ -129,6 +129,7 @@ class Record:
         name: what reports call this record.
         other_axes: positions of other axes that were logged too and moved, by their columns; no joint's model reads
             them, and the coupling that they bring is not in it.
+        begin: seconds from the first sample of the file to that of this record, which begins at its first refresh.
 
     Raises:
         RecordError: channels at one rate have unequal lengths, or durations differ by more than a sample.
@@ -143,6 +144,7 @@ class Record:
     injected: Injection | None = None
     name: str = "record"
     other_axes: Mapping[str, Channel] = field(default_factory=dict)
+    begin: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tap", Tap(self.tap))
@@ -211,7 +213,7 @@ def record_of(
         )
         for key, array in values.items()
     }
-    allowed = {each.name for each in fields(Record)} - {"tap", "injected", "name", "other_axes"}
+    allowed = {each.name for each in fields(Record)} - {"tap", "injected", "name", "other_axes", "begin"}
     unknown = set(made) - allowed
     if unknown:
         raise RecordError(f"No channel is called {', '.join(sorted(unknown))}; there are {', '.join(sorted(allowed))}.")

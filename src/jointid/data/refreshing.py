@@ -35,8 +35,8 @@ class _Rhythm:
         return sample if new else None
 
 
-def begun_together(logged: Mapping[str, Refreshed]) -> tuple[dict[str, Channel], list[str]]:
-    """Return the channels, each at its own rate from the first instant on at which all are new, and the faults.
+def begun_together(logged: Mapping[str, Refreshed]) -> tuple[dict[str, Channel], float, list[str]]:
+    """Return the channels, each at its own rate from the first instant on at which all are new; that instant; faults.
 
     Where a value is refreshed is found from where it changes.
     """
@@ -50,17 +50,18 @@ def begun_together(logged: Mapping[str, Refreshed]) -> tuple[dict[str, Channel],
         rhythms[name] = _Rhythm(one.channel.sample_time, every, phase)
     channels = {name: one.channel for name, one in logged.items()}
     if faults or all(rhythm.every == 1 for rhythm in rhythms.values()):
-        return channels, faults
+        return channels, 0.0, faults
     slowest = max(rhythms.values(), key=lambda rhythm: rhythm.every * rhythm.period)
     for count in range(_LONGEST):
         time = (slowest.phase + count * slowest.every) * slowest.period
         first = {name: rhythm.begins(time) for name, rhythm in rhythms.items()}
         if all(sample is not None for sample in first.values()):
-            return {name: _from(channels[name], first[name] or 0, rhythms[name].every) for name in channels}, []
+            begun = {name: _from(channels[name], first[name] or 0, rhythms[name].every) for name in channels}
+            return begun, time, []
         if time > min(channel.duration for channel in channels.values()):
             break
     slow = ", ".join(f"{n} every {r.every} samples from sample {r.phase} on" for n, r in rhythms.items() if r.every > 1)
-    return channels, [f"The channels are never refreshed at one instant ({slow}); leave one of them out."]
+    return channels, 0.0, [f"The channels are never refreshed at one instant ({slow}); leave one of them out."]
 
 
 def _from(channel: Channel, first: int, every: int) -> Channel:

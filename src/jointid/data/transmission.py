@@ -91,6 +91,11 @@ class Transmission:
         return self.kind_of(self.side)
 
     @property
+    def geared(self) -> bool:
+        """Whether motor and load move alike, but not by the same amount."""
+        return self.motor == self.load and abs(self.motor_per_load) != 1.0
+
+    @property
     def other(self) -> Side:
         """The other side."""
         return "motor" if self.side == "load" else "load"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
@@ -11,11 +10,12 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.text import aligned, number
+from jointid.common.text import aligned
 from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
 from jointid.data.transmission import transmission_lines
-from jointid.estimation.estimated import EstimatedParameter, known_on_other_side, on_other_side, shown
+from jointid.estimation.estimated import EstimatedParameter, known_on_other_side, on_other_side
+from jointid.estimation.printed import bound_line, known_line, parameter_row, shown
 from jointid.estimation.regression import Conditioning
 from jointid.inference.endogeneity import ChiSquareTest
 from jointid.inference.identifiability import Identifiability, Known
@@ -27,8 +27,8 @@ from jointid.model.sides import OtherSide
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.experiment import ClosedLoop
 
-_LOST = 1000.0  # %: a deviation so much larger than its value says nothing in percent
 _PERIOD = 1e-4  # s, at which two controllers without one of their own are compared
+_MOST = 64  # times that a position loop may be slower
 _POOR = 0.15  # of the filtered torque: the EMPS axis leaves 0.045, the paper's 0.08
 
 MethodName: TypeAlias = Literal["didim", "idim", "drive_side", "open_loop"]
@@ -245,7 +245,7 @@ class Estimate:
             lines += ["", "known together", *self._known_together(self.known.physical)]
         if self.bounds:
             lines += ["", "K12 is at least, by the load's share of the inertia (95 %, lightly damped mode)"]
-            lines += [_bound(bound, self["stiffness"].unit, self.other) for bound in self.bounds]
+            lines += [bound_line(bound, self["stiffness"].unit, self.other) for bound in self.bounds]
         if self.verdicts:
             lines += ["", "verdicts", *map(str, self.verdicts), ""]
         lines += [f"test          {test.name}: {test.sentence}" for test in self.tests]
@@ -258,7 +258,7 @@ class Estimate:
             ("symbol", "parameter", "value", "2 sigma", "sigma %", "unit"),
             (False, False, *[True] * 3, False),
         )
-        rows = [_row(p) for p in self.parameters]
+        rows = [parameter_row(p) for p in self.parameters]
         if self.other is None:
             return aligned(header, rows, right)
         there = [(shown(p), p.unit) for p in self.other_side]
@@ -268,53 +268,7 @@ class Estimate:
     def _known_together(self, physical: Sequence[Known]) -> list[str]:
         """Return a line for each combination."""
         there = known_on_other_side(physical, self.other) or (None,) * len(physical)
-        return [_together(known) + _there(other, self.other) for known, other in zip(physical, there, strict=True)]
-
-
-def _row(p: EstimatedParameter) -> tuple[str, ...]:
-    if p.value is None:
-        return p.symbol, _words(p), shown(p), "-", "-", p.unit
-    if not p.free:
-        return p.symbol, _words(p), number(p.value), "fixed", "-", p.unit
-    if p.std is None:
-        return p.symbol, _words(p), number(p.value), "-", "-", p.unit
-    percent = 100 * p.std / abs(p.value) if p.value else math.inf
-    return (
-        p.symbol,
-        _words(p),
-        number(p.value),
-        number(2 * p.std, 2),
-        f"{percent:.2f}" if percent < _LOST else "-",
-        p.unit,
-    )
-
-
-def _together(known: Known) -> str:
-    c = known.combination
-    return f"{c.formula:14} {number(known.value):>11} +- {number(2 * known.std, 2)} {c.unit}"
-
-
-def _there(known: Known | None, side: OtherSide | None) -> str:
-    """Return the rest of a line: what a combination is on the other side, if there is one."""
-    if known is None or side is None:
-        return ""
-    return f"  ({number(known.value)} {known.combination.unit} on the {side.side} side)"
-
-
-def _bound(bound: StiffnessBound, unit: str, side: OtherSide | None) -> str:
-    if bound.stiffness is None:
-        return f"share {bound.share:4.2f}  not bounded by this record"
-    there = ""
-    if side is not None:
-        value = number(side.ratio**2 * bound.stiffness, 2)
-        there = f" ({value} {side.unit(unit)} on the {side.side} side)"
-    return (
-        f"share {bound.share:4.2f}  {number(bound.stiffness, 2):>8} {unit}{there}, a mode at {bound.frequency:.0f} Hz"
-    )
-
-
-def _words(p: EstimatedParameter) -> str:
-    return p.name.replace("_", " ")
+        return [known_line(known, other, self.other) for known, other in zip(physical, there, strict=True)]
 
 
 def fingerprint(torque: FloatArray) -> str:
@@ -324,7 +278,8 @@ def fingerprint(torque: FloatArray) -> str:
 
 def law_fingerprint(loop: ClosedLoop) -> str:
     """Return the SHA-256 of a loop's controller at a fixed period: two loops with the same one have the same law."""
-    law = loop.controller.law(_PERIOD)
+    slow = getattr(loop.controller, "position_period", None)  # a whole number of times as long, within bounds
+    law = loop.controller.law(slow / min(max(round(slow / _PERIOD), 1), _MOST) if slow else _PERIOD)
     digest = hashlib.sha256()
     for array in (law.A, law.B, law.C, law.D, law.E, law.F, law.limits, np.array([law.period, law.delay])):
         digest.update(np.ascontiguousarray(array).tobytes())

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from jointid.common.text import number
 from jointid.inference.identifiability import Known
 from jointid.inference.verdict import StiffnessBound
 from jointid.model.sides import OtherSide
@@ -83,10 +82,3 @@ def bounds_on_other_side(bounds: Sequence[StiffnessBound], side: OtherSide | Non
         return ()
     factor = side.ratio**2
     return tuple(replace(b, stiffness=None if b.stiffness is None else factor * b.stiffness) for b in bounds)
-
-
-def shown(p: EstimatedParameter) -> str:
-    """Return a value as tables print it; of a refused one what is known instead."""
-    if p.value is None:
-        return "not identifiable" if p.lower_bound is None else f"> {number(p.lower_bound)}"
-    return number(p.value)

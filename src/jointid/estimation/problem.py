@@ -217,7 +217,7 @@ class Problem:
         loop, experiment = self.loop, self.experiment
         if any(v != number(loop.controller, n) for n, v in numbers.items()):
             loop = replace(loop, controller=with_numbers(loop.controller, numbers))
-            experiment = experiment.with_law(loop.controller.law(experiment.sample_time))
+            experiment = experiment.with_law(experiment.law_of(loop.controller))
         joint = {n: values[n] / gain for n in own}
         return _Candidate(
             loop, experiment, joint, initial_of(values), gain, values.get("log_gain", 1.0), values.get("log_delay", 0.0)

@@ -244,6 +244,9 @@ def residual_left_out(
 def different(names: Sequence[str], naive: Covariance, robust: Covariance) -> str | None:
     """Return a sentence on the parameters whose deviation a white residual would misjudge, or None.
 
+    This asks more than whether the residual is white within the filter's pass band (`residuals.Whiteness`), and can
+    differ from it: rows that are closer than the band needs are correlated, and rows at reversals are louder.
+
     The rule: a robust deviation at least 1.25 times the white one, or at most that share of it. Chance alone keeps
     the ratio of a white residual's within about 10 % at the rows of a usual record.
     """
@@ -253,7 +256,8 @@ def different(names: Sequence[str], naive: Covariance, robust: Covariance) -> st
         return None
     listed = ", ".join(f"{name} {ratio:.2g}" for name, ratio in off)
     return (
-        f"the residual is not white: the robust deviations are these times those a white residual would give: {listed}"
+        "row by row the residual is not independent noise of one size, which asks more than whiteness within the pass "
+        f"band: the robust deviations are these times those that such noise would give: {listed}"
     )
 
 

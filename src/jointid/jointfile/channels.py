@@ -14,7 +14,7 @@ from jointid.data.profiles import side_of
 from jointid.data.transmission import Side
 from jointid.jointfile import wording
 from jointid.jointfile.gearing import TransmissionTable, kind_of
-from jointid.jointfile.schema import ChannelTable
+from jointid.jointfile.recorded import ChannelTable
 from jointid.model.parameters import TORQUE_UNIT, Kind
 
 
@@ -66,8 +66,9 @@ def _unit_faults(
     if stated not in known:
         where = "unit is" if table.unit is not None else "column names the unit"
         yield f'record.channels.{name}.{where} "{stated}"{_misfit(name, stated, known, kinds, moving)}'
-    elif drive is not None and len(set(moving)) == 1 and (lack := _lacking(stated, moving[0], drive)):
-        yield f'record.channels.{name} is in "{stated}", {lack}.'
+    elif drive is not None and len(set(moving)) == 1:
+        lack = _lacking(name, stated, moving[0], transmission, drive)
+        yield from () if lack is None else (f'record.channels.{name} is in "{stated}", {lack}.',)
 
 
 def torque_unit(
@@ -101,7 +102,7 @@ def _si_unit(
         return torque if torque is None or torque in known else known[0]
     if stated is None:
         return known[0]
-    if stated not in known or _lacking(stated, moving, drive or Drive()):
+    if stated not in known or _lacking(channel, stated, moving, transmission, drive or Drive()):
         return None
     return (drive or Drive()).resolved(units.unit(stated), moving).si
 
@@ -112,10 +113,11 @@ def _side(channel: str, table: ChannelTable | None, drive: Drive | None) -> Side
     return side_of(channel, declared, drive.traces, drive.axis) if drive else side_of(channel, declared, None, None)
 
 
-def _lacking(unit: str, kind: Kind, drive: Drive) -> str | None:
+def _lacking(channel: str, unit: str, kind: Kind, transmission: TransmissionTable | None, drive: Drive) -> str | None:
     """Return the end of the sentence on a unit for which a number of the drive is missing."""
     try:
-        drive.resolved(units.unit(unit), kind)
+        geared = transmission is not None and transmission.geared
+        drive.resolved(units.unit(unit), kind, of_load=channel == "load_position", geared=geared)
     except units.UnitError as error:
         return str(error)
     return None

@@ -20,19 +20,9 @@ from jointid.jointfile.channels import channel_faults, reachable
 from jointid.jointfile.fitting import free_faults, gravity_refusal, method_faults, parameter_faults, record_faults
 from jointid.jointfile.gearing import TransmissionTable, side_faults, transmission_faults
 from jointid.jointfile.laws import LAWS, LawTable
-from jointid.jointfile.schema import (
-    DIDIMS,
-    ChannelsTable,
-    ChannelTable,
-    DriveTable,
-    FileTable,
-    GravityTable,
-    JointTable,
-    MethodTable,
-    ParameterTable,
-    RunTable,
-    TogetherTable,
-)
+from jointid.jointfile.mechanics import GravityTable, JointTable
+from jointid.jointfile.recorded import ChannelsTable, ChannelTable, DriveTable
+from jointid.jointfile.schema import DIDIMS, FileTable, MethodTable, ParameterTable, RunTable, TogetherTable
 from jointid.jointfile.table import Table, sentences
 from jointid.model.controllers import Controller
 from jointid.model.parameters import Kind

@@ -12,17 +12,18 @@ from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.data.checks import CLOCK_TOLERANCE, check_record
 from jointid.data.columns import Column
 from jointid.data.drive import Drive
-from jointid.data.profiles import side_of
 from jointid.data.reading import read
 from jointid.data.record import Record
 from jointid.data.signals import Filtering
+from jointid.data.writing import write
 from jointid.estimation.identify import Method
 from jointid.estimation.idim import IDIM
 from jointid.jointfile import written
 from jointid.jointfile.channels import reachable, torque_unit
 from jointid.jointfile.checking import checked
 from jointid.jointfile.fitting import changed, chosen_method, needed_channels
-from jointid.jointfile.schema import CLOSINGS, RecordTable, RunTable
+from jointid.jointfile.recorded import RecordTable
+from jointid.jointfile.schema import CLOSINGS, RunTable
 from jointid.model.controllers import Controller, with_numbers
 from jointid.model.joints import Joint
 from jointid.model.parameters import Parameter
@@ -185,29 +186,33 @@ class JointFile:
         columns = {n: c if n in needed else replace(c, optional=True) for n, c in self.columns.items()}
         if self.drive.traces is not None:  # it is to find what the method needs and the file does not name
             columns |= {n: Column() for n in needed if n not in columns and n != "injected"}
-        source = self.source
-        record = read(
-            path,
-            columns,
-            drive=self.drive,
-            time=source.time,
-            time_unit=source.time_unit,
-            sample_time=source.sample_time,
-            kind=self.joint.kind,
-            transmission=self.joint.transmission,
-            clock_tolerance=source.clock_tolerance,
-            **source.options,
-        )
+        record = read(path, columns, clock_tolerance=self.source.clock_tolerance, **self._reading)
         controller, torque = self.controller, record.torque
         limit = controller.law(torque.sample_time).limit if controller is not None and torque is not None else None
-        check_record(record, limit=limit)
+        gear = self.joint.transmission
+        check_record(record, limit=limit, side=None if gear is None else gear.side)
         return record
 
-    def logged(self, record: Record) -> Record:
-        """Return a record on the joint's side of its transmission as the drive logs it: each channel on its own."""
-        gear = self.joint.transmission
-        sides = {n: side_of(n, self.columns.get(n), self.drive.traces, self.drive.axis) for n in record.channels}
-        return record if gear is None else gear.logged(record, sides)
+    def write(self, record: Record, path: str | os.PathLike[str]) -> None:
+        """Write a record, on the joint's side of its transmission, as this file reads it: `record(path)` gives it back.
+
+        Raises:
+            RecordError: see `jointid.data.writing.write`.
+        """
+        write(record, path, self.columns, **self._reading)
+
+    @property
+    def _reading(self) -> dict[str, Any]:
+        """What reading and writing a record have to be told, beside its columns."""
+        return {
+            "drive": self.drive,
+            "time": self.source.time,
+            "time_unit": self.source.time_unit,
+            "sample_time": self.source.sample_time,
+            "kind": self.joint.kind,
+            "transmission": self.joint.transmission,
+            **self.source.options,
+        }
 
     @property
     def added_inertias(self) -> tuple[float, ...]:

@@ -13,15 +13,8 @@ from functools import partial
 from jointid.estimation.inverse_model import idim_channels
 from jointid.estimation.surroundings import surrounding
 from jointid.jointfile import wording
-from jointid.jointfile.schema import (
-    CLOSINGS,
-    OF_IDIM,
-    GravityTable,
-    JointTable,
-    MethodTable,
-    ParameterTable,
-    RunTable,
-)
+from jointid.jointfile.mechanics import GravityTable, JointTable
+from jointid.jointfile.schema import CLOSINGS, OF_IDIM, MethodTable, ParameterTable, RunTable
 from jointid.jointfile.table import refusal
 from jointid.model.controllers import Controller, numbers_of, with_numbers
 from jointid.model.gravity import GRAVITY_PARAMETERS

@@ -31,6 +31,11 @@ class TransmissionTable(Table):
         elif self.lead is None and "lead_unit" in self.model_fields_set:
             yield "lead_unit", " is there without a lead: leave it out."
 
+    @property
+    def geared(self) -> bool:
+        """Whether motor and load move alike, but not by the same amount."""
+        return self.ratio is not None and self.ratio != 1.0
+
     def transmission(self, kind: Kind) -> Transmission:
         """Return the transmission to a load of that kind."""
         lead = None if self.lead is None else self.lead * units.unit(self.lead_unit).factor

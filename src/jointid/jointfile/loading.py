@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import tomllib
@@ -19,6 +20,8 @@ from jointid.model.parameters import TORQUE_UNIT
 
 _PLACE = re.compile(r"(?P<reason>.*) \(at (line (?P<line>\d+), column (?P<column>\d+)|end of document)\)", re.DOTALL)
 
+_OF_RECORD = re.compile(r"\s*(\[\s*record\s*\]|\[\[\s*records\s*\]\])")
+_FILE = re.compile(r"""^(\s*file\s*=\s*)("(?:[^"\\\n]|\\.)*"|'[^'\n]*')""", re.MULTILINE)
 _OF_CONTROLLER = re.compile(r"\s*\[{1,2}\s*(controller|\"controller\"|'controller')\s*[.\]]")
 
 
@@ -114,6 +117,51 @@ def with_controller(text: str, controller: Controller, transmission: Transmissio
         return made if tomllib.loads(made) == expected else tomli_w.dumps(expected)
     except tomllib.TOMLDecodeError:  # two controllers: the old one has no heading
         return tomli_w.dumps(expected)
+
+
+def with_paths(text: str, before: Path, after: Path) -> str:
+    """Return the text of a joint file as it says the same in another folder; all but the records' paths stays as it is.
+
+    Where a path does not stand on a line of its own below its heading, the whole file is written anew and its comments
+    are lost.
+
+    Args:
+        text: TOML; it need not be a joint file that is complete.
+        before: the folder in which it stands.
+        after: the folder in which it will stand.
+
+    Raises:
+        JointFileError: the text is no TOML.
+    """
+    expected = _parsed(text)
+    if before.resolve() == after.resolve():
+        return text
+    listed = expected.get("records")
+    tables = [expected.get("record"), *(listed if isinstance(listed, list) else [])]
+    named = [table for table in tables if isinstance(table, dict) and isinstance(table.get("file"), str)]
+    for table in named:
+        table["file"] = _from_there(table["file"], before, after)
+
+    def moved(line: re.Match[str]) -> str:
+        file = _from_there(tomllib.loads(f"file = {line[2]}")["file"], before, after)
+        return line[1] + json.dumps(file, ensure_ascii=False)
+
+    sections = _sections(text)
+    made = "".join(_FILE.sub(moved, one, count=1) if _OF_RECORD.match(one) else one for one in sections)
+    try:
+        return made if tomllib.loads(made) == expected else tomli_w.dumps(expected)
+    except tomllib.TOMLDecodeError:  # the path is a text of several lines
+        return tomli_w.dumps(expected)
+
+
+def _from_there(file: str, before: Path, after: Path) -> str:
+    """Return the path of a file, relative to one folder, as it is from another; an absolute one as it is."""
+    if Path(file).is_absolute():
+        return file
+    try:
+        return Path(os.path.relpath((before / file).resolve(), after.resolve())).as_posix()
+    except ValueError:  # on another drive nothing is relative
+        return str((before / file).resolve())
 
 
 def _sections(text: str) -> list[str]:

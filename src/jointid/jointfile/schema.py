@@ -1,4 +1,4 @@
-"""Every table and key of the joint file, what may stand there, and what each table becomes.
+"""The joint file as a whole, and its tables of how a joint is identified: what may stand there, and what it becomes.
 
 What a key is when it is left out is the default of the object the table becomes; a test holds the two together.
 """
@@ -7,22 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields
-from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
 
-import numpy as np
 from pydantic import Field
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
 
-from jointid.data.checks import CLOCK_TOLERANCE
-from jointid.data.columns import Column
-from jointid.data.drive import Drive
-from jointid.data.formats import Csv, format_of
-from jointid.data.profiles import profile_named, profile_names
-from jointid.data.record import Channel, Injection
 from jointid.data.signals import Filtering
-from jointid.data.transmission import Side, Transmission
 from jointid.estimation.didim import DIDIM
 from jointid.estimation.drive_side import DriveSideFit
 from jointid.estimation.flexible import FlexibleDIDIM
@@ -32,11 +23,12 @@ from jointid.estimation.open_loop import OpenLoopFit
 from jointid.jointfile import wording
 from jointid.jointfile.gearing import TransmissionTable
 from jointid.jointfile.laws import ControllerTable
-from jointid.jointfile.table import Table, accepted, refusal
+from jointid.jointfile.mechanics import GravityTable, JointTable
+from jointid.jointfile.recorded import DriveTable, RecordFile, RecordTable
+from jointid.jointfile.table import Table
 from jointid.jointfile.values import (
     Borders,
     Bound,
-    ColumnGain,
     ControllerNumbers,
     Count,
     Flag,
@@ -45,23 +37,12 @@ from jointid.jointfile.values import (
     NotNegative,
     Number,
     Positive,
-    Sign,
-    Text,
-    TimeUnit,
 )
 from jointid.jointfile.wording import Says
 from jointid.model.effects import Drift, Effect, PositionHarmonics
-from jointid.model.gravity import Counterbalance, Gravity
-from jointid.model.joints import FRICTIONS, FlexibleJoint, Joint, RigidJoint, friction_named
 
 OF_IDIM = ("estimator", "harmonics", "period", "drift")
 """The keys of [method] that are IDIM's."""
-
-OPTIONS = ("delimiter", "decimal", "header")
-"""The keys of [record] that are options of the format's reader."""
-
-Delimiter = Annotated[Text, accepted(lambda mark: Csv(delimiter=mark))]
-RecordFile = Annotated[Text, accepted(format_of)]
 
 FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
     "default": Filtering,
@@ -73,153 +54,8 @@ FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
 DIDIMS: Mapping[str, type[DIDIM] | type[FlexibleDIDIM]] = {"rigid": DIDIM, "flexible": FlexibleDIDIM}
 """What [method] becomes with the name "didim", by the joint's model."""
 
-
 CLOSINGS: Mapping[str, type[DriveSideFit] | type[OpenLoopFit]] = {"drive_side": DriveSideFit, "open_loop": OpenLoopFit}
 """What [method] becomes with the other names that simulate, by the name; neither needs the controller."""
-
-
-class JointTable(Table):
-    """[joint]: what is identified."""
-
-    kind: Literal["prismatic", "revolute"] = Field(description="how the joint moves: m and N, or rad and N m")
-    model: Literal["rigid", "flexible"] = Field("rigid", description="one inertia, or two joined by a spring")
-    friction: Annotated[Text, accepted(friction_named)] = Field(
-        "symmetric", description="the friction's law", json_schema_extra={"enum": list(FRICTIONS)}
-    )
-    name: Text | None = Field(None, description="what reports call the joint")
-
-    def joint(
-        self, torque_unit: str | None, transmission: Transmission | None = None, gravity: GravityTable | None = None
-    ) -> Joint:
-        """Return the joint; `torque_unit` is "A" or "V" for a torque in the drive's units."""
-        made = FlexibleJoint if self.model == "flexible" else RigidJoint
-        kind = self.kind if transmission is None else transmission.kind
-        weight = None if gravity is None else gravity.gravity(transmission)
-        return made(kind, friction_named(self.friction), torque_unit, transmission=transmission, gravity=weight)
-
-
-class CounterbalanceTable(Table):
-    """[gravity.counterbalance]: what a known counterbalance takes off the load, on the side that is reported."""
-
-    constant: Number = Field(0.0, description="wherever the joint is [N or N m]")
-    cos: Number = Field(0.0, description="times the cosine of the link's angle [N m]")
-    sin: Number = Field(0.0, description="times the sine of the link's angle [N m]")
-    rate: Number = Field(0.0, description="times the position, of a spring or a cylinder [N/m or N m/rad]")
-
-
-class GravityTable(Table):
-    """[gravity]: what the load weighs."""
-
-    load: Literal["constant", "link"] = Field(description="a vertical axis, or a body that turns in a vertical plane")
-    angle: Number = Field(1.0, description="of the link, per unit of the joint's position")
-    counterbalance: CounterbalanceTable = Field(
-        default_factory=CounterbalanceTable, description="the known part that something else carries"
-    )
-
-    def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that there is no such gravity."""
-        if refused := refusal(self.gravity):
-            yield "angle", refused
-
-    def gravity(self, transmission: Transmission | None = None) -> Gravity:
-        """Return the gravity, as a joint has it on its side of the transmission."""
-        angle = self.angle if transmission is None else self.angle * transmission.torque("load")
-        return Gravity(self.load, Counterbalance(**self.counterbalance.given()), angle)
-
-
-class ChannelTable(Table):
-    """[record.channels.reference] and its like: the column of one channel."""
-
-    column: Text | None = Field(None, description="name of the column in the record's file")
-    unit: Text | None = Field(None, description="unit of gain x column")
-    gain: ColumnGain = Field(1.0, description="what takes the column to the unit")
-    sign: Sign = Field(1, description="-1 turns the channel round")
-    timing: Literal["sampled", "held", "averaged"] | None = Field(None, description="what one value stands for")
-    sample_time: Positive | None = Field(None, description="own time between samples [s]")
-    side: Side | None = Field(None, description="of the transmission, on which it is measured")
-    wrap: Positive | None = Field(None, description="where the column wraps round, in its own numbers")
-    update_time: Positive | None = Field(None, description="time between refreshes, if longer [s]")
-    optional: Flag = Field(False, description="whether a record may lack this column")
-
-    def declared(self) -> Column:
-        """Return the column that is declared."""
-        return Column(**self.given())
-
-
-class TorqueTable(ChannelTable):
-    """[record.channels.torque]."""
-
-    tap: Literal["command", "filtered", "measured"] | None = Field(None, description="where the torque was logged")
-
-
-class InjectedTable(ChannelTable):
-    """[record.channels.injected]: a known signal added to the controller's output."""
-
-    at: Literal["before_limit", "after_limit"] = Field("after_limit", description="where the signal is added")
-    in_torque: Flag = Field(True, description="whether the logged torque contains the signal")
-
-    def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that no such injection exists."""
-        any_signal = Channel(np.zeros(1), "N", 1.0)
-        if refused := refusal(lambda: Injection(any_signal, self.declared().at, self.in_torque)):
-            yield "in_torque", refused
-
-
-class ChannelsTable(Table):
-    """[record.channels]: where the record's channels are found."""
-
-    torque: TorqueTable | None = Field(None, description="motor torque or force")
-    reference: ChannelTable | None = Field(None, description="commanded position, motor side")
-    reference_velocity: ChannelTable | None = Field(None, description="commanded velocity")
-    motor_position: ChannelTable | None = Field(None, description="motor encoder")
-    load_position: ChannelTable | None = Field(None, description="load encoder")
-    injected: InjectedTable | None = Field(None, description="known signal added to the controller's output")
-
-
-class RecordTable(Table):
-    """[record]: the file of the record, and how it is read."""
-
-    file: RecordFile | None = Field(None, description="path of the record, from the joint file's folder")
-    time: Text | None = Field(None, description="name of the time column")
-    time_unit: TimeUnit | None = Field(None, description="unit of the time column")
-    sample_time: Positive | None = Field(None, description="time between samples [s]")
-    clock_tolerance: NotNegative = Field(CLOCK_TOLERANCE, description="largest jitter, as a share of the sample time")
-    delimiter: Delimiter | None = Field(None, description="character between the cells of a text file")
-    decimal: Literal[".", ","] | None = Field(None, description="decimal mark of a text file")
-    header: Flag | None = Field(None, description="whether a text file names its columns")
-    channels: ChannelsTable = Field(default_factory=ChannelsTable, description="where the channels are found")
-
-    def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that the file's format has no such option."""
-        if self.file is not None and (refused := refusal(partial(format_of, self.file, **self.options()))):
-            yield "file", refused
-
-    def options(self) -> dict[str, Any]:
-        """Return the options of the format's reader that are given."""
-        return {key: value for key, value in self.given().items() if key in OPTIONS}
-
-
-class DriveTable(Table):
-    """[drive]: whose traces the record is made of, and the numbers behind the drive's own units."""
-
-    profile: Annotated[Text, accepted(profile_named)] | None = Field(
-        None, description="of the traces", json_schema_extra={"enum": list(profile_names())}
-    )
-    axis: Count | None = Field(None, description="which one, where a trace has several")
-    rated_torque: Positive | None = Field(None, description="what per mille are of [N m or N]")
-    rated_current: Positive | None = Field(None, description="likewise, as a current [A]")
-    torque_constant: Positive | None = Field(None, description="torque per current [N m/A or N/A]")
-    counts_per_turn: Positive | None = Field(None, description="of the encoder, revolute")
-    counts_per_metre: Positive | None = Field(None, description="of the encoder, prismatic")
-
-    def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that the numbers contradict each other."""
-        if refused := refusal(self.drive):
-            yield "", refused
-
-    def drive(self) -> Drive:
-        """Return what is known of the drive."""
-        return Drive(**self.given())
 
 
 class FilteringTable(Table):

@@ -68,8 +68,10 @@ def either(choices: Iterable[str]) -> str:
 
 def guessed(word: object, known: Iterable[str], otherwise: str) -> str:
     """Return the question whether the nearest of the known words was meant; `otherwise`, if none is near."""
-    match = difflib.get_close_matches(word, list(known), 1) if isinstance(word, str) else []
-    return f"did you mean {match[0]}?" if match else f"{otherwise}."
+    # Of short words such as kp a wrong case is half the letters: it is not to count.
+    spelt = {one.casefold(): one for one in known}
+    match = difflib.get_close_matches(word.casefold(), list(spelt), 1) if isinstance(word, str) else []
+    return f"did you mean {spelt[match[0]]}?" if match else f"{otherwise}."
 
 
 def missing(expected: str, meaning: str) -> str:

@@ -67,18 +67,8 @@ def _gravity_coefficients(gravity: Gravity | None, values: Mapping[str, float], 
 
 
 @dataclass(frozen=True, slots=True)
-class RigidJoint:
-    """One inertia with viscous and Coulomb friction and a constant offset.
-
-    Valid below about a fifth of the first resonance; a flexible joint then shows the sums of its two sides.
-
-    Attributes:
-        kind: "prismatic" (m, N) or "revolute" (rad, N m).
-        friction: the same in both directions, or not (its offset is then fixed at 0).
-        torque_unit: the torque's unit when it is not the kind's own: "A" or "V".
-        transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
-        gravity: of what the joint carries; a constant load takes the place of the offset, which is then fixed at 0.
-    """
+class _OfOneAxis:
+    """What every joint has: how it moves, its friction, and what surrounds it; see `RigidJoint`."""
 
     kind: Kind = "prismatic"
     friction: Friction = field(default_factory=SymmetricFriction)
@@ -91,6 +81,25 @@ class RigidJoint:
         if self.gravity is not None:
             moves = self.kind if self.transmission is None else self.transmission.load
             self.gravity.require(moves, self.friction.symmetric)
+
+    def unit(self, parameter: Parameter) -> str:
+        """Return the unit of a parameter of this joint."""
+        return unit_of(parameter.quantity, self.kind, self.torque_unit or TORQUE_UNIT[self.kind])
+
+
+@dataclass(frozen=True, slots=True)
+class RigidJoint(_OfOneAxis):
+    """One inertia with viscous and Coulomb friction and a constant offset.
+
+    Valid below about a fifth of the first resonance; a flexible joint then shows the sums of its two sides.
+
+    Attributes:
+        kind: "prismatic" (m, N) or "revolute" (rad, N m).
+        friction: the same in both directions, or not (its offset is then fixed at 0).
+        torque_unit: the torque's unit when it is not the kind's own: "A" or "V".
+        transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
+        gravity: of what the joint carries; a constant load takes the place of the offset, which is then fixed at 0.
+    """
 
     @property
     def model(self) -> str:
@@ -106,10 +115,6 @@ class RigidJoint:
             _offset(self.friction, self.gravity),
             *_gravity_parameters(self.gravity),
         )
-
-    def unit(self, parameter: Parameter) -> str:
-        """Return the unit of a parameter of this joint."""
-        return unit_of(parameter.quantity, self.kind, self.torque_unit or TORQUE_UNIT[self.kind])
 
     def regressor(self, motor: Motion, load: Motion | None = None) -> FloatArray:
         """Return the columns of (1), in the order of `parameters`, shape (1, samples, parameters).
@@ -135,7 +140,7 @@ class RigidJoint:
 
 
 @dataclass(frozen=True, slots=True)
-class FlexibleJoint:
+class FlexibleJoint(_OfOneAxis):
     """A motor and a load inertia, each with friction, joined by a spring and a damper.
 
     Attributes:
@@ -145,18 +150,6 @@ class FlexibleJoint:
         transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
         gravity: of the load; a constant load takes the place of the offset, which is then fixed at 0.
     """
-
-    kind: Kind = "prismatic"
-    friction: Friction = field(default_factory=SymmetricFriction)
-    torque_unit: str | None = None
-    transmission: Transmission | None = None
-    gravity: Gravity | None = None
-
-    def __post_init__(self) -> None:
-        _require_kind(self.kind, self.transmission)
-        if self.gravity is not None:
-            moves = self.kind if self.transmission is None else self.transmission.load
-            self.gravity.require(moves, self.friction.symmetric)
 
     @property
     def model(self) -> str:
@@ -181,10 +174,6 @@ class FlexibleJoint:
     def rigid(self) -> RigidJoint:
         """The joint whose spring does not give: what this one is far below its resonance."""
         return RigidJoint(self.kind, self.friction, self.torque_unit, self.transmission, self.gravity)
-
-    def unit(self, parameter: Parameter) -> str:
-        """Return the unit of a parameter of this joint."""
-        return unit_of(parameter.quantity, self.kind, self.torque_unit or TORQUE_UNIT[self.kind])
 
     def regressor(self, motor: Motion, load: Motion | None = None) -> FloatArray:
         """Return the columns of both rows of (2), in the order of `parameters`, shape (2, samples, parameters).

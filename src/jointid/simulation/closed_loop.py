@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.errors import MethodError
-from jointid.data.record import Channel, FloatArray, Record, Tap, Timing
+from jointid.data.record import Channel, FloatArray, Record
 from jointid.model.controllers import POSITION, REFERENCE, Cascade
 from jointid.model.joints import Motion, RigidJoint
 from jointid.simulation.experiment import ClosedLoop, Experiment, prepare
+from jointid.simulation.logged import as_logged, seen_torque
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -206,13 +207,7 @@ def simulate_torque(
 
 def response_of(experiment: Experiment, out: Run) -> Response:
     """Return what an estimator sees of a run."""
-    return Response(as_logged(experiment, seen_torque(experiment, out)), out.outcome, *_tally(out))
-
-
-def seen_torque(experiment: Experiment, out: Run) -> FloatArray:
-    """Return what the tap of the log sees of a run, (periods,)."""
-    behind = out.tapped if experiment.tap is Tap.COMMAND else out.command
-    return behind + experiment.shown
+    return Response(as_logged(experiment, seen_torque(experiment, out.command, out.tapped)), out.outcome, *_tally(out))
 
 
 def simulate(
@@ -251,7 +246,7 @@ def simulation_of(loop: ClosedLoop, experiment: Experiment, out: Run) -> Simulat
     flexible = loop.joint.model == "flexible"
     return Simulation(
         experiment.sample_time,
-        as_logged(experiment, seen_torque(experiment, out)),
+        as_logged(experiment, seen_torque(experiment, out.command, out.tapped)),
         seen[:, 0],
         seen[:, 1],
         seen[:, 2] if flexible else None,
@@ -277,39 +272,6 @@ def _possible(drive: FloatArray) -> bool:
 def _hangs(drive: FloatArray, gravity: FloatArray | None) -> bool:
     """Whether there is no gravity, or a finite one that a spring holds where it is the load's."""
     return gravity is None or bool(np.all(np.isfinite(gravity)) and (drive[2] > 0 or gravity[4] == 0))
-
-
-def as_logged(experiment: Experiment, signal: FloatArray) -> FloatArray:
-    """Return a signal of the controller's instants as the log's torque channel shows it; linear in it.
-
-    The signal, (periods,) or (periods, columns), is the controller's output, or at a tap that measures what acts the
-    torque before the delay: piecewise constant over periods, or over the parts of periods.
-    """
-    shown = acting(experiment, signal)
-    if experiment.timing is not Timing.AVERAGED:
-        return shown if experiment.looked.size == len(shown) else np.asarray(shown[experiment.looked])
-    lengths = np.tile(experiment.lengths, len(signal)).reshape(-1, *(1,) * (signal.ndim - 1))
-    means = averages(experiment, lengths * shown)
-    means[0] = shown[0]
-    return means
-
-
-def acting(experiment: Experiment, signal: FloatArray) -> FloatArray:
-    """Return a signal of the controller's instants in each part of each period as the tap sees it, parts in a row."""
-    parts = experiment.lengths.size
-    if experiment.tap is Tap.MEASURED:
-        sources = (np.arange(len(signal))[:, np.newaxis] - experiment.lags).reshape(-1)
-        return np.asarray(signal[np.maximum(sources, 0)])
-    return signal if parts == 1 else np.repeat(signal, parts, axis=0)
-
-
-def averages(experiment: Experiment, integrals: FloatArray) -> FloatArray:
-    """Return the mean over each sample time that ends at an instant of the log, from the integrals over the parts."""
-    integral = np.zeros((len(integrals) + 1, *integrals.shape[1:]))
-    np.cumsum(integrals, axis=0, out=integral[1:])
-    means = np.zeros((experiment.looked.size, *integrals.shape[1:]))
-    means[1:] = np.diff(integral[experiment.looked], axis=0) / experiment.sample_time
-    return means
 
 
 def _acceleration(

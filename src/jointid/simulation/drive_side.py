@@ -26,12 +26,10 @@ from numpy.typing import NDArray
 
 from jointid.data.record import FloatArray
 from jointid.model.joints import FlexibleJoint, Joint
-from jointid.simulation.sensitivities import by_mode, gravity_seed
+from jointid.simulation.sensitivities import by_mode, coefficient_seed, gravity_seed, start_slope, taped_rows
 
 PARTS = 4  # of a sample
 _WALL = 1e200  # a Coulomb force that nothing overcomes, and whose square is still a number
-_SMALL = 1e-6  # of a joint's value: where steady motion begins is a rational function of it
-_TAPED = 1000  # rows of the tape to begin with
 _DEGREE = 7  # of the spline: a cubic's second derivative errs by 3 % at a tenth of the sampling frequency
 LOAD_STATE = ("initial_load_position", "initial_load_velocity")
 """The load's state at the first sample, beside where steady motion has it."""
@@ -211,7 +209,7 @@ class _Load:
         by_stiffness, by_damping = motion.pushes
         push = values["stiffness"] * by_stiffness + values["damping"] * by_damping
         push = np.append(push, push[-1])
-        n, rows = push.size, _TAPED + motion.position.size // 16
+        n, rows = push.size, taped_rows(motion.position.size)
         nothing, none = np.zeros(n), np.zeros(0)
         while True:
             states, modes, tape = np.empty((n, 4)), np.empty(n, dtype=np.int8), np.empty((rows, kernels.TAPE))
@@ -264,8 +262,9 @@ class _Load:
             if name in LOAD_STATE:
                 start[LOAD_STATE.index(name), j] = 1.0
                 continue
-            seeds[:, j], weights[:, j] = _seed(self.joint, name), gravity_seed(self.joint, name)
-            start[:, j] = self._start_slope(name)
+            seeds[:, j] = coefficient_seed(lambda at: _drive(self.joint, at), self.joint, name)
+            weights[:, j] = gravity_seed(self.joint, name)
+            start[:, j] = start_slope(lambda at: _start(self.joint, self.motion, at), self.values, name)
             if name in pushes:
                 explicit.append(np.append(pushes[name], pushes[name][-1]))
         spring, side, dspring, dinertia, dside = by_mode(self.drive, seeds)
@@ -279,14 +278,6 @@ class _Load:
             self.gravity, None if self.gravity is None else weights,
         )  # fmt: skip
         return states[:, :2, np.argsort(order)]
-
-    def _start_slope(self, name: str) -> FloatArray:
-        """Return how the state of steady motion at the first sample depends on a parameter."""
-        step = _SMALL * (abs(self.values[name]) or 1.0)
-        low, high = (
-            _start(self.joint, self.motion, {**self.values, name: self.values[name] + by}) for by in (-step, step)
-        )
-        return (high - low) / (2 * step)
 
 
 def _drive(joint: FlexibleJoint, values: Mapping[str, float]) -> FloatArray:
@@ -306,9 +297,3 @@ def _start(joint: FlexibleJoint, motion: PrescribedMotion, values: Mapping[str, 
     steady = joint.start(values, float(motion.position[0]), float(motion.velocity[0]))[2:]
     beside = np.array([values.get(name, 0.0) for name in LOAD_STATE])
     return np.append(steady + beside, [0.0, 0.0])
-
-
-def _seed(joint: FlexibleJoint, name: str) -> FloatArray:
-    """Return how the coefficients depend on a parameter: they are linear in it."""
-    nothing = {p.name: 0.0 for p in joint.parameters}
-    return _drive(joint, nothing | {name: 1.0}) - _drive(joint, nothing)

@@ -26,6 +26,7 @@ from jointid.model.controllers import (
     Controller,
     Interpolation,
     SampledLaw,
+    begun_later,
     respond,
     scaled,
 )
@@ -75,6 +76,7 @@ class Experiment:
         far: a motor position that no loop comes back from, reckoned from the initial one.
         tap: where the torque is logged. timing: what a logged value is.
         samples: of the log.
+        begin: seconds from the first sample of the record's file to the first here, see `Record`.
     """
 
     law: SampledLaw
@@ -97,6 +99,7 @@ class Experiment:
     tap: Tap
     timing: Timing
     samples: int
+    begin: float
 
     @property
     def periods(self) -> int:
@@ -113,10 +116,15 @@ class Experiment:
         """What the logged torque contains beside the controller's output, (periods,)."""
         return self.after_limit if self.tap is Tap.MEASURED else self.logged
 
+    def law_of(self, controller: Controller) -> SampledLaw:
+        """Return the law of a controller here: its position loop counts from the first sample of the record's file."""
+        return begun_later(controller, self.begin).law(self.sample_time)
+
     def with_law(self, law: SampledLaw) -> Experiment:
         """Return the same experiment under another law of the same period and delay."""
         return _experiment(
-            law, self.inputs, self.after_limit, self.logged, self.sample_time, self.samples, self.tap, self.timing
+            law, self.inputs, self.after_limit, self.logged, self.sample_time, self.samples, self.tap, self.timing,
+            self.begin,
         )  # fmt: skip
 
     def scaled(self, factor: float) -> Experiment:
@@ -135,7 +143,7 @@ def prepare(loop: ClosedLoop, record: Record) -> Experiment:
     require_units(record, loop.joint)
     assert record.reference is not None
     log = record.torque or record.reference
-    law = loop.controller.law(log.sample_time)
+    law = begun_later(loop.controller, record.begin).law(log.sample_time)
     periods = math.floor(min(record.duration / law.period, 1e9) + _SNAP)
     if periods < _FEWEST:
         raise RecordError(
@@ -154,7 +162,7 @@ def prepare(loop: ClosedLoop, record: Record) -> Experiment:
             logged = signal * record.injected.in_torque
     timing = record.torque.timing if record.torque is not None else Timing.HELD
     samples = math.floor(record.duration / log.sample_time + _SNAP)
-    return _experiment(law, inputs, after, logged, log.sample_time, samples, record.tap, timing)
+    return _experiment(law, inputs, after, logged, log.sample_time, samples, record.tap, timing, record.begin)
 
 
 def law_inputs(controller: Controller, record: Record, period: float, periods: int) -> FloatArray:
@@ -224,6 +232,7 @@ def _experiment(
     samples: int,
     tap: Tap,
     timing: Timing,
+    begin: float,
 ) -> Experiment:
     repeat, every = _ratio(law.period, sample_time, "the log")
     lengths, lags = _parts(law, repeat)
@@ -236,7 +245,7 @@ def _experiment(
     return Experiment(
         law, feedback, _for_kernel(feedback, driven), memory, feedback.integral(), inputs, after_limit, logged,
         feedforward, state, sample_time, every, repeat, lengths,
-        lags, looked, far, tap, timing, looked.size,
+        lags, looked, far, tap, timing, looked.size, begin,
     )  # fmt: skip
 
 

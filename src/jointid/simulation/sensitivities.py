@@ -9,7 +9,7 @@ too: the law is run on the simulated position at two neighbouring values, and is
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,15 +23,12 @@ from jointid.simulation.closed_loop import (
     Outcome,
     Response,
     Run,
-    acting,
-    as_logged,
-    averages,
     first_state,
     response_of,
     run,
-    seen_torque,
 )
 from jointid.simulation.experiment import ClosedLoop, Experiment, known_memory
+from jointid.simulation.logged import acting, as_logged, averages, seen_torque
 
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
@@ -90,7 +87,7 @@ def simulate_sensitivities(
     for name in names:
         if _is_of_law(loop, name):
             number(loop.controller, name)
-    rows = _TAPED + experiment.periods // 16
+    rows = taped_rows(experiment.periods)
     out = run(loop, experiment, values, initial, keep=True, taped=rows)
     if out.counts[1] > rows:  # a joint that turns round and sticks all the time
         out = run(loop, experiment, values, initial, keep=True, taped=int(out.counts[1]))
@@ -137,7 +134,7 @@ def _logged(experiment: Experiment, out: Run, command: FloatArray, names: Sequen
     torque = as_logged(experiment, command)
     if "delay" in names and experiment.tap is Tap.MEASURED and experiment.timing is Timing.AVERAGED:
         # An edge of the torque that moves takes its height from the mean over the sample time it stands in.
-        edges = -np.diff(acting(experiment, seen_torque(experiment, out)), prepend=out.before)
+        edges = -np.diff(acting(experiment, seen_torque(experiment, out.command, out.tapped)), prepend=out.before)
         torque[:, list(names).index("delay")] += averages(experiment, edges)
     return torque
 
@@ -163,8 +160,9 @@ def _followed(
     explicit = []
     for j, name in enumerate(names):
         if name in own:
-            seeds[:, j], weights[:, j] = _seed(loop.joint, name), gravity_seed(loop.joint, name)
-            start[:, j] = _start_slope(loop, values, name, out)
+            seeds[:, j] = coefficient_seed(loop.joint.coefficients, loop.joint, name)
+            weights[:, j] = gravity_seed(loop.joint, name)
+            start[:, j] = start_slope(lambda at: loop.joint.start(at, out.position, out.velocity), values, name)
         elif name in _INITIAL:
             at = _INITIAL[name]
             start[:, j] = _moved_start(loop, values, out, *at[:2]) if any(at[:2]) else 0.0
@@ -203,10 +201,15 @@ def by_mode(drive: FloatArray, seeds: FloatArray) -> tuple[FloatArray, FloatArra
     return drive[2:4].copy(), side, seeds[2:4].copy(), seeds[:2] / drive[:2, np.newaxis], dside
 
 
-def _seed(joint: Joint, name: str) -> FloatArray:
-    """Return how the drive's coefficients depend on a parameter of the joint: they are linear in it."""
+def taped_rows(samples: int) -> int:
+    """Return how many rows of a tape usually hold the events of so many samples or periods."""
+    return _TAPED + samples // 16
+
+
+def coefficient_seed(coefficients: Callable[[Mapping[str, float]], FloatArray], joint: Joint, name: str) -> FloatArray:
+    """Return how the kernels' coefficients depend on a parameter of the joint: they are linear in it."""
     nothing = {p.name: 0.0 for p in joint.parameters}
-    return np.asarray(joint.coefficients(nothing | {name: 1.0}) - joint.coefficients(nothing))
+    return np.asarray(coefficients(nothing | {name: 1.0}) - coefficients(nothing))
 
 
 def gravity_seed(joint: Joint, name: str) -> FloatArray:
@@ -215,11 +218,13 @@ def gravity_seed(joint: Joint, name: str) -> FloatArray:
     return np.zeros(3) if one is None else one[:3]
 
 
-def _start_slope(loop: ClosedLoop, values: Mapping[str, float], name: str, out: Run) -> FloatArray:
-    """Return how the state of steady motion at the first sample depends on a parameter of the joint."""
+def start_slope(
+    start: Callable[[Mapping[str, float]], FloatArray], values: Mapping[str, float], name: str
+) -> FloatArray:
+    """Return how the state of steady motion at the first sample, as `start` has it, depends on a parameter."""
     step = _SMALL * (abs(values[name]) or 1.0)
-    ends = [loop.joint.start({**values, name: values[name] + by}, out.position, out.velocity) for by in (-step, step)]
-    return np.asarray((ends[1] - ends[0]) / (2 * step))
+    low, high = (start({**values, name: values[name] + by}) for by in (-step, step))
+    return np.asarray((high - low) / (2 * step))
 
 
 def _moved_start(
@@ -262,7 +267,7 @@ def _explicit(loop: ClosedLoop, experiment: Experiment, out: Run, name: str) -> 
     inputs = experiment.inputs.copy()
     inputs[:, POSITION] = out.states[:: experiment.lengths.size, 0]
     held = _cut(experiment, out, inputs)
-    low, high = (with_numbers(loop.controller, {name: value + by}).law(experiment.sample_time) for by in steps)
+    low, high = (experiment.law_of(with_numbers(loop.controller, {name: value + by})) for by in steps)
     if high.limits.size != low.limits.size or (high.integral() is None) != (low.integral() is None):
         raise MethodError(
             f"The {name} of this controller is 0, and what it belongs to is not there, so it has no derivative; "

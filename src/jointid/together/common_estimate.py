@@ -9,7 +9,8 @@ from jointid.common.text import aligned, number
 from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
 from jointid.data.transmission import transmission_lines
-from jointid.estimation.estimated import EstimatedParameter, on_other_side, shown
+from jointid.estimation.estimated import EstimatedParameter, on_other_side
+from jointid.estimation.printed import shown
 from jointid.inference.repeatable import Repeatable
 from jointid.model.joints import Joint
 from jointid.model.sides import OtherSide

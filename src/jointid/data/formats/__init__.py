@@ -59,14 +59,19 @@ def read_table(path: str | os.PathLike[str], **options: object) -> Table:
         raise RecordError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
 
 
-def write_table(path: str | os.PathLike[str], table: Table) -> None:
+def write_table(path: str | os.PathLike[str], table: Table, **options: object) -> None:
     """Write `table`, choosing the format by the path's suffix; an existing file is replaced.
+
+    Args:
+        path: the file.
+        table: what is written.
+        options: with which the format will read it; see `Csv`.
 
     Raises:
         RecordError: no format has this suffix, it cannot hold the table, or the file cannot be written.
     """
     path = Path(path)
-    writer = format_of(path)
+    writer = format_of(path, **options)
     try:
         writer.write(path, table)
     except OSError as error:

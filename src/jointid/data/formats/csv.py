@@ -70,10 +70,11 @@ class Csv:
             raise RecordError(f"{path.name} cannot be split into cells ({error}); is it delimited text?") from error
 
     def write(self, path: Path, table: Table) -> None:
-        """Write comma-delimited UTF-8, each number with the digits that give it back exactly.
+        """Write delimited UTF-8, each number with the digits that give it back exactly.
 
-        Columns called by their own number are written without a name, as they are read. Scalars have no place
-        in delimited text, nor have names that would be read as numbers.
+        Delimiter and decimal mark are those that it would be read with; where they are not said, a comma and a point,
+        and a semicolon beside a decimal comma. Columns called by their own number are written without a name, as they
+        are read. Scalars have no place in delimited text, nor have names that would be read as numbers.
         """
         if table.scalars:
             scalars = ", ".join(table.scalars)
@@ -81,9 +82,14 @@ class Csv:
         if len({values.size for values in table.columns.values()}) != 1:
             lengths = ", ".join(f"{name} {values.size}" for name, values in table.columns.items())
             raise RecordError(f"Delimited text has columns of one length; got {lengths or 'no column'}.")
-        cells = (map(repr, values.tolist()) for values in table.columns.values())
-        rows = map(",".join, zip(*cells, strict=True))
-        path.write_text("\n".join([*_header(table), *rows, ""]), encoding="utf-8", newline="\n")
+        mark, point = self.delimiter or (";" if self.decimal == "," else ","), self.decimal or "."
+        if mark == point:
+            raise RecordError(
+                'A comma cannot be both delimiter and decimal mark of what is written; give delimiter = ";".'
+            )
+        cells = ([repr(value).replace(".", point) for value in values.tolist()] for values in table.columns.values())
+        rows = map(mark.join, zip(*cells, strict=True))
+        path.write_text("\n".join([*_header(table, mark), *rows, ""]), encoding="utf-8", newline="\n")
 
     def _table(self, text: TextFile) -> Table:
         fit = self._fit(text)
@@ -213,13 +219,15 @@ def _row(file: str, line: Line, last: bool, dialect: Dialect, names: Sequence[st
     return values
 
 
-def _header(table: Table) -> list[str]:
+def _header(table: Table, delimiter: str) -> list[str]:
     """Return the line of names: one line, or none where every column is called by its number."""
     names = ["" if name == str(i) else name for i, name in enumerate(table.columns, start=1)]
     if not any(names):
         return []
-    special = [is_comment(name) or any(mark in name for mark in ',;|"\t') for name in names]
-    line = ",".join(f'"{n.replace(chr(34), chr(34) * 2)}"' if s else n for n, s in zip(names, special, strict=True))
+    special = [is_comment(name) or any(mark in name for mark in f',;|"\t{delimiter}') for name in names]
+    line = delimiter.join(
+        f'"{n.replace(chr(34), chr(34) * 2)}"' if s else n for n, s in zip(names, special, strict=True)
+    )
     refused = [name for name in names if not name.isprintable() or name != name.strip() or is_number(name)]
     if refused:
         raise RecordError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from dataclasses import Field, dataclass, field
 from pathlib import Path
@@ -12,6 +13,8 @@ import numpy as np
 
 from jointid.common.errors import RecordError
 from jointid.data.record import FloatArray
+
+_LISTED = 20  # columns that a message lists; some MAT files have thousands
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +46,13 @@ class Table:
         scalars = {name: float(value) for name, value in self.scalars.items()}
         object.__setattr__(self, "columns", MappingProxyType(columns))
         object.__setattr__(self, "scalars", MappingProxyType(scalars))
+
+    def listed(self, wanted: str) -> str:
+        """Return the names of the columns, quoted; of very many, those most like the one that was wanted."""
+        names = list(self.columns)
+        shown = names if len(names) <= _LISTED else difflib.get_close_matches(wanted, names, _LISTED, cutoff=0.0)
+        rest = f" and {len(names) - len(shown)} more" if len(shown) < len(names) else ""
+        return (", ".join(f'"{name}"' for name in shown) or "none") + rest
 
 
 class Format(Protocol):

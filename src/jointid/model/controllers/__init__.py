@@ -16,7 +16,7 @@ from jointid.model.controllers.filters import (
     SecondOrder,
     as_filter,
 )
-from jointid.model.controllers.laws import PD, PID, Cascade
+from jointid.model.controllers.laws import PD, PID, Cascade, begun_later
 from jointid.model.controllers.numbers import number, numbers_of, with_numbers
 from jointid.model.controllers.running import Ran, invert, respond, run
 from jointid.model.controllers.sampled import (
@@ -38,6 +38,6 @@ __all__ = [
     "CONSTANT", "DIRECTION", "INJECTED", "INPUTS", "LIMIT", "LONGEST_DELAY", "PD", "PID", "POSITION", "REFERENCE",
     "REFERENCE_VELOCITY",
     "Cascade", "Controller", "DigitalFilter", "Drawn", "Filter", "FirstOrder", "Interpolation", "MovingAverage",
-    "Notch", "Ran", "SampledLaw", "SecondOrder", "StateSpaceController", "Timed", "as_filter", "invert", "number",
-    "numbers_of", "referred", "respond", "run", "scaled", "with_numbers",
+    "Notch", "Ran", "SampledLaw", "SecondOrder", "StateSpaceController", "Timed", "as_filter", "begun_later", "invert",
+    "number", "numbers_of", "referred", "respond", "run", "scaled", "with_numbers",
 ]  # fmt: skip

@@ -17,7 +17,7 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.model.controllers.diagram import Diagram, Signal
 from jointid.model.controllers.filters import Filter, as_filter
-from jointid.model.controllers.sampled import CONSTANT, DIRECTION, INJECTED, REFERENCE, SampledLaw
+from jointid.model.controllers.sampled import CONSTANT, DIRECTION, INJECTED, REFERENCE, SampledLaw, referred
 
 Interpolation = Literal["hold", "linear", "cubic"]
 
@@ -136,6 +136,10 @@ class Drawn(Timed):
         if not (late and self.torque_filters):
             return limit, limit
         return drawn.limited(self._filtered(drawn, torque), of_torque=True)[1], limit
+
+    def _lowered(self, drawn: Diagram, output: int, limit: int) -> SampledLaw:
+        """Return the law that was drawn, with the elements that `_torque` named, as its joint sees it."""
+        return referred(drawn.law(output=output, tap=limit, delay=self.delay), self.ratio)
 
     def _filtered(self, drawn: Diagram, torque: Signal) -> Signal:
         for one in self.torque_filters:

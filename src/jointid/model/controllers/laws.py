@@ -14,15 +14,16 @@ All sums are those of earlier periods, all differences backward ones. What is ar
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from jointid.common.errors import MethodError
 from jointid.model.controllers.diagram import Diagram, Signal
-from jointid.model.controllers.drawn import Drawn
-from jointid.model.controllers.sampled import POSITION, REFERENCE_VELOCITY, SampledLaw, referred
+from jointid.model.controllers.drawn import Controller, Drawn
+from jointid.model.controllers.sampled import POSITION, REFERENCE_VELOCITY, SampledLaw
 
 _WHOLE = 1e-6  # how near to a whole number of periods a slower loop's must be
+_DRIFT = 1e-2  # of a period: how far clocks may drift apart before an instant is taken for the next one
 _SLOWEST = 64  # periods in a cycle at most
 
 
@@ -41,7 +42,8 @@ class Cascade(Drawn):
         reference_velocity: of the feed-forward: "difference" of the reference, or a "channel" of its own.
         velocity_limit: of the velocity command, m/s (rad/s).
         position_period: of the position loop, a multiple of `period`; the same when None.
-        position_offset: seconds from the record's first sample to the position loop's next evaluation.
+        position_offset: seconds from the first sample of the record's file to the position loop's next evaluation,
+            which is at the controller's instant there, or at the next one.
         velocity_filter, torque_filters, filters_at, ..., gain, limit, period, delay, ...: see `Drawn` and `Timed`.
     """
 
@@ -91,19 +93,18 @@ class Cascade(Drawn):
             if self.limit < math.inf:
                 into = _unwound(drawn, into, limit, self.anti_windup, self.kv * self.ki * self.gain)
             drawn.follow(state, integral + into)
-        return referred(drawn.law(output=output, tap=limit, delay=self.delay), self.ratio)
+        return self._lowered(drawn, output, limit)
 
     def _diagram(self, period: float) -> Diagram:
         phases = (self.position_period or period) / period
-        first = self.position_offset / period
-        whole = max(abs(phases - round(phases)), abs(first - round(first))) <= _WHOLE * phases
+        whole = abs(phases - round(phases)) <= _WHOLE * phases
         if not (whole and 1 <= round(phases) <= _SLOWEST):
             raise MethodError(
-                f"The position loop's period and offset are multiples of the controller's, the period up to {_SLOWEST} "
-                f"times; received {self.position_period or period:g} s and {self.position_offset:g} s beside "
-                f"{period:g} s: correct them."
+                f"The position loop's period is a multiple of the controller's, up to {_SLOWEST} times; received "
+                f"{self.position_period or period:g} s beside {period:g} s: correct one of them."
             )
-        return Diagram(period, round(phases), round(first) % round(phases))
+        first = math.ceil(self.position_offset / period - _DRIFT)
+        return Diagram(period, round(phases), first % round(phases))
 
     def _fed(self, drawn: Diagram) -> Signal:
         if not self.velocity_feedforward:
@@ -147,7 +148,7 @@ class PD(Drawn):
         drawn = Diagram(self.period or sample_time)
         _, controlled = self._controlled(drawn)
         output, limit = self._torque(drawn, controlled)
-        return referred(drawn.law(output=output, tap=limit, delay=self.delay), self.ratio)
+        return self._lowered(drawn, output, limit)
 
     def _controlled(self, drawn: Diagram) -> tuple[Signal, Signal]:
         """Return the position error and the output, without an integral."""
@@ -191,7 +192,20 @@ class PID(PD):
         if self.limit < math.inf and self.ki:
             into = _unwound(drawn, into, limit, self.anti_windup, self.ki * self.gain)
         drawn.follow(state, integral + into)
-        return referred(drawn.law(output=output, tap=limit, delay=self.delay), self.ratio)
+        return self._lowered(drawn, output, limit)
+
+
+def begun_later(controller: Controller, seconds: float) -> Controller:
+    """Return a controller as it is for a log that begins so many seconds later: a slower loop in it keeps its instants.
+
+    Only a `Cascade` with a position loop of its own has any. Negative: for a log that begins earlier.
+    """
+    if not (seconds and isinstance(controller, Cascade) and controller.position_period):
+        return controller
+    cycle = controller.position_period
+    offset = (controller.position_offset - seconds) % cycle
+    rounding = min(offset, cycle - offset) < _WHOLE * cycle  # of what is a whole cycle
+    return replace(controller, position_offset=0.0 if rounding else float(f"{offset:.12g}"))
 
 
 def _unwound(drawn: Diagram, into: Signal, limit: int, anti_windup: str, weight: float) -> Signal:
