@@ -86,7 +86,7 @@ def rigid_estimate(record: Record, loop: ClosedLoop, cutoff: float | None, progr
 def crossover(law: SampledLaw, inertia: float) -> float:
     """Return the frequency in Hz up to which the law asks for more torque per position than the inertia takes."""
     hertz = np.geomspace(1e-5, 0.5, 400) / law.period
-    loop_gain = law.feedback(hertz) / (abs(inertia) * (2 * math.pi * hertz) ** 2)
+    loop_gain = np.abs(law.feedback(hertz)) / (abs(inertia) * (2 * math.pi * hertz) ** 2)
     above = np.flatnonzero(loop_gain >= 1.0)
     return float(hertz[above[-1]] if above.size else hertz[0])
 

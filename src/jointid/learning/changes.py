@@ -113,9 +113,23 @@ def _changes(structure: Structure, channel: bool) -> Iterator[Structure]:
         if part in structure.feedforward or allowed:
             yield replace(structure, feedforward=structure.feedforward ^ {part})
     yield from (replace(structure, torque_filter=one) for one in TORQUE_FILTERS if one != structure.torque_filter)
+    yield from _exchanged(structure)
     yield replace(structure, reference_delay=not structure.reference_delay)
     yield from _other_rates(structure)
     yield from (replace(structure, late=n) for n in (0, *LATE) if n != structure.late)
+
+
+def _exchanged(structure: Structure) -> Iterator[Structure]:
+    """Yield the law with its filter at the other place; around all of a PD law it may be the same equation."""
+    velocity, torque = structure.velocity_filter, structure.torque_filter
+    if torque in ("first order", "second order") and velocity == "none":
+        yield replace(structure, velocity_filter=torque, torque_filter="none")
+        if structure.reference_velocity == "full":
+            law: Law = "PID" if structure.integrates else "PD"
+            like = replace(structure, law=law, reference_velocity="difference", every=1, offset=0)
+            yield replace(like, velocity_filter=torque, torque_filter="none")
+    if velocity in ("first order", "second order") and torque == "none":
+        yield replace(structure, velocity_filter="none", torque_filter=velocity)
 
 
 def _other_rates(structure: Structure) -> Iterator[Structure]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.data.record import FloatArray
-from jointid.learning.noise import Noise, grid, noise_of, smoothed, spread
+from jointid.learning.noise import Noise, noise_of, seen_from
 from jointid.learning.structures import INTEGRAL, Structure, bounds, controller
 from jointid.learning.watched import Watched
 from jointid.model.controllers import Controller, SampledLaw
@@ -74,10 +74,8 @@ class Task:
         return self._response(self.law(structure, numbers))
 
     def _response(self, law: SampledLaw) -> FloatArray:
-        samples = self.watched.samples
-        response = spread(law.feedback(grid(self.watched.period, samples)), samples)
-        # Between the samples a faster law sees splines, which pass on less of the position's error.
-        return response if law.period > 0.75 * self.watched.period else response * smoothed(samples)
+        watched = self.watched
+        return seen_from(law.feedback, watched.period, watched.samples, round(watched.period / law.period))
 
     def whitened(self, structure: Structure, numbers: Mapping[str, float], noise: Noise) -> FloatArray:
         """Return the residual made white by a noise, (samples,)."""

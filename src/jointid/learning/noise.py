@@ -12,11 +12,13 @@ law would reward every filter that keeps the noise from the prediction, the true
 
 An encoder's rounding is white only roughly, and a filter can be bent to fit what is left of it. So the frequencies are
 left out at which the torque itself is not louder than the noise: there the record tells of the noise, not of the law.
+And where a band of the residual is louder than a and b say, so is the noise taken to be.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -30,6 +32,7 @@ POINTS = 96  # frequencies a law's response is worked out at
 _BINS = 160  # of the averaged periodogram
 _LOUDER = 4.0  # times the noise, in power: what is not tells of the noise, not of the law
 _FLOOR = 1e-4  # of the torque: no log is taken to be truer
+_BEYOND = 2.0  # deviations of a band's mean, beyond which it is louder
 _STEPS = 30
 _QUIET = 14  # bands of a position's spectrum, of which one is the quietest
 _QUIETER = 1.5  # times as much power a white noise has as its quietest band, at most
@@ -43,16 +46,19 @@ class Noise:
         torque: a, variance of the torque's error.
         position: b, variance of the position's error.
         heard: (frequencies,) 1 where the torque is louder than the noise, else 0: what is not is left out.
+        colour: (frequencies,) how many times louder the noise is there than a and b say, 1 or more: an encoder that
+            turns at an even speed rounds in lines.
     """
 
     torque: float
     position: float
     heard: FloatArray
+    colour: FloatArray
 
     def weights(self, response: FloatArray) -> FloatArray:
         """Return ``1 / sqrt(S)`` at the frequencies of the real transform, given |G| there; 0 where left out."""
         with np.errstate(over="ignore"):  # a candidate that reacts beyond all numbers weighs nothing
-            return np.asarray(self.heard / np.sqrt(self.torque + self.position * response**2))
+            return np.asarray(self.heard / np.sqrt(self.colour * (self.torque + self.position * response**2)))
 
     @property
     def rows(self) -> float:
@@ -60,24 +66,37 @@ class Noise:
         return 2.0 * float(np.sum(self.heard))
 
 
-def grid(sample_time: float, size: int) -> FloatArray:
-    """Return the frequencies at which a law's response is worked out, Hz: from a record's lowest to half its rate."""
-    return _points(size) * 0.5 / sample_time
+def seen_from(
+    response: Callable[[FloatArray], NDArray[np.complex128]], sample_time: float, samples: int, rate: int
+) -> FloatArray:
+    """Return |G| from the error of a logged position to the logged torque, at the frequencies of the real transform.
 
+    A law that is faster than the log sees cubic splines through the log's samples. The cardinal one has the spectrum::
 
-def spread(response: FloatArray, size: int) -> FloatArray:
-    """Return a response known on `grid` at all frequencies of a real transform of `size` samples."""
-    return np.interp(_shares(size), _points(size), response)
+        C(f) = sinc(f T)^4 / (1 - 2/3 sin^2(pi f T))
 
+    T the log's sample time (Unser 1999, IEEE Signal Processing Magazine 16(6)). The error is not gone above half the
+    log's rate, but has images there; the log's samples of the torque fold them back: ``G(f) = sum over m of
+    C(f + m / T) G_law(f + m / T)``. A smaller or larger |G| than the true one would speak for or against all fast laws.
 
-def smoothed(size: int) -> FloatArray:
-    """Return what cubic splines through noisy samples leave of the noise at the frequencies of a real transform.
-
-    ``sinc(f T)^4 / (1 - 2/3 sin^2(pi f T))``, the cardinal cubic spline's (Unser 1999, IEEE Signal Processing Magazine
-    16(6)); the images above half the rate are left out.
+    Args:
+        response: of the law, at frequencies in Hz.
+        sample_time: of the log, seconds.
+        samples: of the log.
+        rate: of the law, in periods per sample of the log.
     """
-    turn = 0.5 * np.pi * _shares(size)
-    return np.asarray(np.sinc(0.5 * _shares(size)) ** 4 / (1.0 - 2.0 / 3.0 * np.sin(turn) ** 2))
+    shares = _points(samples) * 0.5
+    total = np.zeros(shares.size, dtype=np.complex128)
+    for m in range(-(rate // 2), rate - rate // 2):
+        at = shares + m
+        weight = np.ones(shares.size) if rate == 1 else sum(_cardinal(at + n * rate) for n in range(-2, 3))
+        found = response(np.abs(at) / sample_time)
+        total += weight * np.where(at < 0, found.conj(), found)
+    return np.interp(_shares(samples), _points(samples), np.abs(total))
+
+
+def _cardinal(turns: FloatArray) -> FloatArray:
+    return np.asarray(np.sinc(turns) ** 4 / (1.0 - 2.0 / 3.0 * np.sin(np.pi * turns) ** 2))
 
 
 @cache
@@ -118,8 +137,11 @@ def noise_of(
     a, b = _two_sources(seen, gains, _FLOOR**2 * float(np.mean(torque**2)), most)
     signal = _averaged(np.abs(np.fft.rfft(np.hanning(size) * (torque - torque.mean()))) ** 2 / (size * 0.375))
     loud = signal > _LOUDER * np.maximum(a + b * gains, seen)
-    heard = np.repeat(loud, np.diff(_edges(response.size))).astype(np.float64)
-    return Noise(a, b, np.concatenate([[1.0], heard]))
+    widths = np.diff(_edges(response.size))
+    louder = seen / (a + b * gains)
+    colour = np.where(louder > 1.0 + _BEYOND / np.sqrt(widths), louder, 1.0)
+    heard, colour = (np.concatenate([[1.0], np.repeat(one, widths)]) for one in (loud.astype(np.float64), colour))
+    return Noise(a, b, heard, colour)
 
 
 def quietest(position: FloatArray) -> float:
@@ -137,7 +159,7 @@ def quietest(position: FloatArray) -> float:
 
 def everything(variance: float, samples: int) -> Noise:
     """Return white noise of the torque that leaves nothing out."""
-    return Noise(variance, 0.0, np.ones(samples // 2 + 1))
+    return Noise(variance, 0.0, np.ones(samples // 2 + 1), np.ones(samples // 2 + 1))
 
 
 def _edges(size: int) -> NDArray[np.intp]:

@@ -18,11 +18,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.data.record import FloatArray, Timing
-from jointid.learning.noise import Noise, grid, noise_of, smoothed, spread
+from jointid.learning.noise import Noise, noise_of, seen_from
 from jointid.learning.structures import (
     ACCELERATION,
     COULOMB,
@@ -49,6 +51,23 @@ _SCALES = {"depth": 0.3, "ki": 1.0}  # sizes of numbers that may be 0
 ERROR, SPEED, FED, FED_FILTERED, SUM, COMMAND, FILTERED, CHANNEL, CHANNEL_SUM, VISCOUS, BENT, SIGN, ONE = range(13)
 EVERY = np.eye(13)
 """All coefficients free."""
+
+
+class Standing(NamedTuple):
+    """What laws are judged under.
+
+    Attributes:
+        noise: of torque and position.
+        response: |G| of the law that it is the noise of, by which a regression is weighted.
+    """
+
+    noise: Noise
+    response: FloatArray
+
+    @property
+    def weights(self) -> FloatArray:
+        """One over the square root of the noise's spectrum, 0 where that is left out."""
+        return self.noise.weights(self.response)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,22 +140,24 @@ class Regression:
     Attributes:
         watched: the stretch.
         kept: (samples,) 1 where the torque counts: not at the begin, nor at a limit.
+        own: whether a law's cost is under its own response, or under that which the regression is weighted by.
     """
 
     watched: Watched
     kept: FloatArray
     own: bool = False
 
-    def noise(self, one: Explained) -> Noise:
-        """Return the noise that explains what is left."""
-        return noise_of(one.residual, one.response, self.watched.torque, self.kept, self.watched.quietest)
+    def standing(self, one: Explained) -> Standing:
+        """Return the noise that explains what is left, with the law it is the noise of."""
+        watched = self.watched
+        noise = noise_of(one.residual, one.response, watched.torque, self.kept, watched.quietest)
+        return Standing(noise, one.response)
 
     def explained(
         self,
         structure: Structure,
         numbers: Mapping[str, float],
-        noise: Noise,
-        near: FloatArray,
+        standing: Standing,
         late: Sequence[int] | None = None,
         free: bool = True,
     ) -> list[Explained]:
@@ -145,8 +166,7 @@ class Regression:
         Args:
             structure: of the law.
             numbers: of filters, ki and delay.
-            noise: of torque and position.
-            near: |G| of a law near by, by which the regression is weighted.
+            standing: what it is judged under.
             late: samples by which the log may show the torque late; those of the structure when None.
             free: whether all coefficients are free, or only those of the structure's law.
 
@@ -161,7 +181,7 @@ class Regression:
         targets = np.column_stack([_earlier(self.watched.torque + added, n) - added for n in late]) * kept
         scale = np.linalg.norm(columns, axis=0)
         scale = np.where(scale > 0, scale, 1.0)
-        weights = noise.weights(near)
+        weights = standing.weights
         heard = weights > 0
         X, Y = (_stacked((np.fft.rfft(x, axis=0) * weights[:, np.newaxis])[heard]) for x in (columns / scale, targets))
         coefficients = np.linalg.lstsq(X, Y, rcond=_DEPENDENT)[0] / scale[:, np.newaxis]
@@ -169,21 +189,22 @@ class Regression:
         found = []
         for i, n in enumerate(late):
             response = self._response(structure, numbers, gains[:, i])
-            spectrum = np.fft.rfft(residuals[:, i]) * (noise.weights(response) if self.own else weights)
+            spectrum = np.fft.rfft(residuals[:, i]) * self._weights(standing, response)
             cost = float(np.linalg.norm(np.fft.irfft(spectrum, size)) ** 2)
             like = replace(structure, late=n)
             found.append(Explained(like, dict(numbers), cost, gains[:, i], response, residuals[:, i]))
         return found
 
     def compressed(
-        self, frame: Structure, numbers: Mapping[str, float], noise: Noise, near: FloatArray, late: Sequence[int]
+        self, frame: Structure, numbers: Mapping[str, float], standing: Standing, late: Sequence[int]
     ) -> Compressed:
         """Return what any law needs to know of a frame, in few rows: the triangle of a QR decomposition.
 
         Args:
             frame: clocks and filters.
             numbers: of the filters, and of the reference's delay where the laws have one.
-            noise, near, late: see `explained`.
+            standing: what the laws are judged under.
+            late: samples by which the log may show the torque late.
 
         Raises:
             MethodError: the filters cannot be.
@@ -198,28 +219,30 @@ class Regression:
         stacked = np.hstack([*blocks, targets]) * kept
         scale = np.linalg.norm(stacked, axis=0)
         scale = np.where(scale > 0, scale, 1.0)
-        weights = noise.weights(near)
+        weights = standing.weights
         heard = weights > 0
         white = _stacked((np.fft.rfft(stacked / scale, axis=0) * weights[:, np.newaxis])[heard])
-        triangle = np.linalg.qr(white, mode="r") * (scale * math.sqrt(2.0 / self.watched.samples))
+        triangle: FloatArray = np.asarray(np.linalg.qr(white, mode="r")) * (
+            scale * math.sqrt(2.0 / self.watched.samples)
+        )
         width = base.shape[1]
         split = [triangle[:, i : i + width] for i in range(0, width * len(blocks), width)]
         return Compressed(frame, dict(numbers), tuple(split), triangle[:, width * len(blocks) :], tuple(late))
 
-    def refined(self, one: Explained, noise: Noise, near: FloatArray, free: bool = True) -> Explained:
+    def refined(self, one: Explained, standing: Standing, free: bool = True) -> Explained:
         """Return a structure with its numbers where it explains most."""
         from scipy.optimize import least_squares
 
-        names, weights = list(one.numbers), noise.weights(near)
+        names = list(one.numbers)
         low, high = np.array([bounds(n, self.watched.period / one.structure.rate) for n in names]).reshape(-1, 2).T
 
         def explained(x: FloatArray) -> Explained:
             numbers = dict(zip(names, map(float, x), strict=True))
-            return self.explained(one.structure, numbers, noise, near, free=free)[0]
+            return self.explained(one.structure, numbers, standing, free=free)[0]
 
         def white(x: FloatArray) -> FloatArray:
             found = explained(x)
-            return _stacked(np.fft.rfft(found.residual) * (noise.weights(found.response) if self.own else weights))
+            return _stacked(np.fft.rfft(found.residual) * self._weights(standing, found.response))
 
         start = np.array(list(one.numbers.values()))
         if not names:
@@ -227,9 +250,18 @@ class Regression:
         sizes = np.maximum(start, [_SCALES.get(name.rpartition(".")[2], 0.0) for name in names])
         inside = np.clip(start, low + 1e-6 * sizes, np.where(np.isfinite(high), high - 1e-6 * sizes, high))
         found = least_squares(
-            white, inside, bounds=(low, high), x_scale=sizes, diff_step=_STEP, max_nfev=_EVALUATIONS, ftol=1e-5
+            white,
+            inside,
+            bounds=(low, high),
+            x_scale=sizes,
+            diff_step=np.full(start.size, _STEP),
+            max_nfev=_EVALUATIONS,
+            ftol=1e-5,
         )
         return explained(found.x)
+
+    def _weights(self, standing: Standing, response: FloatArray) -> FloatArray:
+        return standing.noise.weights(response) if self.own else standing.weights
 
     def _columns(self, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
         """Return what the coefficients of the module's equation are of, as the log would show it, (samples, 13)."""
@@ -264,13 +296,18 @@ class Regression:
 
     def _response(self, structure: Structure, numbers: Mapping[str, float], gains: FloatArray) -> FloatArray:
         """Return |G| from the position to the torque, as if the position loop were as fast as the velocity loop."""
-        watched, period = self.watched, self.watched.period / structure.rate
-        back = np.exp(-2j * np.pi * grid(watched.period, watched.samples) * period)
-        velocity, torque = (_at(one, back, period) for one in filters_of(structure, numbers))
-        slope = (1.0 - back) / period
-        inner = (gains[SPEED] * slope + gains[FILTERED] * back) * velocity - gains[ERROR] - gains[SUM] * back / slope
-        response = spread(np.abs(torque * inner), watched.samples)
-        return response if structure.rate == 1 else response * smoothed(watched.samples)
+        period = self.watched.period / structure.rate
+        filters = filters_of(structure, numbers)
+
+        def response(hertz: FloatArray) -> NDArray[np.complex128]:
+            back = np.exp(-2j * np.pi * hertz * period)
+            velocity, torque = (_at(one, back, period) for one in filters)
+            slope = (1.0 - back) / period
+            slope = np.where(slope == 0.0, 1e-300, slope)
+            inner = (gains[SPEED] * slope + gains[FILTERED] * back) * velocity
+            return np.asarray(torque * (inner - gains[ERROR] - gains[SUM] * back / slope))
+
+        return seen_from(response, self.watched.period, self.watched.samples, structure.rate)
 
 
 def regression(watched: Watched) -> Regression:
@@ -352,7 +389,7 @@ def _summed(signal: FloatArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(signal[:-1])])
 
 
-def _stacked(spectrum: FloatArray) -> FloatArray:
+def _stacked(spectrum: NDArray[np.complex128]) -> FloatArray:
     return np.concatenate([spectrum.real, spectrum.imag])
 
 

@@ -18,9 +18,9 @@ from jointid.common.progress import Progress, silent
 from jointid.learning.changes import neighbours, without
 from jointid.learning.fitting import Fitted, Task, fit
 from jointid.learning.noise import Noise
-from jointid.learning.regression import Explained, Regression, gains_of, regression
+from jointid.learning.regression import Explained, Regression, Standing, gains_of, regression
 from jointid.learning.structures import FIELDS, SIGNED, Structure, converted, starts
-from jointid.learning.survey import Standing, candidates, survey
+from jointid.learning.survey import candidates, survey
 
 _STRETCH = 4000  # samples that a search looks at
 _JUDGED = 20  # rivals that the whole record judges
@@ -85,7 +85,7 @@ class _Ground:
     def explained(self, structure: Structure, numbers: Mapping[str, float], standing: Standing) -> Explained | None:
         """Return what a structure explains; None where its filters or its delay cannot be."""
         try:
-            return self.regression.explained(structure, numbers, *standing, free=False)[0]
+            return self.regression.explained(structure, numbers, standing, free=False)[0]
         except MethodError:
             return None
 
@@ -103,7 +103,7 @@ class _Ground:
     def refined(self, one: Explained, standing: Standing) -> Fitted | None:
         """Return a structure with the numbers of least cost; None where they make no law."""
         try:
-            return self.fitted(self.regression.refined(one, *standing, free=False), standing.noise)
+            return self.fitted(self.regression.refined(one, standing, free=False), standing.noise)
         except MethodError:
             return None
 
@@ -128,7 +128,7 @@ def search(task: Task, progress: Progress = silent) -> Found:
     while True:
         progress(f"{best.structure.words}: {len(best.structure.names)} numbers")
         seen.add(best.structure)
-        best = _around(ground, best, [best.structure])[0]
+        best = ground.known(best, ground.standing(best)) or best
         rivals = _ranked(ground.task, best, _around(ground, best, neighbours(best.structure, _channel(task))))
         if not rivals or rivals[0].worse >= 0.0:
             others = _refitted(ground, likeliest, ground.standing(best))
@@ -151,11 +151,11 @@ def _begun(task: Task, channel: bool, progress: Progress) -> tuple[_Ground, list
     begun = candidates(ground.regression, standing, late, channel, progress)[:_LIKELIEST]
     likeliest = [one for one in (ground.explained(one.structure, one.numbers, standing) for one in begun) if one]
     for keep in (_LIKELIEST, _PROMISING):
-        refined = (ground.regression.refined(one, *standing, free=False) for one in likeliest[:keep])
+        refined = (ground.regression.refined(one, standing, free=False) for one in likeliest[:keep])
         trimmed = (_trimmed(ground, one, standing) for one in refined)
         rows = standing.noise.rows
         likeliest = sorted(trimmed, key=lambda one: _weighed(one, rows))
-        standing = Standing(ground.regression.noise(likeliest[0]), likeliest[0].response)
+        standing = ground.regression.standing(likeliest[0])
     best = next(one for one in (ground.fitted(one, standing.noise) for one in likeliest) if one is not None)
     ground, best = _within(ground, best)
     return ground, likeliest, best
@@ -179,7 +179,7 @@ def _trimmed(ground: _Ground, one: Explained, standing: Standing) -> Explained:
         if part not in one.structure.feedforward:
             continue
         fewer = replace(one.structure, feedforward=one.structure.feedforward - {part})
-        without_it = ground.regression.explained(fewer, one.numbers, *standing, free=False)[0]
+        without_it = ground.regression.explained(fewer, one.numbers, standing, free=False)[0]
         negative = name not in SIGNED and gains_of(one, 1.0)[name] < 0
         if negative or _weighed(without_it, rows) <= _weighed(one, rows):
             one = without_it

@@ -11,10 +11,9 @@ import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
-from jointid.data.record import FloatArray
 from jointid.learning.changes import all_laws
-from jointid.learning.noise import Noise, everything
-from jointid.learning.regression import Compressed, Explained, Regression
+from jointid.learning.noise import everything
+from jointid.learning.regression import Compressed, Explained, Regression, Standing
 from jointid.learning.structures import (
     COMMON,
     INTEGRAL_GAINS,
@@ -29,18 +28,6 @@ from jointid.learning.structures import (
 
 _FINEST = 8  # frames whose filters' numbers are searched for
 _DELAYS = 2  # of the log's, with which laws are tried
-
-
-class Standing(NamedTuple):
-    """What structures are judged under.
-
-    Attributes:
-        noise: of torque and position.
-        response: |G| of the law that the noise is of.
-    """
-
-    noise: Noise
-    response: FloatArray
 
 
 class Candidate(NamedTuple):
@@ -70,11 +57,11 @@ def survey(regression: Regression, progress: Progress = silent) -> tuple[Standin
     progress("what explains the torque, whatever the gains")
     best = _best_of_each(_all_explained(regression, standing))[:_FINEST]
     for own in (False, False, True):
-        standing = Standing(regression.noise(best[0]), best[0].response)
+        standing = regression.standing(best[0])
         finer = replace(regression, own=own)
-        best = sorted((finer.refined(one, *standing) for one in best), key=lambda one: one.cost)
+        best = sorted((finer.refined(one, standing) for one in best), key=lambda one: one.cost)
     late = list(dict.fromkeys(one.structure.late for one in best))
-    return Standing(regression.noise(best[0]), best[0].response), late[:_DELAYS]
+    return regression.standing(best[0]), late[:_DELAYS]
 
 
 def candidates(
@@ -98,7 +85,7 @@ def candidates(
             laws = [law for law in all_laws(frame, channel) if law.reference_delay == delayed]
             for numbers in starts(replace(frame, reference_delay=delayed), {}, period):
                 try:
-                    compressed = regression.compressed(frame, numbers, *standing, late if plain else [0])
+                    compressed = regression.compressed(frame, numbers, standing, late if plain else [0])
                 except MethodError:  # a filter that cannot be at this rate
                     continue
                 for one in (one for law in laws for one in _begun(compressed, law, period)):
@@ -129,7 +116,7 @@ def _all_explained(regression: Regression, standing: Standing) -> Iterator[Expla
         late = (0, *LATE) if frame.rate == frame.every == 1 else (0,)
         for numbers in starts(frame, {}, regression.watched.period):
             try:
-                yield from regression.explained(frame, numbers, *standing, late)
+                yield from regression.explained(frame, numbers, standing, late)
             except MethodError:  # a filter that cannot be at this rate
                 continue
 

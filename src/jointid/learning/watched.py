@@ -62,9 +62,7 @@ class Watched:
     @property
     def quietest(self) -> float:
         """Variance of the position's error at most, see `noise.quietest`."""
-        assert self.record.motor_position is not None
-        position = at_period(self.record.motor_position, self.period, self.record.torque.values.size, "position")
-        return quietest(position)
+        return quietest(self.inputs(1, False)[:, POSITION])
 
     def stretch(self, samples: int) -> Watched:
         """Return so many samples of the record, those in which the reference is accelerated most."""

@@ -301,7 +301,7 @@ def _parts(law: SampledLaw, repeat: int) -> tuple[FloatArray, NDArray[np.int64]]
 
 def _far(law: SampledLaw, feedforward: FloatArray, after_limit: FloatArray) -> float:
     # Of a fast loop most of the gain within a period is that of the velocity, and holds no position.
-    slowly = float(law.feedback(np.array([_SLOWLY / law.period]))[0])
+    slowly = float(abs(law.feedback(np.array([_SLOWLY / law.period]))[0]))
     gain = min(law.stiffness, slowly)
     if not gain > 0.0:
         return math.inf

@@ -147,8 +147,8 @@ class SampledLaw:
             found[i] = not edges[i] @ _reached(edges, edges[:, i])
         return np.asarray(found)
 
-    def feedback(self, hertz: FloatArray) -> FloatArray:
-        """Return the magnitude of the law's response to the position at these frequencies, torque per position.
+    def feedback(self, hertz: FloatArray) -> NDArray[np.complex128]:
+        """Return the law's response to the position at these frequencies, torque per position.
 
         Of a law with several phases, that of the output's part at the frequency itself.
         """
@@ -166,7 +166,7 @@ class SampledLaw:
                 out = out + states @ self.C[j, self.output]
                 states = states @ self.A[j].T + self.B[j, :, POSITION] * turn**j
             response += out * turn[:, 0] ** -j / self.phases
-        return np.abs(response)
+        return response
 
     @property
     def stiffness(self) -> float:
