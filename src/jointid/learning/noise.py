@@ -5,14 +5,14 @@ to torque, the residual of the true law is ``w - G n``, w the error of the logge
 
     S = a + b |G|^2
 
-a of the torque's error and b of the position's, both white: the colour of the residual is the law's own. The numbers
+a of the torque's error, white, and b of the position's: the colour of the residual is the law's own. The numbers
 of a law are those that minimise ``sum over f of |E|^2 / S`` with the S of that very law, E the residual's transform:
 the maximum likelihood of errors in variables (Pintelon and Schoukens 2012, ch. 9). An S that did not move with the
 law would reward every filter that keeps the noise from the prediction, the true one or not.
 
-An encoder's rounding is white only roughly, and a filter can be bent to fit what is left of it. So the frequencies are
-left out at which the torque itself is not louder than the noise: there the record tells of the noise, not of the law.
-And where a band of the residual is louder than a and b say, so is the noise taken to be.
+b has the shape of the encoder's rounding, see `position_error`. A filter can still be bent to fit what is left of it,
+so the frequencies are left out at which the torque itself is not louder than the noise: there the record tells of the
+noise, not of the law.
 """
 
 from __future__ import annotations
@@ -32,10 +32,11 @@ POINTS = 96  # frequencies a law's response is worked out at
 _BINS = 160  # of the averaged periodogram
 _LOUDER = 4.0  # times the noise, in power: what is not tells of the noise, not of the law
 _FLOOR = 1e-4  # of the torque: no log is taken to be truer
-_BEYOND = 2.0  # deviations of a band's mean, beyond which it is louder
 _STEPS = 30
-_QUIET = 14  # bands of a position's spectrum, of which one is the quietest
-_QUIETER = 1.5  # times as much power a white noise has as its quietest band, at most
+_SMOOTHED = 21  # samples over which a position is, before it is rounded again
+_PARTS = (0.25, 0.5, 0.75)  # of a step
+_LEAST = 0.1  # of white noise
+_BEYOND = 1.3  # times what is seen of the position's error it may be
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,19 +47,16 @@ class Noise:
         torque: a, variance of the torque's error.
         position: b, variance of the position's error.
         heard: (frequencies,) 1 where the torque is louder than the noise, else 0: what is not is left out.
-        colour: (frequencies,) how many times louder the noise is there than a and b say, 1 or more: an encoder that
-            turns at an even speed rounds in lines.
     """
 
     torque: float
     position: float
     heard: FloatArray
-    colour: FloatArray
 
     def weights(self, response: FloatArray) -> FloatArray:
         """Return ``1 / sqrt(S)`` at the frequencies of the real transform, given |G| there; 0 where left out."""
         with np.errstate(over="ignore"):  # a candidate that reacts beyond all numbers weighs nothing
-            return np.asarray(self.heard / np.sqrt(self.colour * (self.torque + self.position * response**2)))
+            return np.asarray(self.heard / np.sqrt(self.torque + self.position * response**2))
 
     @property
     def rows(self) -> float:
@@ -120,7 +118,7 @@ def noise_of(
         response: |G| of the law at the frequencies of its real transform.
         torque: (samples,) logged.
         kept: (samples,) 1 where the residual counts, else 0.
-        most: variance of the position's error at most, see `quietest`.
+        most: variance of the position's error at most, see `position_error`.
 
     Raises:
         MethodError: the residual, or the response, is beyond all numbers.
@@ -138,28 +136,43 @@ def noise_of(
     signal = _averaged(np.abs(np.fft.rfft(np.hanning(size) * (torque - torque.mean()))) ** 2 / (size * 0.375))
     loud = signal > _LOUDER * np.maximum(a + b * gains, seen)
     widths = np.diff(_edges(response.size))
-    louder = seen / (a + b * gains)
-    colour = np.where(louder > 1.0 + _BEYOND / np.sqrt(widths), louder, 1.0)
-    heard, colour = (np.concatenate([[1.0], np.repeat(one, widths)]) for one in (loud.astype(np.float64), colour))
-    return Noise(a, b, heard, colour)
+    return Noise(a, b, np.concatenate([[1.0], np.repeat(loud, widths)]))
 
 
-def quietest(position: FloatArray) -> float:
-    """Return the power of a logged position at the frequency where it is least: its error is not larger.
+def position_error(position: FloatArray, step: float | None) -> tuple[FloatArray, float]:
+    """Return the shape of a logged position's error, and how large it may be.
 
-    Where a law leaves more than its noise, the rest must not be taken for an error of the position: one that is too
-    large rewards a law for reacting to it.
+    An encoder's rounding is no white noise: at an even speed it is a line, as many steps per sample as are not whole.
+    So it is made again, on the position smoothed and moved by parts of a step. Without a step to be seen it is white,
+    and not more than all of the position where that is quietest. What is more is not an error of the position: where
+    a law leaves more than its noise, one that is too large would reward the law for reacting to the position.
+
+    Args:
+        position: (samples,) logged.
+        step: of its encoder; None where none is to be seen.
+
+    Returns:
+        The square root of the spectrum at the frequencies of the real transform, over that of white noise of the same
+        variance, and a bound of the variance.
     """
-    flat = position - np.linspace(position[0], position[-1], position.size)
-    window = np.hanning(position.size)
-    power = np.abs(np.fft.rfft(window * flat)) ** 2 / (position.size * 0.375)
-    edges = np.linspace(power.size // 8, power.size, _QUIET + 1).astype(np.intp)
-    return _QUIETER * float(np.min(np.add.reduceat(power, edges[:-1]) / np.diff(edges)))
+    from scipy.signal import savgol_filter
+
+    if step is None:
+        flat = position - np.linspace(position[0], position[-1], position.size)
+        power = np.abs(np.fft.rfft(np.hanning(position.size) * flat)) ** 2 / (position.size * 0.375)
+        return np.ones(power.size), _BEYOND * float(np.min(_averaged(power)[_BINS // 8 :]))
+    steps = savgol_filter((position - position[0]) / step, _SMOOTHED, 3)
+    moved = steps + np.array(_PARTS)[:, np.newaxis]
+    power = np.mean(np.abs(np.fft.rfft(np.round(moved) - moved, axis=1)) ** 2, axis=0) / position.size
+    bands, widths = _averaged(power), np.diff(_edges(power.size))
+    mean = float(widths @ bands) / float(np.sum(widths))
+    shape = np.repeat(np.maximum(bands / mean, _LEAST), widths)
+    return np.sqrt(np.concatenate([shape[:1], shape])), _BEYOND * mean * step**2
 
 
 def everything(variance: float, samples: int) -> Noise:
     """Return white noise of the torque that leaves nothing out."""
-    return Noise(variance, 0.0, np.ones(samples // 2 + 1), np.ones(samples // 2 + 1))
+    return Noise(variance, 0.0, np.ones(samples // 2 + 1))
 
 
 def _edges(size: int) -> NDArray[np.intp]:

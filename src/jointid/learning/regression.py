@@ -150,7 +150,7 @@ class Regression:
     def standing(self, one: Explained) -> Standing:
         """Return the noise that explains what is left, with the law it is the noise of."""
         watched = self.watched
-        noise = noise_of(one.residual, one.response, watched.torque, self.kept, watched.quietest)
+        noise = noise_of(one.residual, one.response, watched.torque, self.kept, watched.most)
         return Standing(noise, one.response)
 
     def explained(
@@ -307,7 +307,8 @@ class Regression:
             inner = (gains[SPEED] * slope + gains[FILTERED] * back) * velocity
             return np.asarray(torque * (inner - gains[ERROR] - gains[SUM] * back / slope))
 
-        return seen_from(response, self.watched.period, self.watched.samples, structure.rate)
+        watched = self.watched
+        return seen_from(response, watched.period, watched.samples, structure.rate) * watched.rounding
 
 
 def regression(watched: Watched) -> Regression:

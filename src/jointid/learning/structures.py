@@ -253,7 +253,7 @@ def bounds(name: str, period: float) -> tuple[float, float]:
         "time_constant": (1e-2 * period, 2e3 * period),
         "frequency": (2e-4 / period, 0.45 / period),
         "bandwidth": (2e-4 / period, 0.45 / period),
-        "damping": (0.1, 5.0),
+        "damping": (0.4, 3.0),
         "depth": (0.0, 1.0),
         "reference_delay": (0.0, 50 * period),
     }.get(last, (0.0, math.inf))

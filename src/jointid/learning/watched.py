@@ -8,9 +8,10 @@ from itertools import product
 
 import numpy as np
 
+from jointid.assessment.encoders import step_of
 from jointid.common.errors import RecordError
 from jointid.data.record import FloatArray, InjectionPoint, Record, Tap, Timing
-from jointid.learning.noise import quietest
+from jointid.learning.noise import position_error
 from jointid.learning.structures import RATES, SLOWER
 from jointid.model.controllers import (
     INJECTED,
@@ -41,6 +42,8 @@ class Watched:
         torque: (samples,) less what was added after the limit, where the log contains it.
         added: (samples,) what that was.
         kept: (samples,) 1 where the residual counts, else 0.
+        rounding: (frequencies,) the shape of the position's error, see `noise.position_error`.
+        most: bound of its variance.
         begin: which of the record's samples is the first.
         plateau: the torque that the log stands at where it is largest; None where it never stands.
     """
@@ -51,6 +54,8 @@ class Watched:
     added: FloatArray
     kept: FloatArray
     plateau: float | None
+    rounding: FloatArray
+    most: float
     begin: int = 0
     _inputs: dict[tuple[int, bool], FloatArray] = field(default_factory=dict)
 
@@ -58,11 +63,6 @@ class Watched:
     def samples(self) -> int:
         """Of the log."""
         return self.torque.size
-
-    @property
-    def quietest(self) -> float:
-        """Variance of the position's error at most, see `noise.quietest`."""
-        return quietest(self.inputs(1, False)[:, POSITION])
 
     def stretch(self, samples: int) -> Watched:
         """Return so many samples of the record, those in which the reference is accelerated most."""
@@ -76,7 +76,8 @@ class Watched:
         kept = self.kept[begin : begin + samples].copy()
         kept[:_BEGIN] = 0.0
         rows = slice(begin, begin + samples)
-        part = Watched(self.record, self.period, self.torque[rows], self.added[rows], kept, self.plateau, begin)
+        error = position_error(self.inputs(1, False)[rows, POSITION], step_of(self.record.motor_position))
+        part = Watched(self.record, self.period, self.torque[rows], self.added[rows], kept, self.plateau, *error, begin)
         for rate, curved in ((1, False), *product(RATES, (False, True))):
             part._inputs[rate, curved] = self.inputs(rate, curved)[begin * rate : (begin + samples) * rate]
         return part
@@ -168,7 +169,9 @@ def watched(record: Record) -> Watched:
     torque -= added
     kept = np.ones(samples)
     kept[:_BEGIN] = 0.0
-    return Watched(record, period, torque, added, kept, _plateau(torque))
+    position = at_period(record.motor_position, period, samples, "position")
+    error = position_error(position, step_of(record.motor_position))
+    return Watched(record, period, torque, added, kept, _plateau(torque), *error)
 
 
 def _between(position: FloatArray, rate: int) -> FloatArray:
