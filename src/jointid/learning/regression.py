@@ -282,7 +282,7 @@ class Regression:
             last = np.maximum(at - (at - structure.offset) % structure.every, 0)
             fed = (r[last] - r[np.maximum(last - structure.every, 0)]) / (structure.every * period)
             e, w = e[last], w[last]
-        e_sum, fed_sum, speed_sum, w_sum = (_summed(one) * period for one in (e, fed, speed[:, 0], w))
+        e_sum, fed_sum, speed_sum, w_sum = (_summed(one, lead) * period for one in (e, fed, speed[:, 0], w))
         columns = np.column_stack([
             e, speed[:, 0], fed, speed[:, 1], e_sum, fed_sum, speed_sum, w, w_sum,
             viscous, bent, direction, np.ones(r.size),
@@ -385,9 +385,10 @@ def _rate(signal: FloatArray, period: float) -> FloatArray:
     return np.asarray(np.diff(signal, axis=0, prepend=signal[:1]) / period)
 
 
-def _summed(signal: FloatArray) -> FloatArray:
-    """Return the sums of the earlier values."""
-    return np.concatenate([[0.0], np.cumsum(signal[:-1])])
+def _summed(signal: FloatArray, lead: int) -> FloatArray:
+    """Return the sums of the earlier values from the first sample on, where an integral's content is reckoned."""
+    sums = np.concatenate([[0.0], np.cumsum(signal[:-1])])
+    return sums - sums[lead]
 
 
 def _stacked(spectrum: NDArray[np.complex128]) -> FloatArray:

@@ -28,6 +28,7 @@ from jointid.simulation.experiment import at_period, known_memory, law_inputs
 _NEEDED = ("torque", "reference", "motor_position")
 _FEWEST = 500  # samples
 _BEGIN = 20  # samples that are left out: what the law's filters hold at the first one is only guessed
+_SETTLED = 100  # samples that are left out of a stretch, which begins in motion
 _PLATEAU = 3  # samples in a row at the top, to be a limit
 _TOP = 6.0  # deviations of the log's noise within which a torque is at the top
 
@@ -74,7 +75,7 @@ class Watched:
         begin = int(np.argmax(bent[samples:] - bent[:-samples]))
         begin -= begin % max(SLOWER)  # a slower loop is in the same phase as on the whole record
         kept = self.kept[begin : begin + samples].copy()
-        kept[:_BEGIN] = 0.0
+        kept[:_SETTLED] = 0.0
         rows = slice(begin, begin + samples)
         error = position_error(self.inputs(1, False)[rows, POSITION], step_of(self.record.motor_position))
         part = Watched(self.record, self.period, self.torque[rows], self.added[rows], kept, self.plateau, *error, begin)
