@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from jointid.common.errors import MethodError
 from jointid.data.record import FloatArray
 
-POINTS = 96  # frequencies a law's response is worked out at
+_LOW, _EVEN = 40, 100  # frequencies a law's response is worked out at: in octaves, and evenly: filters end in zeros
 _BINS = 160  # of the averaged periodogram
 _LOUDER = 4.0  # times the noise, in power: what is not tells of the noise, not of the law
 _FLOOR = 1e-4  # of the torque: no log is taken to be truer
@@ -99,7 +99,7 @@ def _cardinal(turns: FloatArray) -> FloatArray:
 
 @cache
 def _points(size: int) -> FloatArray:
-    return np.asarray(np.geomspace(2.0 / size, 1.0, POINTS))
+    return np.unique(np.concatenate([np.geomspace(2.0 / size, 1.0, _LOW), np.linspace(0.0, 1.0, _EVEN + 1)[1:]]))
 
 
 @cache
