@@ -76,7 +76,7 @@ class Task:
     def _response(self, law: SampledLaw) -> FloatArray:
         watched = self.watched
         rate = round(watched.period / law.period)
-        return seen_from(law.feedback, watched.period, watched.samples, rate) * watched.rounding
+        return seen_from(law.feedback, watched.period, watched.samples, rate) * watched.error.shape
 
     def whitened(self, structure: Structure, numbers: Mapping[str, float], noise: Noise) -> FloatArray:
         """Return the residual made white by a noise, (samples,)."""
@@ -90,7 +90,7 @@ class Task:
         law = self.law(structure, numbers)
         watched = self.watched
         left, response = self._left(structure, law, numbers), self._response(law)
-        return noise_of(left, response, watched.torque, watched.kept, watched.most)
+        return noise_of(left, response, watched.torque, watched.kept, watched.error)
 
     def slopes(self, structure: Structure, x: FloatArray, base: FloatArray, noise: Noise) -> FloatArray:
         """Return the derivatives of the whitened residual by the numbers, (samples, numbers), by differences."""

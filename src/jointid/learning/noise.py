@@ -11,8 +11,8 @@ the maximum likelihood of errors in variables (Pintelon and Schoukens 2012, ch. 
 law would reward every filter that keeps the noise from the prediction, the true one or not.
 
 b has the shape of the encoder's rounding, see `position_error`. A filter can still be bent to fit what is left of it,
-so the frequencies are left out at which the torque itself is not louder than the noise: there the record tells of the
-noise, not of the law.
+so the frequencies are left out at which torque or position are not louder than their noise: there the record tells of
+the noise, not of the law.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Noise:
     Attributes:
         torque: a, variance of the torque's error.
         position: b, variance of the position's error.
-        heard: (frequencies,) 1 where the torque is louder than the noise, else 0: what is not is left out.
+        heard: (frequencies,) 1 where torque and position are louder than their noise, else 0: these are left out.
     """
 
     torque: float
@@ -62,6 +62,22 @@ class Noise:
     def rows(self) -> float:
         """Independent numbers that are left in a whitened residual."""
         return 2.0 * float(np.sum(self.heard))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PositionError:
+    """What is known of a logged position's error before any law.
+
+    Attributes:
+        shape: (frequencies,) the root of its spectrum, over that of white noise of the same variance.
+        most: bound of its variance: where a law leaves more than its noise, the rest must not be taken for an error of
+            the position, as one that is too large would reward the law for reacting to the position.
+        power: (bands,) of the logged position itself: where it is no louder than its error it tells nothing.
+    """
+
+    shape: FloatArray
+    most: float
+    power: FloatArray
 
 
 def seen_from(
@@ -109,16 +125,16 @@ def _shares(size: int) -> FloatArray:
 
 
 def noise_of(
-    error: FloatArray, response: FloatArray, torque: FloatArray, kept: FloatArray, most: float = math.inf
+    error: FloatArray, response: FloatArray, torque: FloatArray, kept: FloatArray, position: PositionError
 ) -> Noise:
     """Return the noise that explains a residual.
 
     Args:
         error: (samples,) the residual, 0 where it is left out.
-        response: |G| of the law at the frequencies of its real transform.
+        response: |G| of the law at the frequencies of its real transform, times the shape of the position's error.
         torque: (samples,) logged.
         kept: (samples,) 1 where the residual counts, else 0.
-        most: variance of the position's error at most, see `position_error`.
+        position: what is known of the position's error.
 
     Raises:
         MethodError: the residual, or the response, is beyond all numbers.
@@ -132,42 +148,41 @@ def noise_of(
             "No law that is searched for gives this record's torque: the best one runs away. Check units, signs and "
             "sides of torque, reference and motor_position, or declare the law."
         )
-    a, b = _two_sources(seen, gains, _FLOOR**2 * float(np.mean(torque**2)), most)
-    signal = _averaged(np.abs(np.fft.rfft(np.hanning(size) * (torque - torque.mean()))) ** 2 / (size * 0.375))
-    loud = signal > _LOUDER * np.maximum(a + b * gains, seen)
+    a, b = _two_sources(seen, gains, _FLOOR**2 * float(np.mean(torque**2)), position.most)
+    loud = _bands(torque - torque.mean()) > _LOUDER * np.maximum(a + b * gains, seen)
+    loud &= position.power > _LOUDER * b * _averaged(position.shape**2)
     widths = np.diff(_edges(response.size))
     return Noise(a, b, np.concatenate([[1.0], np.repeat(loud, widths)]))
 
 
-def position_error(position: FloatArray, step: float | None) -> tuple[FloatArray, float]:
-    """Return the shape of a logged position's error, and how large it may be.
+def position_error(position: FloatArray, step: float | None) -> PositionError:
+    """Return what is known of a logged position's error.
 
     An encoder's rounding is no white noise: at an even speed it is a line, as many steps per sample as are not whole.
     So it is made again, on the position smoothed and moved by parts of a step. Without a step to be seen it is white,
-    and not more than all of the position where that is quietest. What is more is not an error of the position: where
-    a law leaves more than its noise, one that is too large would reward the law for reacting to the position.
+    and not more than all of the position where that is quietest.
 
     Args:
         position: (samples,) logged.
         step: of its encoder; None where none is to be seen.
-
-    Returns:
-        The square root of the spectrum at the frequencies of the real transform, over that of white noise of the same
-        variance, and a bound of the variance.
     """
     from scipy.signal import savgol_filter
 
+    power = _bands(position - np.linspace(position[0], position[-1], position.size))
     if step is None:
-        flat = position - np.linspace(position[0], position[-1], position.size)
-        power = np.abs(np.fft.rfft(np.hanning(position.size) * flat)) ** 2 / (position.size * 0.375)
-        return np.ones(power.size), _BEYOND * float(np.min(_averaged(power)[_BINS // 8 :]))
+        return PositionError(np.ones(position.size // 2 + 1), _BEYOND * float(np.min(power[_BINS // 8 :])), power)
     steps = savgol_filter((position - position[0]) / step, _SMOOTHED, 3)
     moved = steps + np.array(_PARTS)[:, np.newaxis]
-    power = np.mean(np.abs(np.fft.rfft(np.round(moved) - moved, axis=1)) ** 2, axis=0) / position.size
-    bands, widths = _averaged(power), np.diff(_edges(power.size))
+    rounding = np.mean(np.abs(np.fft.rfft(np.round(moved) - moved, axis=1)) ** 2, axis=0) / position.size
+    bands, widths = _averaged(rounding), np.diff(_edges(rounding.size))
     mean = float(widths @ bands) / float(np.sum(widths))
-    shape = np.repeat(np.maximum(bands / mean, _LEAST), widths)
-    return np.sqrt(np.concatenate([shape[:1], shape])), _BEYOND * mean * step**2
+    shape = np.sqrt(np.repeat(np.maximum(bands / mean, _LEAST), widths))
+    return PositionError(np.concatenate([shape[:1], shape]), _BEYOND * mean * step**2, power)
+
+
+def _bands(signal: FloatArray) -> FloatArray:
+    """Return a signal's averaged periodogram, (bands,), windowed: a loud band does not leak into others."""
+    return _averaged(np.abs(np.fft.rfft(np.hanning(signal.size) * signal)) ** 2 / (signal.size * 0.375))
 
 
 def everything(variance: float, samples: int) -> Noise:

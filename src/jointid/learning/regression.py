@@ -150,7 +150,7 @@ class Regression:
     def standing(self, one: Explained) -> Standing:
         """Return the noise that explains what is left, with the law it is the noise of."""
         watched = self.watched
-        noise = noise_of(one.residual, one.response, watched.torque, self.kept, watched.most)
+        noise = noise_of(one.residual, one.response, watched.torque, self.kept, watched.error)
         return Standing(noise, one.response)
 
     def explained(
@@ -308,7 +308,7 @@ class Regression:
             return np.asarray(torque * (inner - gains[ERROR] - gains[SUM] * back / slope))
 
         watched = self.watched
-        return seen_from(response, watched.period, watched.samples, structure.rate) * watched.rounding
+        return seen_from(response, watched.period, watched.samples, structure.rate) * watched.error.shape
 
 
 def regression(watched: Watched) -> Regression:

@@ -11,7 +11,7 @@ import numpy as np
 from jointid.assessment.encoders import step_of
 from jointid.common.errors import RecordError
 from jointid.data.record import FloatArray, InjectionPoint, Record, Tap, Timing
-from jointid.learning.noise import position_error
+from jointid.learning.noise import PositionError, position_error
 from jointid.learning.structures import RATES, SLOWER
 from jointid.model.controllers import (
     INJECTED,
@@ -43,8 +43,7 @@ class Watched:
         torque: (samples,) less what was added after the limit, where the log contains it.
         added: (samples,) what that was.
         kept: (samples,) 1 where the residual counts, else 0.
-        rounding: (frequencies,) the shape of the position's error, see `noise.position_error`.
-        most: bound of its variance.
+        error: what is known of the position's.
         begin: which of the record's samples is the first.
         plateau: the torque that the log stands at where it is largest; None where it never stands.
     """
@@ -55,8 +54,7 @@ class Watched:
     added: FloatArray
     kept: FloatArray
     plateau: float | None
-    rounding: FloatArray
-    most: float
+    error: PositionError
     begin: int = 0
     _inputs: dict[tuple[int, bool], FloatArray] = field(default_factory=dict)
 
@@ -78,7 +76,7 @@ class Watched:
         kept[:_SETTLED] = 0.0
         rows = slice(begin, begin + samples)
         error = position_error(self.inputs(1, False)[rows, POSITION], step_of(self.record.motor_position))
-        part = Watched(self.record, self.period, self.torque[rows], self.added[rows], kept, self.plateau, *error, begin)
+        part = Watched(self.record, self.period, self.torque[rows], self.added[rows], kept, self.plateau, error, begin)
         for rate, curved in ((1, False), *product(RATES, (False, True))):
             part._inputs[rate, curved] = self.inputs(rate, curved)[begin * rate : (begin + samples) * rate]
         return part
@@ -172,7 +170,7 @@ def watched(record: Record) -> Watched:
     kept[:_BEGIN] = 0.0
     position = at_period(record.motor_position, period, samples, "position")
     error = position_error(position, step_of(record.motor_position))
-    return Watched(record, period, torque, added, kept, _plateau(torque), *error)
+    return Watched(record, period, torque, added, kept, _plateau(torque), error)
 
 
 def _between(position: FloatArray, rate: int) -> FloatArray:
