@@ -58,6 +58,23 @@ def canonical(structure: Structure) -> Structure:
     return structure
 
 
+def simpler(structure: Structure) -> Iterator[Structure]:
+    """Yield the structures with one part fewer, each under its canonical name."""
+    for part in structure.feedforward:
+        yield canonical(replace(structure, feedforward=structure.feedforward - {part}))
+    if structure.integrates:
+        yield canonical(without(structure, "ki"))
+    if structure.cascade and structure.reference_velocity == "share":
+        yield replace(structure, reference_velocity="none")
+        yield replace(structure, reference_velocity="full")
+    if structure.torque_filter != "none":
+        yield replace(structure, torque_filter="none")
+    if structure.velocity_filter != "none":
+        yield canonical(replace(structure, velocity_filter="none"))
+    if structure.reference_delay:
+        yield replace(structure, reference_delay=False)
+
+
 def neighbours(structure: Structure, channel: bool) -> Iterator[Structure]:
     """Yield the structures that differ from one in a single part, each under its canonical name.
 

@@ -378,7 +378,7 @@ def _earlier(signal: FloatArray, samples: int) -> FloatArray:
 
 def _delayed(signal: FloatArray, periods: float) -> FloatArray:
     at = np.arange(signal.size)
-    return np.interp(at - periods, at, signal) if periods else signal
+    return np.asarray(np.interp(at - periods, at, signal)) if periods else signal
 
 
 def _rate(signal: FloatArray, period: float) -> FloatArray:

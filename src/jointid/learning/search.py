@@ -15,12 +15,12 @@ import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
-from jointid.learning.changes import neighbours, without
+from jointid.learning.changes import neighbours, simpler, without
 from jointid.learning.fitting import Fitted, Task, fit
 from jointid.learning.noise import Noise
 from jointid.learning.regression import Explained, Regression, Standing, gains_of, regression
-from jointid.learning.structures import FIELDS, SIGNED, Structure, converted, starts
-from jointid.learning.survey import candidates, survey
+from jointid.learning.structures import SIGNED, Structure, converted, starts
+from jointid.learning.survey import Candidate, begin, candidates, survey
 
 _STRETCH = 4000  # samples that a search looks at
 _JUDGED = 20  # rivals that the whole record judges
@@ -110,7 +110,7 @@ class _Ground:
     def fitted(self, one: Explained, noise: Noise) -> Fitted | None:
         """Return what was explained as a law, exactly where a limit acts; None where a gain is negative."""
         numbers = gains_of(one, self.task.gain)
-        if any(value < 0 for name, value in numbers.items() if name not in SIGNED):
+        if _negative(numbers):
             return None
         if not self.limited:
             return Fitted(one.structure, numbers, one.cost, noise)
@@ -167,23 +167,25 @@ def _refitted(ground: _Ground, likeliest: Iterable[Explained], standing: Standin
     return [one for one in refined if one is not None]
 
 
-def _weighed(one: Explained | Fitted, rows: float) -> float:
+def _weighed(one: Candidate | Explained | Fitted, rows: float) -> float:
     """Return a structure's cost with what its parts weigh."""
     return one.cost + one.structure.parts * math.log(rows)
 
 
 def _trimmed(ground: _Ground, one: Explained, standing: Standing) -> Explained:
-    """Return a law without the feed-forwards that do not pay, or would be negative."""
+    """Return a law without the parts that do not pay, and without gains that would be negative."""
     rows = standing.noise.rows
-    for part, name in FIELDS.items():
-        if part not in one.structure.feedforward:
-            continue
-        fewer = replace(one.structure, feedforward=one.structure.feedforward - {part})
-        without_it = ground.regression.explained(fewer, one.numbers, standing, free=False)[0]
-        negative = name not in SIGNED and gains_of(one, 1.0)[name] < 0
-        if negative or _weighed(without_it, rows) <= _weighed(one, rows):
-            one = without_it
-    return one
+    while True:
+        known = gains_of(one, ground.task.gain)
+        tried = (ground.tried(fewer, known, standing) for fewer in simpler(one.structure))
+        best = min((fewer for fewer in tried if fewer), key=lambda fewer: _weighed(fewer, rows), default=None)
+        if best is None or (_weighed(best, rows) > _weighed(one, rows) and not _negative(known)):
+            return one
+        one = best
+
+
+def _negative(numbers: Mapping[str, float]) -> bool:
+    return any(value < 0 for name, value in numbers.items() if name not in SIGNED)
 
 
 def _within(ground: _Ground, best: Fitted) -> tuple[_Ground, Fitted]:
@@ -206,8 +208,9 @@ def _on_the_whole(ground: _Ground, best: Fitted, others: list[Fitted]) -> Found:
         best = _settled(ground.task, best)
         visits[best.structure] += 1
         standing = ground.standing(best)
-        own, *fitted = (ground.known(one, standing) or one for one in (best, *others))
-        rivals = _ranked(ground.task, own, fitted)
+        own = ground.known(best, standing) or best
+        known = (ground.known(one, standing) for one in others)
+        rivals = _ranked(ground.task, own, [one for one in known if one is not None])
         # One that was left may come back with better numbers, but once: two noises may speak each for another law.
         if not rivals or rivals[0].worse >= 0.0 or visits[rivals[0].fitted.structure] > 1:
             return Found(best, tuple(rivals))
@@ -235,10 +238,12 @@ def _channel(task: Task) -> bool:
 def _around(ground: _Ground, best: Fitted, structures: Iterable[Structure]) -> list[Fitted]:
     """Return the most promising structures, fitted under one noise."""
     standing = ground.standing(best)
-    tried = (ground.tried(replace(s, limited=False), best.numbers, standing) for s in structures)
-    rows = best.noise.rows
-    promising = sorted((one for one in tried if one is not None), key=lambda one: _weighed(one, rows))[:_PROMISING]
-    fitted = (ground.refined(one, standing) for one in promising)
+    own, rows, task = ground.regression, best.noise.rows, ground.task
+    unlimited = (replace(s, limited=False) for s in structures)
+    begun = (begin(own, one, starts(one, best.numbers, task.watched.period), standing) for one in unlimited)
+    promising = sorted((one for one in begun if one is not None), key=lambda one: _weighed(one, rows))[:_PROMISING]
+    explained = (ground.explained(one.structure, one.numbers, standing) for one in promising)
+    fitted = (ground.refined(one, standing) for one in explained if one is not None)
     return [one for one in fitted if one is not None]
 
 

@@ -178,7 +178,7 @@ _FILTERS: Mapping[str, Mapping[str, tuple[float, ...]]] = {
 INTEGRAL_GAINS = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1)
 """Where a cascade's ki is looked for, in shares of the log's rate."""
 
-_DELAYS = (0.5, 1.5, 3.0)
+_DELAYS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
 """Where a delay of the reference is looked for, in samples of the log."""
 
 

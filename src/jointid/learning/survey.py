@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -92,6 +92,29 @@ def candidates(
                     if one.structure not in best or one.cost < best[one.structure].cost:
                         best[one.structure] = one
     return sorted(best.values(), key=lambda one: one.cost + one.structure.parts * math.log(rows))
+
+
+def begin(
+    regression: Regression, law: Structure, begun: Iterable[Mapping[str, float]], standing: Standing
+) -> Candidate | None:
+    """Return where a law begins best; None where it cannot be.
+
+    Args:
+        regression: on a stretch of a record.
+        law: the law.
+        begun: numbers to begin from.
+        standing: what it is judged under.
+    """
+    found = []
+    for numbers in begun:
+        ki = numbers.get("ki") if law.cascade else None
+        others = {name: value for name, value in numbers.items() if name != "ki"}
+        try:
+            compressed = regression.compressed(law, others, standing, [law.late])
+        except MethodError:  # a filter or a delay that cannot be
+            continue
+        found.append(Candidate(law, dict(numbers), float(compressed.costs(law, ki)[0])))
+    return min(found, key=lambda one: one.cost, default=None)
 
 
 def _begun(compressed: Compressed, law: Structure, period: float) -> Iterator[Candidate]:
