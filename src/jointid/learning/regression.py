@@ -229,8 +229,17 @@ class Regression:
         split = [triangle[:, i : i + width] for i in range(0, width * len(blocks), width)]
         return Compressed(frame, dict(numbers), tuple(split), triangle[:, width * len(blocks) :], tuple(late))
 
-    def refined(self, one: Explained, standing: Standing, free: bool = True) -> Explained:
-        """Return a structure with its numbers where it explains most."""
+    def refined(
+        self, one: Explained, standing: Standing, free: bool = True, evaluations: int = _EVALUATIONS
+    ) -> Explained:
+        """Return a structure with its numbers where it explains most.
+
+        Args:
+            one: the structure, and where to begin.
+            standing: what it is judged under.
+            free: whether all coefficients are free.
+            evaluations: at most, beside those of the derivatives.
+        """
         from scipy.optimize import least_squares
 
         names = list(one.numbers)
@@ -255,7 +264,7 @@ class Regression:
             bounds=(low, high),
             x_scale=sizes,
             diff_step=np.full(start.size, _STEP),
-            max_nfev=_EVALUATIONS,
+            max_nfev=evaluations,
             ftol=1e-5,
         )
         return explained(found.x)

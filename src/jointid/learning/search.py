@@ -30,7 +30,7 @@ REMOVABLE = (
     "constant_feedforward", "reference_delay", "torque_filters.0.time_constant",
 )  # fmt: skip
 _EXPLAINS = 0.8  # of the cost without: a limit that leaves more was a torque that only lingered
-_LIKELIEST = 40  # laws of the survey that are fitted
+_SIEVE = ((80, 3), (24, 6), (12, 6))  # laws of the survey that are fitted, each time under a better noise, and how well
 _SCREENING = 2  # steps of Gauss and Newton after which a candidate is judged, and perhaps left
 _PROMISING = 20  # candidates that are fitted to the end in a round
 
@@ -148,10 +148,10 @@ def _begun(task: Task, channel: bool, progress: Progress) -> tuple[_Ground, list
     """Return what a search is made on, the likeliest laws of a survey, and the best of them."""
     ground = _Ground(task, replace(regression(task.watched), own=True))
     standing, late = survey(ground.regression, progress)
-    begun = candidates(ground.regression, standing, late, channel, progress)[:_LIKELIEST]
+    begun = candidates(ground.regression, standing, late, channel, progress)[: _SIEVE[0][0]]
     likeliest = [one for one in (ground.explained(one.structure, one.numbers, standing) for one in begun) if one]
-    for keep in (_LIKELIEST, _PROMISING):
-        refined = (ground.regression.refined(one, standing, free=False) for one in likeliest[:keep])
+    for keep, evaluations in _SIEVE:
+        refined = (ground.regression.refined(one, standing, False, evaluations) for one in likeliest[:keep])
         trimmed = (_trimmed(ground, one, standing) for one in refined)
         rows = standing.noise.rows
         likeliest = sorted(trimmed, key=lambda one: _weighed(one, rows))

@@ -178,8 +178,8 @@ _FILTERS: Mapping[str, Mapping[str, tuple[float, ...]]] = {
 INTEGRAL_GAINS = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1)
 """Where a cascade's ki is looked for, in shares of the log's rate."""
 
-_DELAYS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
-"""Where a delay of the reference is looked for, in samples of the log."""
+_DELAYS = (0.3, 0.7, 1.3, 1.7, 2.3, 2.7, 3.3, 3.7)
+"""Where a delay of the reference is looked for, in samples of the log: twice in each, as it is filled in by lines."""
 
 
 def _filter_names(place: str, kind: str) -> list[str]:
