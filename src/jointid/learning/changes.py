@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 from jointid.learning.structures import (
-    COMMON,
     CONSTANT,
     FEEDFORWARDS,
     FIELDS,
@@ -103,21 +102,6 @@ def all_laws(frame: Structure, channel: bool) -> Iterator[Structure]:
             if known.frame == frame and known not in seen:
                 seen.add(known)
                 yield known
-
-
-def combinations(structure: Structure) -> Iterator[Structure]:
-    """Yield all laws with all filters, each under its canonical name, and the rest as one structure has it.
-
-    What one filter does another can nearly do, in another law: from one such pair to the next no single change leads.
-    """
-    seen = set[Structure]()
-    for law in (structure, *_other_laws(structure, channel=False)):
-        for filtered in COMMON:
-            for torque in TORQUE_FILTERS:
-                one = canonical(replace(law, velocity_filter=filtered, torque_filter=torque))
-                if one not in seen:
-                    seen.add(one)
-                    yield one
 
 
 def _changes(structure: Structure, channel: bool) -> Iterator[Structure]:

@@ -1,15 +1,7 @@
-"""What laws explain whatever their gains: a regression on what they are made of, their filters and clocks given.
+"""What laws explain whatever their gains: regressions on the columns they are made of, their filters and clocks given.
 
-With e = r - q, the filtered difference v = F D q, F the velocity's filter and S a sum over time, the torque of every
-law of `structures` is::
-
-    u = T(z) (a1 e + a2 v + a3 D r + a4 F D r + a5 S e + a6 r + a7 F q + a8 w + a9 S w
-              + a10 D r + a11 D D r + a12 sign(D r) + a13)
-
-w the record's own reference velocity, T(z) the torque's filter. Each law has some of the coefficients, or ties them:
-a cascade with an integral is ``kv (1 + ki S) (kp e + f D r - v)``, linear in ``kv kp``, ``kv f`` and ``kv`` for a given
-ki. So only the filters' few numbers, ki and a delay are searched for (variable projection: Golub and Pereyra 2003,
-Inverse Problems 19), and where all coefficients are free, what is left is the least that any law can leave: filters
+Only the filters' few numbers, the ki of a cascade and a delay are searched for (variable projection: Golub and Pereyra
+2003, Inverse Problems 19). Where all coefficients are free, what is left is the least that any law can leave: filters
 and clocks are told from each other before a law is chosen.
 """
 
@@ -23,34 +15,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.data.record import FloatArray, Timing
-from jointid.learning.noise import Noise, noise_of, seen_from
-from jointid.learning.structures import (
-    ACCELERATION,
-    COULOMB,
-    FIELDS,
-    INTEGRAL,
-    LATE,
-    VELOCITY,
-    Structure,
-    bounds,
-    filters_of,
-)
-from jointid.learning.structures import CONSTANT as BALANCE
+from jointid.data.record import FloatArray
+from jointid.learning.columns import EVERY, columns, injected, parts_of, response
+from jointid.learning.noise import Noise, noise_of
+from jointid.learning.structures import LATE, Structure, bounds
 from jointid.learning.watched import Watched
-from jointid.model.controllers import DIRECTION, POSITION, REFERENCE, REFERENCE_VELOCITY
-from jointid.model.controllers.filters import Filter, as_filter
 
 _NEAR = 0.98  # of the plateau: what is above may have been cut
-_LEAD = 64  # samples of straight motion before the first, in which the filters settle
-_SLOPE = 5  # samples that tell how fast that is
 _DEPENDENT = 1e-9  # of a column: what is left of it beside the others is rounding
 _STEP = 1e-4  # of a number, for its difference
 _EVALUATIONS = 6  # of a search for filters' numbers: the law is fitted exactly later
 _SCALES = {"depth": 0.3, "ki": 1.0}  # sizes of numbers that may be 0
-ERROR, SPEED, FED, FED_FILTERED, SUM, COMMAND, FILTERED, CHANNEL, CHANNEL_SUM, VISCOUS, BENT, SIGN, ONE = range(13)
-EVERY = np.eye(13)
-"""All coefficients free."""
 
 
 class Standing(NamedTuple):
@@ -120,14 +95,12 @@ class Compressed:
         X, moves = self.blocks[0] @ mixed, [block @ mixed for block in self.blocks[1:]]
         if ki:
             moves.append(self.blocks[0] @ (_mixed(structure, 2.0 * ki) - mixed) / ki)
-        scale = np.linalg.norm(X, axis=0)
-        scale = np.where(scale > 0, scale, 1.0)
+        scale = _norms(X)
         gains = np.linalg.lstsq(X / scale, self.targets, rcond=_DEPENDENT)[0] / scale[:, np.newaxis]
         costs = np.empty(len(self.late))
         for i, target in enumerate(self.targets.T):
             full = np.column_stack([X, *(move @ gains[:, i] for move in moves)])
-            size = np.linalg.norm(full, axis=0)
-            full = full / np.where(size > 0, size, 1.0)
+            full = full / _norms(full)
             left = target - full @ np.linalg.lstsq(full, target, rcond=_DEPENDENT)[0]
             costs[i] = left @ left
         return costs
@@ -175,24 +148,19 @@ class Regression:
         """
         late = [structure.late] if late is None else late
         mixed = EVERY if free else _mixed(structure, numbers.get("ki", 0.0))
-        kept, added, size = self.kept[:, np.newaxis], self.watched.added, self.watched.samples
-        columns = self._columns(structure, numbers) @ mixed * kept
-        # The torque is moved, not the columns: they serve all delays.
-        targets = np.column_stack([_earlier(self.watched.torque + added, n) - added for n in late]) * kept
-        scale = np.linalg.norm(columns, axis=0)
-        scale = np.where(scale > 0, scale, 1.0)
-        weights = standing.weights
-        heard = weights > 0
-        X, Y = (_stacked((np.fft.rfft(x, axis=0) * weights[:, np.newaxis])[heard]) for x in (columns / scale, targets))
-        coefficients = np.linalg.lstsq(X, Y, rcond=_DEPENDENT)[0] / scale[:, np.newaxis]
-        gains, residuals = mixed @ coefficients, targets - columns @ coefficients
+        X = (columns(self.watched, structure, numbers) @ mixed) * self.kept[:, np.newaxis]
+        Y = self._targets(structure, numbers, late)
+        scale = _norms(X)
+        seen, wanted = (_white(one, standing.weights) for one in (X / scale, Y))
+        coefficients = np.linalg.lstsq(seen, wanted, rcond=_DEPENDENT)[0] / scale[:, np.newaxis]
+        gains, residuals = mixed @ coefficients, Y - X @ coefficients
         found = []
         for i, n in enumerate(late):
-            response = self._response(structure, numbers, gains[:, i])
-            spectrum = np.fft.rfft(residuals[:, i]) * self._weights(standing, response)
-            cost = float(np.linalg.norm(np.fft.irfft(spectrum, size)) ** 2)
+            magnitude = response(self.watched, structure, numbers, gains[:, i])
+            spectrum = np.fft.rfft(residuals[:, i]) * self._weights(standing, magnitude)
+            cost = float(np.linalg.norm(np.fft.irfft(spectrum, self.watched.samples)) ** 2)
             like = replace(structure, late=n)
-            found.append(Explained(like, dict(numbers), cost, gains[:, i], response, residuals[:, i]))
+            found.append(Explained(like, dict(numbers), cost, gains[:, i], magnitude, residuals[:, i]))
         return found
 
     def compressed(
@@ -209,22 +177,15 @@ class Regression:
         Raises:
             MethodError: the filters cannot be.
         """
-        base, kept = self._columns(frame, numbers), self.kept[:, np.newaxis]
+        base = columns(self.watched, frame, numbers)
         blocks = [base]
         for name, value in numbers.items():
             step = _STEP * max(value, _SCALES.get(name.rpartition(".")[2], 0.0))
-            blocks.append((self._columns(frame, {**numbers, name: value + step}) - base) / step)
-        added = self.watched.added
-        targets = np.column_stack([_earlier(self.watched.torque + added, n) - added for n in late])
-        stacked = np.hstack([*blocks, targets]) * kept
-        scale = np.linalg.norm(stacked, axis=0)
-        scale = np.where(scale > 0, scale, 1.0)
-        weights = standing.weights
-        heard = weights > 0
-        white = _stacked((np.fft.rfft(stacked / scale, axis=0) * weights[:, np.newaxis])[heard])
-        triangle: FloatArray = np.asarray(np.linalg.qr(white, mode="r")) * (
-            scale * math.sqrt(2.0 / self.watched.samples)
-        )
+            blocks.append((columns(self.watched, frame, {**numbers, name: value + step}) - base) / step)
+        stacked = np.hstack([*blocks, self._targets(frame, numbers, late)]) * self.kept[:, np.newaxis]
+        scale = _norms(stacked)
+        triangle: FloatArray = np.asarray(np.linalg.qr(_white(stacked / scale, standing.weights), mode="r"))
+        triangle = triangle * (scale * math.sqrt(2.0 / self.watched.samples))
         width = base.shape[1]
         split = [triangle[:, i : i + width] for i in range(0, width * len(blocks), width)]
         return Compressed(frame, dict(numbers), tuple(split), triangle[:, width * len(blocks) :], tuple(late))
@@ -269,55 +230,15 @@ class Regression:
         )
         return explained(found.x)
 
+    def _targets(self, structure: Structure, numbers: Mapping[str, float], late: Sequence[int]) -> FloatArray:
+        """Return the torque as much earlier, (samples, delays): it is moved, and the columns serve all delays."""
+        added = self.watched.added
+        known = injected(self.watched, structure, numbers)
+        moved = [_earlier(self.watched.torque + added, n) - added for n in late]
+        return np.asarray((np.column_stack(moved) - known) * self.kept[:, np.newaxis])
+
     def _weights(self, standing: Standing, response: FloatArray) -> FloatArray:
         return standing.noise.weights(response) if self.own else standing.weights
-
-    def _columns(self, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
-        """Return what the coefficients of the module's equation are of, as the log would show it, (samples, 13)."""
-        watched, rate, period = self.watched, structure.rate, self.watched.period / structure.rate
-        lead, slope = _LEAD * rate, _SLOPE * rate
-        inputs = watched.inputs(rate, structure.curved)
-        r, q = (_led(inputs[:, i] - inputs[0, POSITION], lead, slope) for i in (REFERENCE, POSITION))
-        r = _delayed(r, numbers.get("reference_delay", 0.0) / period)
-        velocity, torque = filters_of(structure, numbers)
-        filtered = _passed(velocity, np.column_stack([q, r]), period)
-        speed = _rate(filtered, period)
-        e, fed = r - q, _rate(r, period)
-        w, direction = (np.concatenate([np.full(lead, x[0]), x]) for x in inputs[:, [REFERENCE_VELOCITY, DIRECTION]].T)
-        direction = _delayed(direction, numbers.get("reference_delay", 0.0) / period)
-        viscous, bent = fed, _rate(_rate(r, period), period)
-        if structure.every > 1:  # the lead is a whole number of the slower loop's periods
-            at = np.arange(r.size)
-            last = np.maximum(at - (at - structure.offset) % structure.every, 0)
-            fed = (r[last] - r[np.maximum(last - structure.every, 0)]) / (structure.every * period)
-            e, w = e[last], w[last]
-        e_sum, fed_sum, speed_sum, w_sum = (_summed(one, lead) * period for one in (e, fed, speed[:, 0], w))
-        columns = np.column_stack([
-            e, speed[:, 0], fed, speed[:, 1], e_sum, fed_sum, speed_sum, w, w_sum,
-            viscous, bent, direction, np.ones(r.size),
-        ])  # fmt: skip
-        shown = _passed(torque, columns, period)[lead:]
-        assert watched.record.torque is not None
-        if watched.record.torque.timing is not Timing.AVERAGED:
-            return shown[::rate]
-        means = shown.reshape(-1, rate, shown.shape[1]).mean(axis=1)
-        return np.concatenate([means[:1], means[:-1]])
-
-    def _response(self, structure: Structure, numbers: Mapping[str, float], gains: FloatArray) -> FloatArray:
-        """Return |G| from the position to the torque, as if the position loop were as fast as the velocity loop."""
-        period = self.watched.period / structure.rate
-        filters = filters_of(structure, numbers)
-
-        def response(hertz: FloatArray) -> NDArray[np.complex128]:
-            back = np.exp(-2j * np.pi * hertz * period)
-            velocity, torque = (_at(one, back, period) for one in filters)
-            slope = (1.0 - back) / period
-            slope = np.where(slope == 0.0, 1e-300, slope)
-            inner = (gains[SPEED] * slope + gains[FILTERED] * back) * velocity
-            return np.asarray(torque * (inner - gains[ERROR] - gains[SUM] * back / slope))
-
-        watched = self.watched
-        return seen_from(response, watched.period, watched.samples, structure.rate) * watched.error.shape
 
 
 def regression(watched: Watched) -> Regression:
@@ -338,7 +259,7 @@ def gains_of(one: Explained, gain: float) -> dict[str, float]:
         gain: torque per controller unit.
     """
     structure, ki = one.structure, one.numbers.get("ki", 0.0)
-    parts = _parts(structure, ki)
+    parts = parts_of(structure, ki)
     values = np.linalg.lstsq(np.column_stack(list(parts.values())), one.gains / gain, rcond=None)[0]
     found = one.numbers | dict(zip(parts, map(float, values), strict=True))
     if structure.cascade:
@@ -350,71 +271,23 @@ def gains_of(one: Explained, gain: float) -> dict[str, float]:
 
 
 def _mixed(structure: Structure, ki: float) -> FloatArray:
-    return np.column_stack(list(_parts(structure, ki).values()))
-
-
-def _parts(structure: Structure, ki: float) -> dict[str, FloatArray]:
-    """Return what each gain of a law is a coefficient of, as combinations of the columns."""
-    inner = ki if structure.cascade else 0.0
-    fed = {"channel": EVERY[CHANNEL] + inner * EVERY[CHANNEL_SUM]}.get(
-        structure.reference_velocity, EVERY[FED] + inner * EVERY[COMMAND]
-    )
-    speed = -EVERY[SPEED] - inner * EVERY[FILTERED]
-    parts = {"kp": EVERY[ERROR] + inner * EVERY[SUM]}
-    if structure.cascade:
-        parts["kv"] = speed + (fed if structure.reference_velocity == "full" else 0.0)
-        if structure.reference_velocity in ("share", "channel"):
-            parts["velocity_feedforward"] = fed
-    else:
-        own = {"difference": EVERY[FED_FILTERED], "channel": EVERY[CHANNEL]}
-        parts["kd"] = speed + own.get(structure.reference_velocity, 0.0)
-        if structure.integrates:
-            parts["ki"] = EVERY[SUM]
-    beside = {VELOCITY: VISCOUS, ACCELERATION: BENT, COULOMB: SIGN, BALANCE: ONE}
-    parts |= {FIELDS[name]: EVERY[i] for name, i in beside.items() if name in structure.feedforward}
-    return parts | ({INTEGRAL: EVERY[ONE]} if structure.integrates else {})
-
-
-def _led(signal: FloatArray, lead: int, slope: int) -> FloatArray:
-    """Return a signal with a straight line before it, as it begins."""
-    rate = (signal[slope] - signal[0]) / slope
-    return np.concatenate([signal[0] + rate * np.arange(-lead, 0), signal])
+    return np.column_stack(list(parts_of(structure, ki).values()))
 
 
 def _earlier(signal: FloatArray, samples: int) -> FloatArray:
     return np.concatenate([signal[samples:], np.full(samples, signal[-1])])
 
 
-def _delayed(signal: FloatArray, periods: float) -> FloatArray:
-    at = np.arange(signal.size)
-    return np.asarray(np.interp(at - periods, at, signal)) if periods else signal
+def _norms(X: FloatArray) -> FloatArray:
+    norms = np.linalg.norm(X, axis=0)
+    return np.where(norms > 0, norms, 1.0)
 
 
-def _rate(signal: FloatArray, period: float) -> FloatArray:
-    return np.asarray(np.diff(signal, axis=0, prepend=signal[:1]) / period)
-
-
-def _summed(signal: FloatArray, lead: int) -> FloatArray:
-    """Return the sums of the earlier values from the first sample on, where an integral's content is reckoned."""
-    sums = np.concatenate([[0.0], np.cumsum(signal[:-1])])
-    return sums - sums[lead]
+def _white(X: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return columns made white, at the frequencies that are heard."""
+    heard = weights > 0
+    return _stacked(np.fft.rfft(X, axis=0)[heard] * weights[heard, np.newaxis])
 
 
 def _stacked(spectrum: NDArray[np.complex128]) -> FloatArray:
     return np.concatenate([spectrum.real, spectrum.imag])
-
-
-def _passed(one: Filter | Sequence[float], signals: FloatArray, period: float) -> FloatArray:
-    """Return signals, (periods, signals), behind a filter that has seen their first values for ever."""
-    from scipy.signal import lfilter, lfilter_zi
-
-    b, a = as_filter(one).coefficients(period)
-    if len(b) == len(a) == 1:
-        return signals * (b[0] / a[0])
-    settled = lfilter_zi(b, a)[:, np.newaxis] * signals[:1]
-    return np.asarray(lfilter(b, a, signals, axis=0, zi=settled)[0])
-
-
-def _at(one: Filter | Sequence[float], back: FloatArray, period: float) -> FloatArray:
-    b, a = as_filter(one).coefficients(period)
-    return np.asarray(np.polyval(b[::-1], back) / np.polyval(a[::-1], back))

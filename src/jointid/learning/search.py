@@ -20,7 +20,7 @@ from jointid.learning.fitting import Fitted, Task, fit
 from jointid.learning.noise import Noise
 from jointid.learning.regression import Explained, Regression, Standing, gains_of, regression
 from jointid.learning.structures import SIGNED, Structure, converted, starts
-from jointid.learning.survey import Candidate, begin, candidates, survey
+from jointid.learning.survey import Candidate, begin, candidates, survey, unheard
 
 _STRETCH = 4000  # samples that a search looks at
 _JUDGED = 20  # rivals that the whole record judges
@@ -204,6 +204,8 @@ def _within(ground: _Ground, best: Fitted) -> tuple[_Ground, Fitted]:
 def _on_the_whole(ground: _Ground, best: Fitted, others: list[Fitted]) -> Found:
     """Return what the whole record says of structures that a stretch of it left."""
     visits = Counter[Structure]()
+    # What an integral holds at the first sample is another number here, and no noise is known before it.
+    best = ground.known(best, unheard(ground.regression)) or best
     while True:
         best = _settled(ground.task, best)
         visits[best.structure] += 1

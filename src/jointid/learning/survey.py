@@ -44,6 +44,12 @@ class Candidate(NamedTuple):
     cost: float
 
 
+def unheard(regression: Regression) -> Standing:
+    """Return what laws are judged under before anything is known of the noise."""
+    watched = regression.watched
+    return Standing(everything(float(np.var(watched.torque)), watched.samples), np.ones(watched.samples // 2 + 1))
+
+
 def survey(regression: Regression, progress: Progress = silent) -> tuple[Standing, list[int]]:
     """Return what laws may be judged under, and the log's likeliest delays.
 
@@ -52,8 +58,7 @@ def survey(regression: Regression, progress: Progress = silent) -> tuple[Standin
     would reward a far-off law for reacting to the position; at last by each its own, as one for all would reward a
     filter that keeps the noise away.
     """
-    size = regression.watched.samples
-    standing = Standing(everything(float(np.var(regression.watched.torque)), size), np.ones(size // 2 + 1))
+    standing = unheard(regression)
     progress("what explains the torque, whatever the gains")
     best = _best_of_each(_all_explained(regression, standing))[:_FINEST]
     for own in (False, False, True):

@@ -61,8 +61,8 @@ def _untold(task: Task, best: Fitted, alike: tuple[Structure, ...]) -> Iterator[
     if structure.rate > 1 or any(other.rate != structure.rate for other in alike):
         yield "The loop's period is only told by how late its velocity is; a filter of the velocity may do the same."
         yield (
-            "Between the log's samples the reference is taken to be straight and the position a cubic spline. A "
-            "feed-forward of the acceleration that acts in jerks there bends the numbers beyond their intervals."
+            "Between the log's samples the reference is taken to be as the controller's interpolation says, and the "
+            "position a cubic spline; what happens there does not show."
         )
     if alike:
         yield f"The record does not tell this law from: {'; '.join(one.words for one in alike)}."
