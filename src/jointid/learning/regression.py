@@ -25,7 +25,6 @@ _NEAR = 0.98  # of the plateau: what is above may have been cut
 _DEPENDENT = 1e-9  # of a column: what is left of it beside the others is rounding
 _STEP = 1e-4  # of a number, for its difference
 _EVALUATIONS = 6  # of a search for filters' numbers: the law is fitted exactly later
-_SCALES = {"depth": 0.3, "ki": 1.0}  # sizes of numbers that may be 0
 
 
 class Standing(NamedTuple):
@@ -180,7 +179,7 @@ class Regression:
         base = columns(self.watched, frame, numbers)
         blocks = [base]
         for name, value in numbers.items():
-            step = _STEP * max(value, _SCALES.get(name.rpartition(".")[2], 0.0))
+            step = _STEP * max(value, _least(name, self.watched.period))
             blocks.append((columns(self.watched, frame, {**numbers, name: value + step}) - base) / step)
         stacked = np.hstack([*blocks, self._targets(frame, numbers, late)]) * self.kept[:, np.newaxis]
         scale = _norms(stacked)
@@ -217,7 +216,7 @@ class Regression:
         start = np.array(list(one.numbers.values()))
         if not names:
             return explained(start)
-        sizes = np.maximum(start, [_SCALES.get(name.rpartition(".")[2], 0.0) for name in names])
+        sizes = np.maximum(start, [_least(name, self.watched.period) for name in names])
         inside = np.clip(start, low + 1e-6 * sizes, np.where(np.isfinite(high), high - 1e-6 * sizes, high))
         found = least_squares(
             white,
@@ -276,6 +275,12 @@ def _mixed(structure: Structure, ki: float) -> FloatArray:
 
 def _earlier(signal: FloatArray, samples: int) -> FloatArray:
     return np.concatenate([signal[samples:], np.full(samples, signal[-1])])
+
+
+def _least(name: str, sample_time: float) -> float:
+    """Return what the size of a number that may be 0 is reckoned as."""
+    last = name.rpartition(".")[2]
+    return {"depth": 0.3, "ki": 1e-3 / sample_time, "reference_delay": 0.1 * sample_time}.get(last, 0.0)
 
 
 def _norms(X: FloatArray) -> FloatArray:

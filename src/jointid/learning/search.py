@@ -215,7 +215,7 @@ def _on_the_whole(ground: _Ground, best: Fitted, others: list[Fitted]) -> Found:
         rivals = _ranked(ground.task, own, [one for one in known if one is not None])
         # One that was left may come back with better numbers, but once: two noises may speak each for another law.
         if not rivals or rivals[0].worse >= 0.0 or visits[rivals[0].fitted.structure] > 1:
-            return Found(best, tuple(rivals))
+            return Found(best, tuple(rival for rival in rivals if rival.fitted.structure != best.structure))
         others = [best, *(rival.fitted for rival in rivals[1:])]
         best = rivals[0].fitted
 

@@ -20,7 +20,7 @@ from jointid.learning.learn import learn_loop
 from jointid.learning.learned import LearnedLoop
 from jointid.learning.structures import ACCELERATION, INTEGRAL, Structure, controller
 from jointid.model.joints import RigidJoint
-from jointid.simulation.closed_loop import Initial, in_threads
+from jointid.simulation.closed_loop import Initial
 from jointid.simulation.experiment import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 
@@ -118,7 +118,7 @@ def learned_twins(seeds: Sequence[int] = range(200), progress: Progress = silent
         progress(f"seed {seed}: {judged.true}: {verdict}, {judged.seconds:.1f} s")
         return judged
 
-    return LearnedTwins(tuple(in_threads(one, list(seeds))))
+    return LearnedTwins(tuple(map(one, seeds)))
 
 
 def _judged(seed: int) -> Judged:
