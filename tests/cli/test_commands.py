@@ -17,7 +17,7 @@ from jointid.data.record import Record
 from jointid.data.writing import write
 from jointid.jointfile import load
 from jointid.learning.learned import LearnedLoop
-from jointid.model.controllers import Cascade, begun_later
+from jointid.model.controllers import Cascade
 from jointid.model.joints import FlexibleJoint
 from jointid.paper.twin import CONTROLLERS, JOINT_FILE, TABLE_2, twin
 from jointid.simulation.experiment import ClosedLoop
@@ -334,33 +334,6 @@ def learned(monkeypatch: pytest.MonkeyPatch) -> Cascade:
 
     monkeypatch.setattr("jointid.learning.learn.learn_loop", learn_loop)
     return controller
-
-
-def test_a_learned_offset_is_written_as_the_joint_file_counts_it(
-    tmp_path: Path, learned: Cascade, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The record begins at the first refresh of its torque, two samples after its file."""
-    time = np.arange(400) * 1e-3
-    refreshed = np.cos(7e-3 * ((np.arange(400) - 2) // 4 * 4))
-    write_table(tmp_path / "run.csv", Table({"t": time, "i": refreshed, "q": np.sin(time)}))
-    (tmp_path / "joint.toml").write_text(
-        """[joint]
-kind = "revolute"
-[record]
-file = "run.csv"
-[record.channels]
-torque = { column = "i", update_time = 0.004 }
-reference = { column = "q" }
-motor_position = { column = "q" }
-[method]
-name = "idim"
-""",
-        encoding="utf-8",
-    )
-    assert run("loop", tmp_path / "joint.toml", "--write", tmp_path / "out.toml", "-q") == 0
-    assert "position_offset = 0.014\n" in capsys.readouterr().out
-    made = load(tmp_path / "out.toml")
-    assert begun_later(made.controller or learned, made.record().begin) == learned
 
 
 @pytest.mark.parametrize("place", [".", "learned/here", "../beside"])

@@ -106,6 +106,15 @@ def test_a_limit_is_read_from_the_log() -> None:
     assert learned["kv"].value == pytest.approx(500.0, rel=5e-3)
 
 
+def test_a_slower_position_loop_counts_from_the_first_sample_of_the_file() -> None:
+    """The record was cut by two samples at its begin, as a torque that is refreshed slowly has it cut."""
+    record = made(Cascade(kp=60.0, kv=500.0, position_period=4 * T, position_offset=T))
+    learned = learn_loop(replace(record, begin=2 * T))
+    assert isinstance(learned.controller, Cascade)
+    assert learned.controller.position_period == pytest.approx(4 * T)
+    assert learned.controller.position_offset == pytest.approx(3 * T)
+
+
 def test_a_coarse_position_does_not_bend_the_gains() -> None:
     learned = learn_loop(made(Cascade(kp=60.0, kv=500.0), step=2e-6))
     assert 0.0 < learned.position_noise < 2e-6

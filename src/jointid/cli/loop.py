@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -30,30 +29,23 @@ def loop(
     """
     from jointid import answers
     from jointid.cli.console import check_outputs, progress, show
-    from jointid.jointfile import controller_text, load, with_paths
+    from jointid.jointfile import load
     from jointid.learning.learn import learn_loop
     from jointid.learning.writing import save
-    from jointid.model.controllers import begun_later
 
     check_outputs(None, json, write)
     file = load(joint)
     gain = 1.0 if file.controller is None else getattr(file.controller, "gain", 1.0)
-    logged = file.record(record)
     learned = learn_loop(
-        logged,
+        file.record(record),
         gain=gain,
         transmission=file.joint.transmission,
         declared=file.controller,
         progress=progress(quiet),
     )
-    # What is learned counts from the record's first sample, and a joint file from that of the record's file.
-    counted = begun_later(learned.controller, -logged.begin)
-    learned = replace(learned, controller=counted, table=controller_text(counted, file.joint.transmission))
     show(learned)
     if json is not None:
         answers.write(answers.learned_answer(learned), json)
     if write is not None:
         save(learned, file, write)
-        text = with_paths(write.read_text(encoding="utf-8"), joint.parent, write.parent)
-        write.write_text(text, encoding="utf-8", newline="\n")
         show(f"written: {write}")

@@ -17,7 +17,7 @@ from jointid.learning.learned import Alternative, LearnedLoop, LearnedNumber
 from jointid.learning.search import MATERIAL, Rival, search
 from jointid.learning.told import ALIKE, equivalents, untold
 from jointid.learning.watched import watched
-from jointid.model.controllers import Controller, numbers_of, with_numbers
+from jointid.model.controllers import Controller, begun_later, numbers_of, with_numbers
 
 _SAME = 1e-6  # of the torque's rms: laws that differ by less are one equation
 _EXPLAINED = 0.5  # of the torque: what leaves more is no law of this record
@@ -105,7 +105,7 @@ def _answer(
     record, period = task.watched.record, task.watched.period
     assert record.torque is not None and record.motor_position is not None
     known = covariance(task, best)
-    made, said = _kept(task.controller(best.structure, best.numbers), declared)
+    made, said = _kept(_made(task, best), declared)
     residual = task.residual(best.structure, best.numbers)
     rms = float(np.sqrt(np.sum(residual**2) / np.sum(task.watched.kept)))
     others = tuple(_alternative(task, rival) for rival in rivals)
@@ -136,9 +136,14 @@ def _answer(
     )
 
 
+def _made(task: Task, one: Fitted) -> Controller:
+    """Return a law that counts from the first sample of the record's file, as controllers do."""
+    return begun_later(task.controller(one.structure, one.numbers), -task.watched.record.begin)
+
+
 def _alternative(task: Task, rival: Rival) -> Alternative:
     one = rival.fitted
-    made = task.controller(one.structure, one.numbers)
+    made = _made(task, one)
     alike = rival.worse < ALIKE or rival.apart < MATERIAL
     return Alternative(one.structure.words, made, rival.worse, rival.apart, alike)
 
