@@ -11,13 +11,14 @@ import pytest
 
 from jointid.common.errors import MethodError, RecordError
 from jointid.data.excitation import trapezoids
-from jointid.data.record import FloatArray, Record
+from jointid.data.record import FloatArray, Injection, InjectionPoint, Record, Timing
 from jointid.estimation.identify import identify
 from jointid.jointfile import load
 from jointid.learning.changes import canonical
 from jointid.learning.fitting import Task, fit
 from jointid.learning.learn import covariance, learn_loop
 from jointid.learning.learned import LearnedLoop
+from jointid.learning.noise import position_error
 from jointid.learning.structures import INTEGRAL, Structure
 from jointid.learning.watched import watched
 from jointid.learning.writing import save
@@ -126,6 +127,30 @@ def test_one_law_has_one_name() -> None:
     assert canonical(Structure("PID", "difference")) == Structure("P-PI", "full")
     filtered = Structure("PD", "difference", "first order")
     assert canonical(filtered) == filtered
+
+
+def test_a_torque_with_the_wrong_sign_is_refused() -> None:
+    record = made(Cascade(kp=60.0, kv=500.0))
+    assert record.torque is not None
+    turned = replace(record, torque=replace(record.torque, values=-record.torque.values))
+    with pytest.raises(MethodError, match="Check units, signs and sides"):
+        learn_loop(turned)
+
+
+def test_a_torque_that_is_all_injected_shows_no_law() -> None:
+    record = made(Cascade(kp=60.0, kv=500.0))
+    assert record.torque is not None
+    injected = Injection(replace(record.torque, timing=Timing.HELD), InjectionPoint.AFTER_LIMIT)
+    with pytest.raises(RecordError, match="less what was injected, is constant"):
+        learn_loop(replace(record, injected=injected))
+
+
+def test_a_position_noisier_than_its_log_s_digits_has_no_rounding() -> None:
+    rng = np.random.default_rng(1)
+    position = np.round(np.cumsum(np.sin(5e-3 * np.arange(4000))) * 1e-3 + 1e-6 * rng.standard_normal(4000), 8)
+    error = position_error(position, 1e-8)
+    assert np.all(error.shape == 1.0)
+    assert 0.5e-12 < error.most < 2e-12
 
 
 def test_a_record_that_cannot_tell_says_so() -> None:

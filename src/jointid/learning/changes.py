@@ -63,8 +63,9 @@ def simpler(structure: Structure) -> Iterator[Structure]:
         yield canonical(replace(structure, feedforward=structure.feedforward - {part}))
     if structure.integrates:
         yield canonical(without(structure, "ki"))
-    if structure.cascade and structure.reference_velocity == "share":
+    if structure.cascade and structure.reference_velocity in ("share", "channel"):
         yield replace(structure, reference_velocity="none")
+    if structure.cascade and structure.reference_velocity == "share":
         yield replace(structure, reference_velocity="full")
     if structure.torque_filter != "none":
         yield replace(structure, torque_filter="none")

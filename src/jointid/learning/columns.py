@@ -6,9 +6,9 @@ law of `structures` is::
     u = T(z) (a1 e + a2 v + a3 D r + a4 F D r + a5 S e + a6 r + a7 F q + a8 w + a9 S w
               + a10 D r + a11 D D r + a12 sign(D r) + a13)
 
-w the record's own reference velocity, T(z) the torque's filter, a3 and a6 of the position loop's clock. Each law has
-some of the coefficients, or ties them: a cascade with an integral is ``kv (1 + ki S) (kp e + f D r - v)``, linear in
-``kv kp``, ``kv f`` and ``kv`` for a given ki.
+w the record's own reference velocity, T(z) the torque's filter; e, w and the first D r, whose sum a6 is of, are held
+by a slower position loop. Each law has some of the coefficients, or ties them: a cascade with an integral is
+``kv (1 + ki S) (kp e + f D r - v)``, linear in ``kv kp``, ``kv f`` and ``kv`` for a given ki.
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ class Task:
         names, period = structure.names, self.watched.period
         J = np.empty((base.size, x.size))
         for i, name in enumerate(names):
-            high = bounds(name, period)[1]
+            high = bounds(name, period, structure.rate)[1]
             step = _STEP * max(abs(x[i]), self._size(name, x, names))
             step = -step if x[i] + step > high else step
             moved = x.copy()
@@ -130,7 +130,7 @@ def fit(task: Task, structure: Structure, start: Mapping[str, float], noise: Noi
         steps: at most.
     """
     names, period = structure.names, task.watched.period
-    limits = np.array([bounds(name, period) for name in names])
+    limits = np.array([bounds(name, period, structure.rate) for name in names])
     x = np.clip(np.array([start[name] for name in names], dtype=np.float64), limits[:, 0], limits[:, 1])
     try:
         white = task.whitened(structure, dict(zip(names, x, strict=True)), noise)

@@ -19,7 +19,7 @@ from jointid.learning.told import ALIKE, equivalents, untold
 from jointid.learning.watched import watched
 from jointid.model.controllers import Controller, begun_later, numbers_of, with_numbers
 
-_SAME = 1e-6  # of the torque's rms: laws that differ by less are one equation
+SAME = 1e-5  # of the torque's rms: laws that differ by less are one equation
 _EXPLAINED = 0.5  # of the torque: what leaves more is no law of this record
 
 
@@ -109,8 +109,8 @@ def _answer(
     residual = task.residual(best.structure, best.numbers)
     rms = float(np.sqrt(np.sum(residual**2) / np.sum(task.watched.kept)))
     others = tuple(_alternative(task, rival) for rival in rivals)
-    named = tuple(other.words for other in others if other.apart < _SAME)
-    alike = tuple(r.fitted.structure for r, o in zip(rivals, others, strict=True) if o.alike and o.apart >= _SAME)
+    named = tuple(other.words for other in others if other.apart < SAME)
+    alike = tuple(r.fitted.structure for r, o in zip(rivals, others, strict=True) if o.alike and o.apart >= SAME)
     heard = np.flatnonzero(best.noise.heard)
     return LearnedLoop(
         controller=made,

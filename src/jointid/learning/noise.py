@@ -3,16 +3,16 @@
 A law that is applied to a *logged* position sees that position's error n, too. With the law's response G from position
 to torque, the residual of the true law is ``w - G n``, w the error of the logged torque, and its spectrum::
 
-    S = a + b |G|^2
+    S = a + b |G|^2 R
 
-a of the torque's error, white, and b of the position's: the colour of the residual is the law's own. The numbers
-of a law are those that minimise ``sum over f of |E|^2 / S`` with the S of that very law, E the residual's transform:
-the maximum likelihood of errors in variables (Pintelon and Schoukens 2012, ch. 9). An S that did not move with the
-law would reward every filter that keeps the noise from the prediction, the true one or not.
+a of the torque's error, white, b and R, its size and its shape, of the position's: the colour of the residual is the
+law's own. The numbers of a law are those that minimise ``sum over f of |E|^2 / S`` with the S of that very law, E the
+residual's transform: the maximum likelihood of errors in variables (Pintelon and Schoukens 2012, ch. 9). An S that did
+not move with the law would reward every filter that keeps the noise from the prediction, the true one or not.
 
-b has the shape of the encoder's rounding, see `position_error`. A filter can still be bent to fit what is left of it,
-so the frequencies are left out at which torque or position are not louder than their noise: there the record tells of
-the noise, not of the law.
+R is that of the encoder's rounding, see `position_error`. A filter can still be bent to fit what is left of it, so the
+frequencies are left out at which torque or position are not louder than their noise: there the record tells of the
+noise, not of the law.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ _STEPS = 30
 _SMOOTHED = 21  # samples over which a position is, before it is rounded again
 _PARTS = (0.25, 0.5, 0.75)  # of a step
 _LEAST = 0.1  # of white noise
+_NOISIER = 4.0  # times the rounding: an error of another kind
 _BEYOND = 1.3  # times what is seen of the position's error it may be
 
 
@@ -159,8 +160,8 @@ def position_error(position: FloatArray, step: float | None) -> PositionError:
     """Return what is known of a logged position's error.
 
     An encoder's rounding is no white noise: at an even speed it is a line, as many steps per sample as are not whole.
-    So it is made again, on the position smoothed and moved by parts of a step. Without a step to be seen it is white,
-    and not more than all of the position where that is quietest.
+    So it is made again, on the position smoothed and moved by parts of a step. Without a step to be seen, or where the
+    position is nowhere as quiet as that, it is white, and not more than all of the position in the quietest quarter of its spectrum.
 
     Args:
         position: (samples,) logged.
@@ -169,13 +170,17 @@ def position_error(position: FloatArray, step: float | None) -> PositionError:
     from scipy.signal import savgol_filter
 
     power = _bands(position - np.linspace(position[0], position[-1], position.size))
+    quietest = float(np.quantile(power[power.size // 8 :], 0.25))
+    white = PositionError(np.ones(position.size // 2 + 1), _BEYOND * quietest, power)
     if step is None:
-        return PositionError(np.ones(position.size // 2 + 1), _BEYOND * float(np.min(power[_BINS // 8 :])), power)
+        return white
     steps = savgol_filter((position - position[0]) / step, _SMOOTHED, 3)
     moved = steps + np.array(_PARTS)[:, np.newaxis]
     rounding = np.mean(np.abs(np.fft.rfft(np.round(moved) - moved, axis=1)) ** 2, axis=0) / position.size
     bands, widths = _averaged(rounding), np.diff(_edges(rounding.size))
     mean = float(widths @ bands) / float(np.sum(widths))
+    if quietest > _NOISIER * mean * step**2:  # the log's digits are finer than what it was read from
+        return white
     shape = np.sqrt(np.repeat(np.maximum(bands / mean, _LEAST), widths))
     return PositionError(np.concatenate([shape[:1], shape]), _BEYOND * mean * step**2, power)
 

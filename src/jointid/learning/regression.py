@@ -203,7 +203,7 @@ class Regression:
         from scipy.optimize import least_squares
 
         names = list(one.numbers)
-        low, high = np.array([bounds(n, self.watched.period / one.structure.rate) for n in names]).reshape(-1, 2).T
+        low, high = np.array([bounds(n, self.watched.period, one.structure.rate) for n in names]).reshape(-1, 2).T
 
         def explained(x: FloatArray) -> Explained:
             numbers = dict(zip(names, map(float, x), strict=True))
@@ -262,10 +262,10 @@ def gains_of(one: Explained, gain: float) -> dict[str, float]:
     values = np.linalg.lstsq(np.column_stack(list(parts.values())), one.gains / gain, rcond=None)[0]
     found = one.numbers | dict(zip(parts, map(float, values), strict=True))
     if structure.cascade:
-        kv = max(found["kv"], 1e-12 * abs(found["kp"]), 1e-300)
-        found |= {"kp": found["kp"] / kv, "kv": kv}
+        size = max(abs(found["kv"]), 1e-12 * abs(found["kp"]), 1e-300)
+        found |= {"kp": found["kp"] / size, "kv": math.copysign(size, found["kv"])}
         if "velocity_feedforward" in found:
-            found["velocity_feedforward"] /= kv
+            found["velocity_feedforward"] /= size
     return {name: found.get(name, 0.0) for name in structure.names if name != "limit"}
 
 

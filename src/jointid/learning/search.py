@@ -1,7 +1,7 @@
 """The search for the law's structure: from what explains most whatever the gains, in single changes, down a criterion.
 
-The criterion is Schwarz's: the whitened cost, in units of what the best structure leaves, and log(samples) for each
-number. Of two structures, ten less is as good as certain: exp(-5) to 1.
+The criterion is Schwarz's: the whitened cost, in units of what the best structure leaves, and log(rows) for each part,
+rows the independent numbers that are heard. Of two structures, ten less is as good as certain: exp(-5) to 1.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,6 +22,8 @@ from jointid.learning.noise import Noise
 from jointid.learning.regression import Explained, Regression, Standing, gains_of, regression
 from jointid.learning.structures import SIGNED, Structure, converted, starts
 from jointid.learning.survey import Candidate, begin, candidates, survey, unheard
+
+_Law = TypeVar("_Law", Explained, Fitted)
 
 _STRETCH = 4000  # samples that a search looks at
 _JUDGED = 20  # rivals that the whole record judges
@@ -56,7 +59,7 @@ class Found:
 
     Attributes:
         best: the structure of the least criterion.
-        rivals: its neighbours, the likeliest first.
+        rivals: others that came near, the likeliest first.
     """
 
     best: Fitted
@@ -154,16 +157,23 @@ def _begun(task: Task, channel: bool, progress: Progress) -> tuple[_Ground, list
         refined = (ground.regression.refined(one, standing, False, evaluations) for one in likeliest[:keep])
         trimmed = (_trimmed(ground, one, standing) for one in refined)
         rows = standing.noise.rows
-        likeliest = sorted(trimmed, key=lambda one: _weighed(one, rows))
+        likeliest = _distinct(sorted(trimmed, key=lambda one: _weighed(one, rows)))
         standing = ground.regression.standing(likeliest[0])
-    best = next(one for one in (ground.fitted(one, standing.noise) for one in likeliest) if one is not None)
+    fitted = (ground.fitted(one, standing.noise) for one in likeliest)
+    best = next((one for one in fitted if one is not None), None)
+    if best is None:
+        raise MethodError(
+            "No law that is searched for gives this record's torque: all that come near have a negative gain. Check "
+            "units, signs and sides of torque, reference and motor_position, or declare the law."
+        )
     ground, best = _within(ground, best)
     return ground, likeliest, best
 
 
 def _refitted(ground: _Ground, likeliest: Iterable[Explained], standing: Standing) -> list[Fitted]:
-    """Return laws fitted again under another noise, each with the feed-forwards that pay."""
-    refined = (ground.refined(_trimmed(ground, one, standing), standing) for one in likeliest)
+    """Return laws fitted again under another noise, each with the parts that pay."""
+    fresh = (ground.explained(one.structure, one.numbers, standing) for one in likeliest)
+    refined = (ground.refined(_trimmed(ground, one, standing), standing) for one in fresh if one is not None)
     return [one for one in refined if one is not None]
 
 
@@ -220,9 +230,12 @@ def _on_the_whole(ground: _Ground, best: Fitted, others: list[Fitted]) -> Found:
         best = rivals[0].fitted
 
 
-def _distinct(fitted: Iterable[Fitted]) -> list[Fitted]:
+def _distinct(laws: Iterable[_Law]) -> list[_Law]:
     """Return the first of each structure."""
-    return list({one.structure: one for one in reversed(list(fitted))}.values())[::-1]
+    first: dict[Structure, _Law] = {}
+    for one in laws:
+        first.setdefault(one.structure, one)
+    return list(first.values())
 
 
 def _settled(task: Task, best: Fitted) -> Fitted:

@@ -208,7 +208,9 @@ def starts(structure: Structure, known: Mapping[str, float], sample_time: float)
             places.append([dict(zip(names, one, strict=True)) for one in grid])
     if structure.cascade and structure.integrates:
         begun = [share / sample_time for share in INTEGRAL_GAINS]
-        if known.get("ki"):  # kv kp ki of a cascade is the ki of a PID, its kv kp the kp
+        if known.get("ki") and (
+            "kv" in known or known.get("kp")
+        ):  # kv kp ki of a cascade is the ki of a PID, its kv kp the kp
             begun = [known["ki"] if "kv" in known else known["ki"] / known["kp"]]
         places.append([{"ki": ki} for ki in begun])
     if structure.reference_delay:
@@ -244,8 +246,15 @@ def _dimensioned(name: str, value: float, sample_time: float) -> float:
     return value if name in ("damping", "depth") else value / sample_time
 
 
-def bounds(name: str, period: float) -> tuple[float, float]:
-    """Return between what a number is looked for."""
+def bounds(name: str, sample_time: float, rate: int) -> tuple[float, float]:
+    """Return between what a number is looked for.
+
+    Args:
+        name: of the number.
+        sample_time: of the log, seconds.
+        rate: of the law, in periods per sample of the log.
+    """
+    period = sample_time / rate
     last = name.rpartition(".")[2]
     if name in SIGNED:
         return -math.inf, math.inf
@@ -255,7 +264,7 @@ def bounds(name: str, period: float) -> tuple[float, float]:
         "bandwidth": (2e-4 / period, 0.45 / period),
         "damping": (0.4, 3.0),
         "depth": (0.0, 1.0),
-        "reference_delay": (0.0, 50 * period),
+        "reference_delay": (0.0, 50 * sample_time),
     }.get(last, (0.0, math.inf))
 
 

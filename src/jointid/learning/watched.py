@@ -12,7 +12,7 @@ from jointid.assessment.encoders import step_of
 from jointid.common.errors import RecordError
 from jointid.data.record import FloatArray, InjectionPoint, Record, Tap, Timing
 from jointid.learning.noise import PositionError, position_error
-from jointid.learning.structures import RATES, SLOWER
+from jointid.learning.structures import LATE, RATES, SLOWER
 from jointid.model.controllers import (
     INJECTED,
     POSITION,
@@ -30,6 +30,7 @@ _FEWEST = 500  # samples
 _BEGIN = 20  # samples that are left out: what the law's filters hold at the first one is only guessed
 _SETTLED = 100  # samples that are left out of a stretch, which begins in motion
 _PLATEAU = 3  # samples in a row at the top, to be a limit
+_ROUNDING = 1e-12  # of the torque: what is left of it when it is all injected
 _TOP = 6.0  # deviations of the log's noise within which a torque is at the top
 
 
@@ -44,7 +45,6 @@ class Watched:
         added: (samples,) what that was.
         kept: (samples,) 1 where the residual counts, else 0.
         error: what is known of the position's.
-        begin: which of the record's samples is the first.
         plateau: the torque that the log stands at where it is largest; None where it never stands.
     """
 
@@ -55,7 +55,6 @@ class Watched:
     kept: FloatArray
     plateau: float | None
     error: PositionError
-    begin: int = 0
     _inputs: dict[tuple[int, bool], FloatArray] = field(default_factory=dict)
 
     @property
@@ -76,15 +75,18 @@ class Watched:
         kept[:_SETTLED] = 0.0
         rows = slice(begin, begin + samples)
         error = position_error(self.inputs(1, False)[rows, POSITION], step_of(self.record.motor_position))
-        part = Watched(self.record, self.period, self.torque[rows], self.added[rows], kept, self.plateau, error, begin)
+        part = Watched(self.record, self.period, self.torque[rows], self.added[rows], kept, self.plateau, error)
         for rate, curved in ((1, False), *product(RATES, (False, True))):
-            part._inputs[rate, curved] = self.inputs(rate, curved)[begin * rate : (begin + samples) * rate]
+            window = slice(begin * rate, (begin + samples) * rate)
+            part._inputs[rate, curved] = self.inputs(rate, curved)[window].copy()
+            if rate > 1:  # the whole record is only asked for the rates of the laws that are judged on it
+                del self._inputs[rate, curved]
         return part
 
     def inputs(self, rate: int, curved: bool) -> FloatArray:
         """Return what a law with so many periods per sample reads, (periods, INPUTS)."""
         if (rate, curved) not in self._inputs:
-            self._inputs[rate, curved] = self._read(rate, "cubic" if curved else None)
+            self._inputs[rate, curved] = self._read(rate, "cubic" if curved else "linear" if rate > 1 else None)
         return self._inputs[rate, curved]
 
     def _read(self, rate: int, filled: Interpolation | None) -> FloatArray:
@@ -156,8 +158,6 @@ def watched(record: Record) -> Watched:
     for name, channel in (("motor position", record.motor_position), ("reference", record.reference)):
         if np.ptp(channel.values) == 0.0:
             raise RecordError(f"The {name} does not move in this record, so no law shows; use one with a motion.")
-    if np.ptp(torque) == 0.0:
-        raise RecordError("The torque is constant in this record, so no law shows; use one with a motion.")
     injected, added = record.injected, np.zeros(samples)
     if (
         injected is not None
@@ -165,12 +165,18 @@ def watched(record: Record) -> Watched:
         and (injected.in_torque or record.tap is Tap.MEASURED)
     ):
         added = at_period(injected.channel, period, samples, "injected")
+        if record.torque.timing is Timing.AVERAGED:  # as the torque, a sample shows the mean of the one before it
+            added = np.concatenate([added[:1], added[:-1]])
     torque -= added
+    if np.ptp(torque) <= _ROUNDING * np.max(np.abs(record.torque.values)):
+        raise RecordError(
+            "The torque, less what was injected, is constant in this record, so no law shows; use one with a motion."
+        )
     kept = np.ones(samples)
     kept[:_BEGIN] = 0.0
     position = at_period(record.motor_position, period, samples, "position")
     error = position_error(position, step_of(record.motor_position))
-    return Watched(record, period, torque, added, kept, _plateau(torque), error)
+    return Watched(record, period, torque, added, kept, _plateau(torque, added), error)
 
 
 def _between(position: FloatArray, rate: int) -> FloatArray:
@@ -183,9 +189,11 @@ def _between(position: FloatArray, rate: int) -> FloatArray:
     return np.asarray(CubicSpline(np.arange(position.size), position)(np.minimum(at, position.size - 1.0)))
 
 
-def _plateau(torque: FloatArray) -> float | None:
+def _plateau(torque: FloatArray, added: FloatArray) -> float | None:
     """Return the torque a log stands at where it is largest, or None."""
-    size = np.abs(torque)
+    # In a late log, what was added is still in the torque for as many samples.
+    changed = np.concatenate([[False], np.diff(added) != 0.0])
+    size = np.abs(torque) * (np.convolve(changed, np.ones(max(LATE) + 1))[: torque.size] < 0.5)
     second = np.abs(np.diff(torque, 2))
     noise = float(np.median(second)) / (0.6745 * math.sqrt(6.0))
     top = float(np.max(size))

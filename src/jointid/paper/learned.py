@@ -16,7 +16,7 @@ from jointid.common.text import aligned, number
 from jointid.data.excitation import pulses, trapezoids
 from jointid.data.record import FloatArray, Record, Tap
 from jointid.learning.changes import canonical
-from jointid.learning.learn import learn_loop
+from jointid.learning.learn import SAME, learn_loop
 from jointid.learning.learned import LearnedLoop
 from jointid.learning.structures import ACCELERATION, INTEGRAL, Structure, controller
 from jointid.model.joints import RigidJoint
@@ -26,7 +26,6 @@ from jointid.simulation.synthesis import simulated_record
 
 _PERIOD = 1e-3
 _SAMPLES = 10_000
-_SAME = 1e-5  # of the torque's rms: laws that differ by less are one equation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +127,7 @@ def _judged(seed: int) -> Judged:
     seconds = time.perf_counter() - begin
     true = canonical(made.structure)
     same = learned.words == true.words
-    right = same or any(one.words == true.words and one.apart < _SAME for one in learned.alternatives)
+    right = same or any(one.words == true.words and one.apart < SAME for one in learned.alternatives)
     named = any(one.words == true.words for one in learned.alike)
     deviations = _deviations(made, true, learned) if same else ()
     return Judged(seed, true.words, learned.words, right, named, len(learned.alike), deviations, seconds)
@@ -142,9 +141,10 @@ def _deviations(made: LoopTwin, true: Structure, learned: LearnedLoop) -> tuple[
         names = [one.name for one in learned.numbers]
         gains = value["kp"], value["kv"], value.get("ki", 0.0)
         kp, kv, ki = gains
-        slopes = {"kp": {"kp": kv, "kv": kp + ki, "ki": kv}, "kv": {"kv": 1 - ki * _PERIOD, "ki": -kv * _PERIOD}}
+        period = _PERIOD / true.rate
+        slopes = {"kp": {"kp": kv, "kv": kp + ki, "ki": kv}, "kv": {"kv": 1 - ki * period, "ki": -kv * period}}
         slopes["ki"] = {"kp": kv * ki, "kv": kp * ki, "ki": kv * kp}
-        moved = {"kp": kv * (kp + ki), "kv": kv * (1 - ki * _PERIOD), "ki": kv * kp * ki}
+        moved = {"kp": kv * (kp + ki), "kv": kv * (1 - ki * period), "ki": kv * kp * ki}
         spread = np.array([std[name] for name in names])
         for name in ("kp", "kv", *(("ki",) if "ki" in value else ())):
             weights = np.array([slopes[name].get(other, 0.0) for other in names]) * spread
