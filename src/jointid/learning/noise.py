@@ -161,7 +161,8 @@ def position_error(position: FloatArray, step: float | None) -> PositionError:
 
     An encoder's rounding is no white noise: at an even speed it is a line, as many steps per sample as are not whole.
     So it is made again, on the position smoothed and moved by parts of a step. Without a step to be seen, or where the
-    position is nowhere as quiet as that, it is white, and not more than all of the position in the quietest quarter of its spectrum.
+    position is nowhere as quiet as that, it is white, and not more than all of the position in the quietest quarter of
+    its spectrum.
 
     Args:
         position: (samples,) logged.

@@ -208,10 +208,10 @@ def starts(structure: Structure, known: Mapping[str, float], sample_time: float)
             places.append([dict(zip(names, one, strict=True)) for one in grid])
     if structure.cascade and structure.integrates:
         begun = [share / sample_time for share in INTEGRAL_GAINS]
-        if known.get("ki") and (
-            "kv" in known or known.get("kp")
-        ):  # kv kp ki of a cascade is the ki of a PID, its kv kp the kp
-            begun = [known["ki"] if "kv" in known else known["ki"] / known["kp"]]
+        given = known.get("ki", 0.0)
+        if "kv" not in known:  # kv kp ki of a cascade is the ki of a PID, its kv kp the kp
+            given = given / known["kp"] if known.get("kp") else 0.0
+        begun = [given] if given else begun
         places.append([{"ki": ki} for ki in begun])
     if structure.reference_delay:
         begun = [known["reference_delay"]] if "reference_delay" in known else [n * sample_time for n in _DELAYS]
