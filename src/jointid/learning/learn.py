@@ -20,6 +20,7 @@ from jointid.learning.watched import watched
 from jointid.model.controllers import Controller, begun_later, numbers_of, with_numbers
 
 SAME = 1e-5  # of the torque's rms: laws that differ by less are one equation
+_GAINS = ("kp", "kv", "kd")
 _EXPLAINED = 0.5  # of the torque: what leaves more is no law of this record
 
 
@@ -46,7 +47,8 @@ def learn_loop(
 
     Raises:
         RecordError: a channel is missing, too short, or does not move.
-        MethodError: the gain is not positive, or no law that is searched for explains half of the torque.
+        MethodError: the gain is not positive, or no law that is searched for explains half of the torque, or the best
+            one's gains are not told.
 
     Limits of validity: a position loop slower than the log by 2, 4 or 8, or a whole loop faster by 2 to 16; a delay of
     the log of whole samples. Parts that carry less than 0.1 % of the torque are taken for none. What stays unknown is
@@ -83,6 +85,21 @@ def _require_explained(task: Task, best: Fitted, name: str) -> None:
         )
 
 
+def _require_told(task: Task, best: Fitted, known: Covariance) -> None:
+    """Raise a `MethodError` where the gains could as well be 0: then the law is made of what was left to explain."""
+    open_ones = [
+        f"{name} {value:.3g} +- {2 * std:.2g}"
+        for (name, value), std in zip(best.numbers.items(), known.std, strict=True)
+        if name in _GAINS and not 2 * std < value
+    ]
+    if open_ones:
+        raise MethodError(
+            f"No law that is searched for gives the torque of {task.watched.record.name}: the best, "
+            f"{best.structure.words}, leaves open what its gains are ({', '.join(open_ones)} at 2 sigma). Use a record "
+            "with a livelier motion, check units, signs and sides of its channels, or declare the law."
+        )
+
+
 def _kept(made: Controller, declared: Controller | None) -> tuple[Controller, tuple[str, ...]]:
     """Return a law with the limit and the delay that are declared and that it does not say, and a sentence on them."""
     said = {} if declared is None else numbers_of(declared)
@@ -105,6 +122,7 @@ def _answer(
     record, period = task.watched.record, task.watched.period
     assert record.torque is not None and record.motor_position is not None
     known = covariance(task, best)
+    _require_told(task, best, known)
     made, said = _kept(_made(task, best), declared)
     residual = task.residual(best.structure, best.numbers)
     rms = float(np.sqrt(np.sum(residual**2) / np.sum(task.watched.kept)))
