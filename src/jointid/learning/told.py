@@ -62,7 +62,7 @@ def _untold(task: Task, best: Fitted, alike: tuple[Structure, ...]) -> Iterator[
         yield "The loop's period is only told by how late its velocity is; a filter of the velocity may do the same."
         yield (
             "Between the log's samples the reference is taken to be as the controller's interpolation says, and the "
-            "position a cubic spline; what happens there does not show."
+            "position a cubic spline. Where that is not so, the numbers are off by more than their intervals."
         )
     if alike:
         yield f"The record does not tell this law from: {'; '.join(one.words for one in alike)}."
