@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from jointid.data.record import FloatArray
+from jointid.data.excitation import pulses, trapezoids
+from jointid.data.record import FloatArray, Timing
 from jointid.learning.changes import all_laws, canonical, neighbours, simpler
 from jointid.learning.fitting import Task
 from jointid.learning.noise import position_error, seen_from
@@ -16,8 +17,11 @@ from jointid.learning.regression import gains_of, regression
 from jointid.learning.structures import Structure
 from jointid.learning.survey import begin, unheard
 from jointid.learning.watched import watched
-from jointid.model.controllers import INPUTS, PD, POSITION, FirstOrder, run
+from jointid.model.controllers import INPUTS, PD, POSITION, Cascade, FirstOrder, SecondOrder, run
+from jointid.model.joints import RigidJoint
 from jointid.paper.learned import loop_twin
+from jointid.simulation.experiment import ClosedLoop
+from jointid.simulation.synthesis import simulated_record
 
 T = 1e-3
 
@@ -96,3 +100,62 @@ def test_every_law_is_there_under_one_name_and_every_part_can_go() -> None:
         assert all(one.parts < law.parts or one.law != law.law for one in simpler(law))
     plain = Structure("P-P", "full", torque_filter="first order")  # also a PD with its filter on the difference
     assert Structure("PD", "difference", "first order") in set(neighbours(plain, channel=False))
+
+
+@pytest.mark.parametrize("seed", [304, 319, 323, 361])
+def test_a_regression_reacts_to_the_position_as_the_law_does(seed: int) -> None:
+    """|G| by both writings, where the law is heard: all the weighing depends on it."""
+    twin = loop_twin(seed)
+    task, structure = Task(watched(twin.record), 1.0), twin.structure
+    on = regression(task.watched)
+    nonlinear = ("velocity_filter", "torque_filters", "reference_delay", *(("ki",) if structure.cascade else ()))
+    numbers = {name: value for name, value in twin.numbers.items() if name.startswith(nonlinear)}
+    found = on.explained(structure, numbers, unheard(on), free=False)[0]
+    expected = task.response(structure, gains_of(found, 1.0))
+    assert np.allclose(found.response, expected, rtol=1e-6, atol=1e-3 * expected.max())
+
+
+def test_near_half_the_rate_a_response_ends_in_its_zero() -> None:
+    """Second order by the bilinear rule: (pi - w)^2 there, which a line between two far points would make too large."""
+    law = PD(kp=0.0, kd=1.0, velocity_filter=SecondOrder(200.0)).law(T)
+    found, hertz = seen_from(law.feedback, T, 4000, 1), np.fft.rfftfreq(4000, T)
+    high = (hertz > 430.0) & (hertz < 495.0)
+    assert np.allclose(found[high], np.abs(law.feedback(hertz[high])), rtol=0.1, atol=0.1)
+
+
+def test_a_stretch_keeps_the_phase_of_a_slower_loop() -> None:
+    twin = next(twin for twin in map(loop_twin, range(300, 400)) if twin.structure.every > 2)
+    whole = watched(twin.record)
+    numbers = {name: value for name, value in twin.numbers.items() if name == "ki" or "filter" in name}
+    for samples in (3000, 3001, 4003, 4502):
+        on = regression(whole.stretch(samples))
+        left = [
+            np.std(on.explained(replace(twin.structure, offset=k), numbers, unheard(on), free=False)[0].residual)
+            for k in range(twin.structure.every)
+        ]
+        assert int(np.argmin(left)) == twin.structure.offset, samples
+
+
+@pytest.mark.parametrize("at", ["before_limit", "after_limit"])
+@pytest.mark.parametrize("averaged", [False, True], ids=["held", "averaged"])
+def test_what_is_injected_is_no_part_of_the_law(at: str, averaged: bool) -> None:
+    """The known signal is in the torque of law and log, filtered with it where it is injected before the limit."""
+    reference = trapezoids([0.1, 0.3], 2.0, 0.2, T, 0.1, 4.0)
+    known = pulses(reference.size, T, height=20.0, width=0.02, every=0.2, seed=1)
+    law = Cascade(kp=60.0, kv=500.0, torque_filters=(FirstOrder(2e-3),))
+    values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
+    record = simulated_record(
+        ClosedLoop(RigidJoint(), law), reference, values, sample_time=T, injected=known, at=at, encoder_step=1e-9
+    )
+    assert record.torque is not None
+    if averaged:
+        means = np.concatenate([record.torque.values[:1], record.torque.values[:-1]])
+        record = replace(record, torque=replace(record.torque, values=means, timing=Timing.AVERAGED))
+    structure = Structure(torque_filter="first order")
+    task = Task(watched(record), 1.0)
+    on = regression(task.watched)
+    numbers = {"kp": 60.0, "kv": 500.0, "torque_filters.0.time_constant": 2e-3}
+    size = np.std(task.watched.torque)
+    assert np.std(task.residual(structure, numbers)) < 1e-3 * size
+    filters = {"torque_filters.0.time_constant": 2e-3}
+    assert np.std(on.explained(structure, filters, unheard(on), free=False)[0].residual) < 1e-3 * size
