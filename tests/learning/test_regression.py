@@ -11,9 +11,10 @@ from scipy.interpolate import CubicSpline
 from jointid.data.excitation import pulses, trapezoids
 from jointid.data.record import FloatArray, Timing
 from jointid.learning.changes import all_laws, canonical, neighbours, simpler
+from jointid.learning.columns import parts_of
 from jointid.learning.fitting import Task
 from jointid.learning.noise import position_error, seen_from
-from jointid.learning.regression import gains_of, regression
+from jointid.learning.regression import Explained, gains_of, regression
 from jointid.learning.structures import Structure
 from jointid.learning.survey import begin, unheard
 from jointid.learning.watched import watched
@@ -44,6 +45,28 @@ def test_a_law_s_own_regression_predicts_what_the_law_does(seed: int) -> None:
     residual = np.concatenate([task.residual(structure, gains)[structure.late :], np.zeros(structure.late)])
     difference = residual * on.kept - found.residual
     assert np.std(difference) < 1e-8 * np.std(task.watched.torque)
+
+
+@pytest.mark.parametrize("seed", [319, 340])
+def test_an_integral_s_content_is_that_at_the_first_sample_of_a_stretch(seed: int) -> None:
+    """A stretch begins in motion, with something in the integral."""
+    twin = loop_twin(seed)
+    task = Task(watched(twin.record), 1.0).stretch(4000)
+    on = regression(task.watched)
+    names = ("velocity_filter", "reference_delay")
+    numbers = {name: value for name, value in twin.numbers.items() if name.startswith(names)}
+    found = on.explained(twin.structure, numbers, unheard(on), free=False)[0]
+    residual = task.residual(twin.structure, gains_of(found, 1.0))
+    assert np.std(residual * on.kept - found.residual) < 1e-8 * np.std(task.watched.torque)
+
+
+def test_a_negative_velocity_gain_stays_one() -> None:
+    """Else a law without damping would pass, at the cost of one that cannot be."""
+    structure, size = Structure("P-P", "share"), 3
+    kp, kv, fed = parts_of(structure, 0.0).values()
+    nothing = np.zeros(size)
+    gains = gains_of(Explained(structure, {}, 0.0, 3e4 * kp - 500.0 * kv + 400.0 * fed, nothing, nothing), 1.0)
+    assert gains == pytest.approx({"kp": 60.0, "kv": -500.0, "velocity_feedforward": 0.8})
 
 
 def test_a_step_of_gauss_and_newton_foretells_what_a_search_will_leave() -> None:
