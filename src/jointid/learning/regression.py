@@ -70,14 +70,12 @@ class Compressed:
     """A frame's columns, how they change with its numbers, and the torque: rotated into few rows.
 
     Attributes:
-        frame: clocks and filters.
-        numbers: where they were worked out.
+        numbers: of the filters, where they were worked out.
         blocks: (rows, 13) the columns, and their derivative by each number.
         targets: (rows, delays) the torque.
         late: the log's delays.
     """
 
-    frame: Structure
     numbers: dict[str, float]
     blocks: tuple[FloatArray, ...]
     targets: FloatArray
@@ -187,7 +185,7 @@ class Regression:
         triangle = triangle * (scale * math.sqrt(2.0 / self.watched.samples))
         width = base.shape[1]
         split = [triangle[:, i : i + width] for i in range(0, width * len(blocks), width)]
-        return Compressed(frame, dict(numbers), tuple(split), triangle[:, width * len(blocks) :], tuple(late))
+        return Compressed(dict(numbers), tuple(split), triangle[:, width * len(blocks) :], tuple(late))
 
     def refined(
         self, one: Explained, standing: Standing, free: bool = True, evaluations: int = _EVALUATIONS
