@@ -23,7 +23,7 @@ from jointid.inference.residuals import ResidualReport
 from jointid.inference.verdict import StiffnessBound, Verdict
 from jointid.model.effects import Effect
 from jointid.model.joints import Joint
-from jointid.model.sides import OtherSide
+from jointid.model.sides import OtherSide, other_side
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.experiment import ClosedLoop
 
@@ -200,8 +200,7 @@ class Estimate:
     @property
     def other(self) -> OtherSide | None:
         """What takes these values to the other side of the transmission; None without one."""
-        gear = self.joint.transmission
-        return None if gear is None else OtherSide(gear, self.torque_unit)
+        return other_side(self.joint.transmission, self.torque_unit)
 
     @property
     def other_side(self) -> tuple[EstimatedParameter, ...]:

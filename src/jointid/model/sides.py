@@ -85,3 +85,8 @@ class OtherSide:
         """Return the quantity of a unit of this side: each has one of its own."""
         kind = self.transmission.kind
         return next((q for q in Quantity if unit_of(q, kind, self.torque_unit) == unit), None)
+
+
+def other_side(transmission: Transmission | None, torque_unit: str) -> OtherSide | None:
+    """Return what takes a joint's values to the other side of its transmission; None without one."""
+    return None if transmission is None else OtherSide(transmission, torque_unit)

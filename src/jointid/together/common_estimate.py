@@ -13,7 +13,7 @@ from jointid.estimation.estimated import EstimatedParameter, on_other_side
 from jointid.estimation.printed import shown
 from jointid.inference.repeatable import Repeatable
 from jointid.model.joints import Joint
-from jointid.model.sides import OtherSide
+from jointid.model.sides import OtherSide, other_side
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.experiment import ClosedLoop
 from jointid.together.scatter import Agreement
@@ -104,8 +104,7 @@ class CommonEstimate:
     @property
     def other(self) -> OtherSide | None:
         """What takes these values to the other side of the transmission; None without one."""
-        gear = self.joint.transmission
-        return None if gear is None else OtherSide(gear, self.torque_unit)
+        return other_side(self.joint.transmission, self.torque_unit)
 
     @property
     def other_side(self) -> tuple[EstimatedParameter, ...]:
