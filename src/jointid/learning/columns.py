@@ -35,6 +35,7 @@ from jointid.model.controllers import DIRECTION, INJECTED, POSITION, REFERENCE, 
 from jointid.model.controllers.filters import Filter, as_filter
 
 _LEAD = 64  # samples of straight motion before the first, in which the filters settle
+_ROUNDING = 1e-14  # of the reference
 _SLOPE = 5  # samples that tell how fast that is
 
 _ERROR, _SPEED, _FED, _FED_FILTERED, _SUM, _COMMAND, _FILTERED, _CHANNEL, _CHANNEL_SUM, *_BESIDE = range(13)
@@ -65,7 +66,9 @@ def columns(watched: Watched, structure: Structure, numbers: Mapping[str, float]
     e, fed = r - q, _rate(r, period)
     w, direction = (np.concatenate([np.full(lead, x[0]), x]) for x in inputs[:, [REFERENCE_VELOCITY, DIRECTION]].T)
     w, direction = (_delayed(one, numbers.get("reference_delay", 0.0) / period) for one in (w, direction))
-    viscous, bent = fed, _rate(_rate(r, period), period)
+    viscous, bent = fed, _rate(fed, period)
+    # Between two samples that lines join nothing is bent: what is left is rounding, and must not be a column.
+    bent[np.abs(bent) < _ROUNDING * np.max(np.abs(r)) / period**2] = 0.0
     if structure.every > 1:  # the lead is a whole number of the slower loop's periods
         at = np.arange(r.size)
         last = np.maximum(at - (at - structure.offset) % structure.every, 0)
@@ -96,7 +99,11 @@ def _shown(watched: Watched, signals: FloatArray, rate: int) -> FloatArray:
 
 
 def response(watched: Watched, structure: Structure, numbers: Mapping[str, float], gains: FloatArray) -> FloatArray:
-    """Return |G| from the position's error to the torque, as if the position loop were as fast as the velocity loop.
+    """Return |G| from the position's error to the torque, (frequencies,), times the shape of that error's spectrum.
+
+    A position loop N times slower than the velocity loop holds what it has read: of an error's frequency f it hears
+    ``H(f) / N``, H = 1 + z^-1 + ... of N terms, and as much of the N - 1 others that look alike to it. Where the loop
+    is faster than the log, the position loop is taken to be as fast as the velocity loop.
 
     Args:
         watched: the record.
@@ -105,16 +112,30 @@ def response(watched: Watched, structure: Structure, numbers: Mapping[str, float
         gains: the coefficients.
     """
     period, filters = watched.period / structure.rate, filters_of(structure, numbers)
+    held = structure.every if structure.rate == 1 else 1
 
-    def from_position(hertz: FloatArray) -> NDArray[np.complex128]:
+    def outer(hertz: FloatArray) -> NDArray[np.complex128]:
+        back = np.exp(-2j * np.pi * hertz * period)
+        holding = np.polyval(np.ones(held), back) / held
+        return np.asarray(
+            -_at(filters[1], back, period) * holding * (gains[_ERROR] + gains[_SUM] * back / _slope(back))
+        )
+
+    def whole(hertz: FloatArray) -> NDArray[np.complex128]:
         back = np.exp(-2j * np.pi * hertz * period)
         velocity, torque = (_at(one, back, period) for one in filters)
-        slope = (1.0 - back) / period
-        slope = np.where(slope == 0.0, 1e-300, slope)
-        inner = (gains[_SPEED] * slope + gains[_FILTERED] * back) * velocity
-        return np.asarray(torque * (inner - gains[_ERROR] - gains[_SUM] * back / slope))
+        inner = gains[_SPEED] * _slope(back) + gains[_FILTERED] * back
+        return np.asarray(torque * velocity * inner + outer(hertz))
 
-    return seen_from(from_position, watched.period, watched.samples, structure.rate) * watched.error.shape
+    def _slope(back: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        slope = (1.0 - back) / period
+        return np.where(slope == 0.0, 1e-300, slope)
+
+    seen = seen_from(whole, watched.period, watched.samples, structure.rate) * watched.error.shape
+    if held == 1:
+        return seen
+    alike = watched.error.alike(held)
+    return np.hypot(seen, seen_from(outer, watched.period, watched.samples, structure.rate) * alike)
 
 
 def parts_of(structure: Structure, ki: float) -> dict[str, FloatArray]:
@@ -142,6 +163,22 @@ def parts_of(structure: Structure, ki: float) -> dict[str, FloatArray]:
     beside = {VELOCITY: _VISCOUS, ACCELERATION: _BENT, COULOMB: _SIGN, BALANCE: _ONE}
     parts |= {FIELDS[name]: EVERY[i] for name, i in beside.items() if name in structure.feedforward}
     return parts | ({INTEGRAL: EVERY[_ONE]} if structure.integrates else {})
+
+
+def combined(structure: Structure, numbers: Mapping[str, float], gain: float) -> FloatArray:
+    """Return the coefficients of a law, in torque.
+
+    Args:
+        structure: of the law.
+        numbers: all of them.
+        gain: torque per controller unit.
+    """
+    known = dict(numbers)
+    if structure.cascade:
+        known["kp"] *= known["kv"]
+        known["velocity_feedforward"] = known["kv"] * known.get("velocity_feedforward", 0.0)
+    parts = parts_of(structure, known.get("ki", 0.0))
+    return np.asarray(gain * sum(known[name] * part for name, part in parts.items()))
 
 
 def _led(signal: FloatArray, lead: int, slope: int) -> FloatArray:

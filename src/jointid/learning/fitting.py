@@ -10,7 +10,8 @@ import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.data.record import FloatArray
-from jointid.learning.noise import Noise, noise_of, seen_from
+from jointid.learning.columns import combined, response
+from jointid.learning.noise import Noise, noise_of
 from jointid.learning.structures import INTEGRAL, Structure, bounds, controller
 from jointid.learning.watched import Watched
 from jointid.model.controllers import Controller, SampledLaw
@@ -63,34 +64,26 @@ class Task:
 
     def residual(self, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
         """Return logged less predicted torque, (samples,), 0 where it is left out."""
-        return self._left(structure, self.law(structure, numbers), numbers)
-
-    def _left(self, structure: Structure, law: SampledLaw, numbers: Mapping[str, float]) -> FloatArray:
+        law = self.law(structure, numbers)
         predicted = self.watched.predicted(law, numbers.get(INTEGRAL, 0.0) * self.gain, structure.curved)
         return (self.watched.torque - predicted) * self.watched.kept
 
     def response(self, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
         """Return the magnitude of a law's response to the position at the residual's frequencies."""
-        return self._response(self.law(structure, numbers))
-
-    def _response(self, law: SampledLaw) -> FloatArray:
-        watched = self.watched
-        rate = round(watched.period / law.period)
-        return seen_from(law.feedback, watched.period, watched.samples, rate) * watched.error.shape
+        return response(self.watched, structure, numbers, combined(structure, numbers, self.gain))
 
     def whitened(self, structure: Structure, numbers: Mapping[str, float], noise: Noise) -> FloatArray:
         """Return the residual made white by a noise, (samples,)."""
-        law = self.law(structure, numbers)
-        error = self._left(structure, law, numbers)
-        response = self._response(law) if noise.position else np.zeros(error.size // 2 + 1)
-        return np.fft.irfft(np.fft.rfft(error) * noise.weights(response), error.size)
+        error = self.residual(structure, numbers)
+        seen = self.response(structure, numbers) if noise.position else np.zeros(error.size // 2 + 1)
+        return np.fft.irfft(np.fft.rfft(error) * noise.weights(seen), error.size)
 
     def noise(self, structure: Structure, numbers: Mapping[str, float]) -> Noise:
         """Return the noise that explains what a law leaves."""
-        law = self.law(structure, numbers)
-        watched = self.watched
-        left, response = self._left(structure, law, numbers), self._response(law)
-        return noise_of(left, response, watched.torque, watched.kept, watched.error)
+        watched, left = self.watched, self.residual(structure, numbers)
+        return noise_of(
+            left, self.response(structure, numbers), watched.torque, watched.kept, watched.error.most, watched.heard
+        )
 
     def slopes(self, structure: Structure, x: FloatArray, base: FloatArray, noise: Noise) -> FloatArray:
         """Return the derivatives of the whitened residual by the numbers, (samples, numbers), by differences."""

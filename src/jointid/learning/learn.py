@@ -14,13 +14,13 @@ from jointid.inference.uncertainty import Covariance, covariance_of, larger, rob
 from jointid.jointfile import controller_text
 from jointid.learning.fitting import Fitted, Task
 from jointid.learning.learned import Alternative, LearnedLoop, LearnedNumber
-from jointid.learning.search import MATERIAL, Rival, search
+from jointid.learning.search import Rival, search
 from jointid.learning.told import ALIKE, equivalents, untold
 from jointid.learning.watched import watched
 from jointid.model.controllers import Controller, begun_later, numbers_of, with_numbers
 
 SAME = 1e-5  # of the torque's rms: laws that differ by less are one equation
-_GAINS = ("kp", "kv", "kd")
+_GAINS = ("kp", "kv", "kd", "time_constant", "frequency")  # the last two of filters
 _EXPLAINED = 0.5  # of the torque: what leaves more is no law of this record
 
 
@@ -86,17 +86,17 @@ def _require_explained(task: Task, best: Fitted, name: str) -> None:
 
 
 def _require_told(task: Task, best: Fitted, known: Covariance) -> None:
-    """Raise a `MethodError` where the gains could as well be 0: then the law is made of what was left to explain."""
+    """Raise a `MethodError` where a gain or a filter could as well be 0: then the law is made of what was left over."""
     open_ones = [
         f"{name} {value:.3g} +- {2 * std:.2g}"
         for (name, value), std in zip(best.numbers.items(), known.std, strict=True)
-        if name in _GAINS and not 2 * std < value
+        if name.rpartition(".")[2] in _GAINS and not 2 * std < value
     ]
     if open_ones:
         raise MethodError(
             f"No law that is searched for gives the torque of {task.watched.record.name}: the best, "
-            f"{best.structure.words}, leaves open what its gains are ({', '.join(open_ones)} at 2 sigma). Use a record "
-            "with a livelier motion, check units, signs and sides of its channels, or declare the law."
+            f"{best.structure.words}, leaves open what its numbers are ({', '.join(open_ones)} at 2 sigma). Use a "
+            "record with a livelier motion, check units, signs and sides of its channels, or declare the law."
         )
 
 
@@ -162,7 +162,7 @@ def _made(task: Task, one: Fitted) -> Controller:
 def _alternative(task: Task, rival: Rival) -> Alternative:
     one = rival.fitted
     made = _made(task, one)
-    alike = rival.worse < ALIKE or rival.apart < MATERIAL
+    alike = rival.worse < ALIKE or rival.apart < SAME
     return Alternative(one.structure.words, made, rival.worse, rival.apart, alike)
 
 

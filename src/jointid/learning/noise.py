@@ -12,7 +12,7 @@ not move with the law would reward every filter that keeps the noise from the pr
 
 R is that of the encoder's rounding, see `position_error`. A filter can still be bent to fit what is left of it, so the
 frequencies are left out at which torque or position are not louder than their noise: there the record tells of the
-noise, not of the law.
+noise, not of the law (`hearing`).
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ from jointid.data.record import FloatArray
 
 _LOW, _EVEN = 40, 100  # frequencies a law's response is worked out at: in octaves, and evenly: filters end in zeros
 _BINS = 160  # of the averaged periodogram
-_LOUDER = 4.0  # times the noise, in power: what is not tells of the noise, not of the law
 _FLOOR = 1e-4  # of the torque: no log is taken to be truer
 _STEPS = 30
 _SMOOTHED = 21  # samples over which a position is, before it is rounded again
@@ -47,7 +46,8 @@ class Noise:
     Attributes:
         torque: a, variance of the torque's error.
         position: b, variance of the position's error.
-        heard: (frequencies,) 1 where torque and position are louder than their noise, else 0: these are left out.
+        heard: (frequencies,) 1 where torque and position are louder than their noise, else 0: these are left out (see
+            `hearing`).
     """
 
     torque: float
@@ -73,12 +73,17 @@ class PositionError:
         shape: (frequencies,) the root of its spectrum, over that of white noise of the same variance.
         most: bound of its variance: where a law leaves more than its noise, the rest must not be taken for an error of
             the position, as one that is too large would reward the law for reacting to the position.
-        power: (bands,) of the logged position itself: where it is no louder than its error it tells nothing.
     """
 
     shape: FloatArray
     most: float
-    power: FloatArray
+
+    def alike(self, samples: int) -> FloatArray:
+        """Return the root of the spectra that look like each frequency's to what reads one of so many samples."""
+        at, frequencies = np.arange(self.shape.size), np.linspace(0.0, 0.5, self.shape.size)
+        others = [np.abs((frequencies - m / samples + 0.5) % 1.0 - 0.5) for m in range(1, samples)]
+        folded = sum(np.interp(one * 2.0 * at[-1], at, self.shape**2) for one in others)
+        return np.asarray(np.sqrt(folded))
 
 
 def seen_from(
@@ -126,7 +131,7 @@ def _shares(size: int) -> FloatArray:
 
 
 def noise_of(
-    error: FloatArray, response: FloatArray, torque: FloatArray, kept: FloatArray, position: PositionError
+    error: FloatArray, response: FloatArray, torque: FloatArray, kept: FloatArray, most: float, heard: FloatArray
 ) -> Noise:
     """Return the noise that explains a residual.
 
@@ -135,25 +140,23 @@ def noise_of(
         response: |G| of the law at the frequencies of its real transform, times the shape of the position's error.
         torque: (samples,) logged.
         kept: (samples,) 1 where the residual counts, else 0.
-        position: what is known of the position's error.
+        most: bound of the variance of the position's error.
+        heard: (frequencies,) 1 where the record tells of its law, else 0.
 
     Raises:
         MethodError: the residual, or the response, is beyond all numbers.
     """
     size, share = error.size, float(np.mean(kept))
     with np.errstate(over="ignore", invalid="ignore"):
-        seen, gains = _averaged(np.abs(np.fft.rfft(error)) ** 2 / (size * share)), _averaged(response**2)
+        seen, gains = by_band(np.abs(np.fft.rfft(error)) ** 2 / (size * share)), by_band(response**2)
         power = float(np.mean(seen)) * float(np.mean(gains))
     if not math.isfinite(power):
         raise MethodError(
             "No law that is searched for gives this record's torque: the best one runs away. Check units, signs and "
             "sides of torque, reference and motor_position, or declare the law."
         )
-    a, b = _two_sources(seen, gains, _FLOOR**2 * float(np.mean(torque**2)), position.most)
-    loud = _bands(torque - torque.mean()) > _LOUDER * np.maximum(a + b * gains, seen)
-    loud &= position.power > _LOUDER * b * _averaged(position.shape**2)
-    widths = np.diff(_edges(response.size))
-    return Noise(a, b, np.concatenate([[1.0], np.repeat(loud, widths)]))
+    a, b = _two_sources(seen, gains, _FLOOR**2 * float(np.mean(torque**2)), most)
+    return Noise(a, b, heard)
 
 
 def position_error(position: FloatArray, step: float | None) -> PositionError:
@@ -170,37 +173,38 @@ def position_error(position: FloatArray, step: float | None) -> PositionError:
     """
     from scipy.signal import savgol_filter
 
-    power = _bands(position - np.linspace(position[0], position[-1], position.size))
+    power = loudness(position - np.linspace(position[0], position[-1], position.size))
     quietest = float(np.quantile(power[power.size // 8 :], 0.25))
-    white = PositionError(np.ones(position.size // 2 + 1), _BEYOND * quietest, power)
+    white = PositionError(np.ones(position.size // 2 + 1), _BEYOND * quietest)
     if step is None:
         return white
     steps = savgol_filter((position - position[0]) / step, _SMOOTHED, 3)
     moved = steps + np.array(_PARTS)[:, np.newaxis]
     rounding = np.mean(np.abs(np.fft.rfft(np.round(moved) - moved, axis=1)) ** 2, axis=0) / position.size
-    bands, widths = _averaged(rounding), np.diff(_edges(rounding.size))
-    mean = float(widths @ bands) / float(np.sum(widths))
+    bands, wide = by_band(rounding), widths(rounding.size)
+    mean = float(wide @ bands) / float(np.sum(wide))
     if quietest > _NOISIER * mean * step**2:  # the log's digits are finer than what it was read from
         return white
-    shape = np.sqrt(np.repeat(np.maximum(bands / mean, _LEAST), widths))
-    return PositionError(np.concatenate([shape[:1], shape]), _BEYOND * mean * step**2, power)
+    shape = np.sqrt(np.repeat(np.maximum(bands / mean, _LEAST), wide))
+    return PositionError(np.concatenate([shape[:1], shape]), _BEYOND * mean * step**2)
 
 
-def _bands(signal: FloatArray) -> FloatArray:
+def loudness(signal: FloatArray) -> FloatArray:
     """Return a signal's averaged periodogram, (bands,), windowed: a loud band does not leak into others."""
-    return _averaged(np.abs(np.fft.rfft(np.hanning(signal.size) * signal)) ** 2 / (signal.size * 0.375))
+    return by_band(np.abs(np.fft.rfft(np.hanning(signal.size) * signal)) ** 2 / (signal.size * 0.375))
 
 
-def everything(variance: float, samples: int) -> Noise:
-    """Return white noise of the torque that leaves nothing out."""
-    return Noise(variance, 0.0, np.ones(samples // 2 + 1))
+def widths(size: int) -> NDArray[np.intp]:
+    """Return how many frequencies of a real transform of so many are in each band."""
+    return np.diff(_edges(size))
 
 
 def _edges(size: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(1, size, _BINS + 1).astype(np.intp))
 
 
-def _averaged(values: FloatArray) -> FloatArray:
+def by_band(values: FloatArray) -> FloatArray:
+    """Return the means over bands, (bands,), of what is given at the frequencies of a real transform but the first."""
     edges = _edges(values.size)
     return np.asarray(np.add.reduceat(values, edges[:-1]) / np.diff(edges))
 

@@ -21,7 +21,6 @@ from jointid.learning.noise import Noise, noise_of
 from jointid.learning.structures import LATE, Structure, bounds
 from jointid.learning.watched import Watched
 
-_NEAR = 0.98  # of the plateau: what is above may have been cut
 _DEPENDENT = 1e-9  # of a column: what is left of it beside the others is rounding
 _STEP = 1e-4  # of a number, for its difference
 _EVALUATIONS = 6  # of a search for filters' numbers: the law is fitted exactly later
@@ -120,7 +119,7 @@ class Regression:
     def standing(self, one: Explained) -> Standing:
         """Return the noise that explains what is left, with the law it is the noise of."""
         watched = self.watched
-        noise = noise_of(one.residual, one.response, watched.torque, self.kept, watched.error)
+        noise = noise_of(one.residual, one.response, watched.torque, self.kept, watched.error.most, watched.heard)
         return Standing(noise, one.response)
 
     def explained(
@@ -240,10 +239,9 @@ class Regression:
 
 def regression(watched: Watched) -> Regression:
     """Return the regression on a record's stretch."""
-    inside = np.asarray(np.abs(watched.torque) < _NEAR * (watched.plateau or math.inf), dtype=np.float64)
-    kept = watched.kept * inside
+    free, kept = watched.free, watched.free
     for n in LATE:  # the same rows for every delay
-        kept = kept * _earlier(inside, n)
+        kept = kept * _earlier(free, n)
     kept[-max(LATE) :] = 0.0
     return Regression(watched, kept)
 

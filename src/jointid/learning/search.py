@@ -1,7 +1,8 @@
 """The search for the law's structure: from what explains most whatever the gains, in single changes, down a criterion.
 
-The criterion is Schwarz's: the whitened cost, in units of what the best structure leaves, and log(rows) for each part,
-rows the independent numbers that are heard. Of two structures, ten less is as good as certain: exp(-5) to 1.
+The criterion is Schwarz's: the whitened cost, in units of what the best structure leaves, and what the structure
+weighs, rows being the independent numbers that are heard. Of two structures, ten less is as good as certain: exp(-5) to
+1.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from jointid.learning.changes import neighbours, simpler, without
 from jointid.learning.fitting import Fitted, Task, fit
 from jointid.learning.noise import Noise
 from jointid.learning.regression import Explained, Regression, Standing, gains_of, regression
-from jointid.learning.structures import SIGNED, Structure, converted, starts
+from jointid.learning.structures import SIGNED, Structure, bounds, converted, starts
 from jointid.learning.survey import Candidate, begin, candidates, survey, unheard
 
 _Law = TypeVar("_Law", Explained, Fitted)
@@ -34,6 +35,7 @@ REMOVABLE = (
 )  # fmt: skip
 _EXPLAINS = 0.8  # of the cost without: a limit that leaves more was a torque that only lingered
 _SIEVE = ((80, 3), (24, 6), (12, 6))  # laws of the survey that are fitted, each time under a better noise, and how well
+_DAMPED = 1.01 * bounds("velocity_filter.damping", 1.0, 1)[0]
 _SCREENING = 2  # steps of Gauss and Newton after which a candidate is judged, and perhaps left
 _PROMISING = 20  # candidates that are fitted to the end in a round
 
@@ -113,7 +115,7 @@ class _Ground:
     def fitted(self, one: Explained, noise: Noise) -> Fitted | None:
         """Return what was explained as a law, exactly where a limit acts; None where a gain is negative."""
         numbers = gains_of(one, self.task.gain)
-        if _negative(numbers):
+        if _impossible(numbers):
             return None
         if not self.limited:
             return Fitted(one.structure, numbers, one.cost, noise)
@@ -179,23 +181,25 @@ def _refitted(ground: _Ground, likeliest: Iterable[Explained], standing: Standin
 
 def _weighed(one: Candidate | Explained | Fitted, rows: float) -> float:
     """Return a structure's cost with what its parts weigh."""
-    return one.cost + one.structure.parts * math.log(rows)
+    return one.cost + one.structure.weight(rows)
 
 
 def _trimmed(ground: _Ground, one: Explained, standing: Standing) -> Explained:
-    """Return a law without the parts that do not pay, and without gains that would be negative."""
+    """Return a law without the parts that do not pay, and without numbers that cannot be."""
     rows = standing.noise.rows
     while True:
         known = gains_of(one, ground.task.gain)
         tried = (ground.tried(fewer, known, standing) for fewer in simpler(one.structure))
         best = min((fewer for fewer in tried if fewer), key=lambda fewer: _weighed(fewer, rows), default=None)
-        if best is None or (_weighed(best, rows) > _weighed(one, rows) and not _negative(known)):
+        if best is None or (_weighed(best, rows) > _weighed(one, rows) and not _impossible(known)):
             return one
         one = best
 
 
-def _negative(numbers: Mapping[str, float]) -> bool:
-    return any(value < 0 for name, value in numbers.items() if name not in SIGNED)
+def _impossible(numbers: Mapping[str, float]) -> bool:
+    """Return whether a gain is negative, or a filter's damping has run to where none is set."""
+    undamped = any(name.endswith("damping") and value < _DAMPED for name, value in numbers.items())
+    return undamped or any(value < 0 for name, value in numbers.items() if name not in SIGNED)
 
 
 def _within(ground: _Ground, best: Fitted) -> tuple[_Ground, Fitted]:
@@ -221,8 +225,10 @@ def _on_the_whole(ground: _Ground, best: Fitted, others: list[Fitted]) -> Found:
         visits[best.structure] += 1
         standing = ground.standing(best)
         own = ground.known(best, standing) or best
-        known = (ground.known(one, standing) for one in others)
-        rivals = _ranked(ground.task, own, [one for one in known if one is not None])
+        known = [ground.known(one, standing) for one in others]
+        fewer = [ground.tried(one, own.numbers, standing) for one in simpler(replace(own.structure, limited=False))]
+        known += [ground.refined(one, standing) for one in fewer if one is not None]
+        rivals = _ranked(ground.task, own, _distinct([one for one in known if one is not None]))
         # One that was left may come back with better numbers, but once: two noises may speak each for another law.
         if not rivals or rivals[0].worse >= 0.0 or visits[rivals[0].fitted.structure] > 1:
             return Found(best, tuple(rival for rival in rivals if rival.fitted.structure != best.structure))
@@ -265,20 +271,24 @@ def _around(ground: _Ground, best: Fitted, structures: Iterable[Structure]) -> l
 def _ranked(task: Task, best: Fitted, others: list[Fitted]) -> list[Rival]:
     """Return structures, the likeliest first.
 
-    Of two that predict the same torque to within `MATERIAL` the one with fewer numbers is the likelier, whatever the
-    criterion says: what is there by the statistics, as the error of an encoder that depends on the direction is, need
-    not be of the law.
+    Of two that predict the same torque to within `MATERIAL`, by the same filters, the one with fewer numbers is the
+    likelier, whatever the criterion says: what is there by the statistics, as the error of an encoder that depends on
+    the direction is, need not be of the law.
     """
     own, rivals = criterion(best, best), []
     for one in others:
         worse, distance = criterion(one, best) - own, apart(task, one, best)
         more = one.structure.parts - best.structure.parts
-        if distance < MATERIAL and more > 0 and one.structure.velocity_filter == best.structure.velocity_filter:
-            continue  # the same law with a part that does nothing
-        if distance < MATERIAL and more:
-            worse = math.copysign(max(abs(worse), 1.0), more)
+        if distance < MATERIAL and more and _filters(one) == _filters(best):
+            if more > 0:
+                continue  # the same law with a part that does nothing
+            worse = -max(abs(worse), 1.0)
         rivals.append(Rival(one, worse, distance))
     return sorted(rivals, key=lambda rival: rival.worse)
+
+
+def _filters(one: Fitted) -> tuple[str, str]:
+    return one.structure.velocity_filter, one.structure.torque_filter
 
 
 def _pruned(task: Task, best: Fitted) -> Fitted:
@@ -302,4 +312,4 @@ def apart(task: Task, one: Fitted, other: Fitted) -> float:
 def criterion(one: Fitted, best: Fitted) -> float:
     """Return Schwarz's criterion of a structure, its cost in units of what the best one leaves."""
     rows = one.noise.rows
-    return rows * one.cost / best.cost + one.structure.parts * math.log(rows)
+    return rows * one.cost / best.cost + one.structure.weight(rows)

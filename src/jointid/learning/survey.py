@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -12,7 +11,7 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.learning.changes import all_laws
-from jointid.learning.noise import everything
+from jointid.learning.noise import Noise
 from jointid.learning.regression import Compressed, Explained, Regression, Standing
 from jointid.learning.structures import (
     COMMON,
@@ -47,7 +46,7 @@ class Candidate(NamedTuple):
 def unheard(regression: Regression) -> Standing:
     """Return what laws are judged under before anything is known of the noise."""
     watched = regression.watched
-    return Standing(everything(float(np.var(watched.torque)), watched.samples), np.ones(watched.samples // 2 + 1))
+    return Standing(Noise(float(np.var(watched.torque)), 0.0, watched.heard), np.ones(watched.samples // 2 + 1))
 
 
 def survey(regression: Regression, progress: Progress = silent) -> tuple[Standing, list[int]]:
@@ -96,7 +95,7 @@ def candidates(
                 for one in (one for law in laws for one in _begun(compressed, law, period)):
                     if one.structure not in best or one.cost < best[one.structure].cost:
                         best[one.structure] = one
-    return sorted(best.values(), key=lambda one: one.cost + one.structure.parts * math.log(rows))
+    return sorted(best.values(), key=lambda one: one.cost + one.structure.weight(rows))
 
 
 def begin(

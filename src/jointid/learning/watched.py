@@ -11,6 +11,7 @@ import numpy as np
 from jointid.assessment.encoders import step_of
 from jointid.common.errors import RecordError
 from jointid.data.record import FloatArray, InjectionPoint, Record, Tap, Timing
+from jointid.learning.hearing import heard
 from jointid.learning.noise import PositionError, position_error
 from jointid.learning.structures import LATE, RATES, SLOWER
 from jointid.model.controllers import (
@@ -31,6 +32,7 @@ _BEGIN = 20  # samples that are left out: what the law's filters hold at the fir
 _SETTLED = 100  # samples that are left out of a stretch, which begins in motion
 _PLATEAU = 3  # samples in a row at the top, to be a limit
 _ROUNDING = 1e-12  # of the torque: what is left of it when it is all injected
+_NEAR = 0.98  # of the plateau: what is above may have been cut
 _TOP = 6.0  # deviations of the log's noise within which a torque is at the top
 
 
@@ -44,8 +46,9 @@ class Watched:
         torque: (samples,) less what was added after the limit, where the log contains it.
         added: (samples,) what that was.
         kept: (samples,) 1 where the residual counts, else 0.
-        error: what is known of the position's.
         plateau: the torque that the log stands at where it is largest; None where it never stands.
+        error: what is known of the position's.
+        heard: (frequencies,) 1 where the record tells of its law, else 0.
     """
 
     record: Record
@@ -55,12 +58,18 @@ class Watched:
     kept: FloatArray
     plateau: float | None
     error: PositionError
+    heard: FloatArray
     _inputs: dict[tuple[int, bool], FloatArray] = field(default_factory=dict)
 
     @property
     def samples(self) -> int:
         """Of the log."""
         return self.torque.size
+
+    @property
+    def free(self) -> FloatArray:
+        """(samples,) 1 where the residual counts and the torque is at no limit, else 0."""
+        return self.kept * _below(self.torque, self.plateau)
 
     def stretch(self, samples: int) -> Watched:
         """Return so many samples of the record, those in which the reference is accelerated most."""
@@ -74,32 +83,20 @@ class Watched:
         kept = self.kept[begin : begin + samples].copy()
         kept[:_SETTLED] = 0.0
         rows = slice(begin, begin + samples)
-        error = position_error(self.inputs(1, False)[rows, POSITION], step_of(self.record.motor_position))
-        part = Watched(self.record, self.period, self.torque[rows], self.added[rows], kept, self.plateau, error)
+        inputs = {}
         for rate, curved in ((1, False), *product(RATES, (False, True))):
             window = slice(begin * rate, (begin + samples) * rate)
-            part._inputs[rate, curved] = self.inputs(rate, curved)[window].copy()
+            inputs[rate, curved] = self.inputs(rate, curved)[window].copy()
             if rate > 1:  # the whole record is only asked for the rates of the laws that are judged on it
                 del self._inputs[rate, curved]
-        return part
+        return _heard(self.record, self.torque[rows], self.added[rows], kept, self.plateau, inputs)
 
     def inputs(self, rate: int, curved: bool) -> FloatArray:
         """Return what a law with so many periods per sample reads, (periods, INPUTS)."""
         if (rate, curved) not in self._inputs:
-            self._inputs[rate, curved] = self._read(rate, "cubic" if curved else "linear" if rate > 1 else None)
+            filled: Interpolation | None = "cubic" if curved else "linear" if rate > 1 else None
+            self._inputs[rate, curved] = _read(self.record, self.period, self.samples, rate, filled)
         return self._inputs[rate, curved]
-
-    def _read(self, rate: int, filled: Interpolation | None) -> FloatArray:
-        record, periods, period = self.record, self.samples * rate, self.period / rate
-        inputs = law_inputs(Cascade(kp=1.0, kv=1.0, interpolation=filled), record, period, periods)
-        assert record.motor_position is not None
-        inputs[:, POSITION] = _between(at_period(record.motor_position, self.period, self.samples, "position"), rate)
-        if record.reference_velocity is not None:
-            velocity = at_period(record.reference_velocity, period, periods, "reference_velocity", filled)
-            inputs[:, REFERENCE_VELOCITY] = velocity
-        if record.injected is not None and record.injected.at is InjectionPoint.BEFORE_LIMIT:
-            inputs[:, INJECTED] = at_period(record.injected.channel, period, periods, "injected")
-        return inputs
 
     def ran(self, law: SampledLaw, content: float, curved: bool) -> Ran:
         """Return what a law does with the record's reference and position; its integral begins with a torque."""
@@ -174,9 +171,41 @@ def watched(record: Record) -> Watched:
         )
     kept = np.ones(samples)
     kept[:_BEGIN] = 0.0
-    position = at_period(record.motor_position, period, samples, "position")
-    error = position_error(position, step_of(record.motor_position))
-    return Watched(record, period, torque, added, kept, _plateau(torque, added), error)
+    inputs = {(1, False): _read(record, period, samples, 1, None)}
+    return _heard(record, torque, added, kept, _plateau(torque, added), inputs)
+
+
+def _heard(
+    record: Record,
+    torque: FloatArray,
+    added: FloatArray,
+    kept: FloatArray,
+    plateau: float | None,
+    inputs: dict[tuple[int, bool], FloatArray],
+) -> Watched:
+    """Return samples of a record with what is known of their errors, and the frequencies that tell of the law."""
+    assert record.torque is not None and record.motor_position is not None
+    own = inputs[1, False]
+    error = position_error(own[:, POSITION], step_of(record.motor_position))
+    told = heard(own, torque, added, kept * _below(torque, plateau))
+    return Watched(record, record.torque.sample_time, torque, added, kept, plateau, error, told, inputs)
+
+
+def _below(torque: FloatArray, plateau: float | None) -> FloatArray:
+    return np.asarray(np.abs(torque) < _NEAR * (plateau or math.inf), dtype=np.float64)
+
+
+def _read(record: Record, period: float, samples: int, rate: int, filled: Interpolation | None) -> FloatArray:
+    """Return what a law with so many periods per sample reads, (periods, INPUTS)."""
+    periods, own = samples * rate, period / rate
+    inputs = law_inputs(Cascade(kp=1.0, kv=1.0, interpolation=filled), record, own, periods)
+    assert record.motor_position is not None
+    inputs[:, POSITION] = _between(at_period(record.motor_position, period, samples, "position"), rate)
+    if record.reference_velocity is not None:
+        inputs[:, REFERENCE_VELOCITY] = at_period(record.reference_velocity, own, periods, "reference_velocity", filled)
+    if record.injected is not None and record.injected.at is InjectionPoint.BEFORE_LIMIT:
+        inputs[:, INJECTED] = at_period(record.injected.channel, own, periods, "injected")
+    return inputs
 
 
 def _between(position: FloatArray, rate: int) -> FloatArray:
