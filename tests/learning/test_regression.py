@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from jointid.data.excitation import pulses, trapezoids
 from jointid.data.record import FloatArray, Timing
 from jointid.learning.changes import all_laws, canonical, neighbours, simpler
-from jointid.learning.columns import parts_of
+from jointid.learning.columns import columns, parts_of
 from jointid.learning.fitting import Task
 from jointid.learning.noise import position_error, seen_from
 from jointid.learning.regression import Explained, gains_of, regression
@@ -98,6 +98,14 @@ def test_an_encoder_s_rounding_is_made_again() -> None:
     assert np.var(logged - position) < error.most < 2 * np.var(logged - position)
 
 
+def test_lines_between_samples_have_no_acceleration_but_rounding() -> None:
+    """A column of rounding would be as good as any to a regression, with a gain beyond all numbers."""
+    twin = loop_twin(300)
+    fast = Structure(feedforward=frozenset({"acceleration"}), rate=8)
+    found = columns(watched(twin.record), fast, {})
+    assert not np.any(found[:, np.argmax(parts_of(fast, 0.0)["acceleration_feedforward"])])
+
+
 def test_what_a_law_faster_than_the_log_sees_of_the_log_s_error() -> None:
     """An error of one sample, through the spline and the law, and back to the log's samples."""
     size, rate = 1000, 4
@@ -134,7 +142,8 @@ def test_a_regression_reacts_to_the_position_as_the_law_does(seed: int) -> None:
     nonlinear = ("velocity_filter", "torque_filters", "reference_delay", *(("ki",) if structure.cascade else ()))
     numbers = {name: value for name, value in twin.numbers.items() if name.startswith(nonlinear)}
     found = on.explained(structure, numbers, unheard(on), free=False)[0]
-    expected = task.response(structure, gains_of(found, 1.0))
+    law, samples = task.law(structure, gains_of(found, 1.0)), task.watched.samples
+    expected = seen_from(law.feedback, T, samples, structure.rate) * task.watched.error.shape
     assert np.allclose(found.response, expected, rtol=1e-6, atol=1e-3 * expected.max())
 
 

@@ -1,0 +1,91 @@
+"""What a record tells of its law before any law: the frequencies that are louder than what no law explains."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.data.record import FloatArray
+from jointid.learning.columns import combined, response
+from jointid.learning.fitting import Task
+from jointid.learning.noise import by_band, loudness, widths
+from jointid.learning.watched import watched
+from jointid.model.controllers import POSITION
+from jointid.paper.learned import LoopTwin, loop_twin
+
+SEEDS = (57, 134, 140, 160, 180, 500, 506, 512)
+
+
+def against_the_truth(twin: LoopTwin) -> tuple[Task, FloatArray]:
+    """The task, and how much louder each band of the torque is than what the true law leaves of it."""
+    task = Task(watched(twin.record), 1.0)
+    left = task.residual(twin.structure, twin.numbers)
+    return task, loudness(task.watched.torque) / loudness(left)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_without_a_law_as_much_is_heard_as_with_the_true_one(seed: int) -> None:
+    """Position loops every 2 to 8 periods, a notch, feed-forwards: no law is named to what listens."""
+    task, louder = against_the_truth(loop_twin(seed))
+    heard, wide = by_band(task.watched.heard), widths(task.watched.heard.size)
+    clear = louder > 8.0
+    assert wide[clear] @ heard[clear] > 0.9 * np.sum(wide[clear])
+
+
+def test_noise_is_not_heard() -> None:
+    """A torque that is noise above 60 Hz, and nothing else, is heard below."""
+    twin = loop_twin(134)
+    torque = twin.record.torque
+    assert torque is not None
+    spectrum = np.fft.rfft(torque.values - torque.values.mean())
+    hertz = np.fft.rfftfreq(torque.values.size, torque.sample_time)
+    spectrum[hertz > 60.0] = 0.0
+    noise = np.random.default_rng(1).standard_normal(torque.values.size)
+    only = np.fft.rfft(noise * 0.02 * np.std(torque.values))
+    only[hertz < 60.0] = 0.0
+    noisy = replace(torque, values=np.fft.irfft(spectrum + only, torque.values.size))
+    heard = watched(replace(twin.record, torque=noisy)).heard
+    assert np.mean(heard[hertz < 30.0]) > 0.9
+    assert np.mean(heard[hertz > 80.0]) < 0.02
+
+
+def test_a_wrong_law_silences_nothing() -> None:
+    """Else the evidence against it would be left out with the frequencies that it does not explain."""
+    twin = loop_twin(134)
+    task = Task(watched(twin.record), 1.0)
+    wrong = replace(twin.structure, torque_filter="none")
+    numbers = {name: value for name, value in twin.numbers.items() if name in wrong.names}
+    right, other = task.noise(twin.structure, twin.numbers), task.noise(wrong, numbers)
+    assert other.torque > 1.2 * right.torque
+    assert other.rows == right.rows
+
+
+def test_a_slower_position_loop_is_heard_by_its_images() -> None:
+    """Every second period: what moves slowly is in the torque again near half the rate."""
+    twin = loop_twin(57)
+    assert twin.structure.every == 2
+    heard = watched(twin.record).heard
+    assert np.mean(heard[-heard.size // 20 :]) > 0.8
+    assert np.mean(heard[heard.size // 2 : -heard.size // 4]) < 0.1
+
+
+@pytest.mark.parametrize("seed", [57, 160, 180])
+def test_a_slower_position_loop_folds_the_position_s_error(seed: int) -> None:
+    """White errors through the law itself: their spectrum in the torque is as foretold, position loops every 2 or 8."""
+    twin = loop_twin(seed)
+    task = Task(watched(twin.record), 1.0)
+    on, rng, size = task.watched, np.random.default_rng(2), 1e-6
+    flat = replace(on, error=replace(on.error, shape=np.ones(on.samples // 2 + 1)))
+    law, inputs = task.law(twin.structure, twin.numbers), on.inputs(1, False)
+    plain, before = on.predicted(law), inputs[:, POSITION].copy()
+    seen = np.zeros(160)
+    for _ in range(20):
+        inputs[:, POSITION] = before + size * rng.standard_normal(on.samples)
+        seen += loudness(on.predicted(law) - plain) / (20 * size**2)
+    inputs[:, POSITION] = before
+    foretold = by_band(response(flat, twin.structure, twin.numbers, combined(twin.structure, twin.numbers, 1.0)) ** 2)
+    assert twin.structure.every > 1
+    assert np.allclose(seen[2:-2], foretold[2:-2], rtol=0.25)
+    assert np.median(seen / foretold) == pytest.approx(1.0, abs=0.03)
