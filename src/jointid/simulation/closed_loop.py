@@ -149,10 +149,11 @@ def run(
     law = experiment.law
     position = float(experiment.inputs[0, REFERENCE]) if initial.position is None else initial.position
     velocity = initial.velocity or 0.0
-    missing = [p.name for p in loop.joint.parameters if p.name not in values]
-    if missing:
-        raise MethodError(f"A simulation needs a value for every parameter; {', '.join(missing)} has none: give one.")
-    drive, gravity = loop.joint.coefficients(values), loop.joint.gravity_coefficients(values)
+    try:
+        drive, gravity = loop.joint.coefficients(values), loop.joint.gravity_coefficients(values)
+    except KeyError:
+        missing = ", ".join(p.name for p in loop.joint.parameters if p.name not in values)
+        raise MethodError(f"A simulation needs a value for every parameter; {missing} has none: give one.") from None
     periods, parts, elements = experiment.periods, experiment.lengths.size, law.limits.size
     command, tapped = np.empty(periods), np.empty(periods if law.tap != law.output else 0)
     states, excess = np.empty((periods * parts if keep else 0, 4)), np.empty((periods if keep else 0, elements))

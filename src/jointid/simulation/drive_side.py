@@ -31,6 +31,7 @@ from jointid.simulation.sensitivities import by_mode, coefficient_seed, gravity_
 PARTS = 4  # of a sample
 _WALL = 1e200  # a Coulomb force that nothing overcomes, and whose square is still a number
 _DEGREE = 7  # of the spline: a cubic's second derivative errs by 3 % at a tenth of the sampling frequency
+_PUSHING = ("stiffness", "damping")  # what the motor's motion pushes the load by
 LOAD_STATE = ("initial_load_position", "initial_load_velocity")
 """The load's state at the first sample, beside where steady motion has it."""
 
@@ -237,7 +238,7 @@ class _Load:
             return stiffness * stretch + damping * slip, np.zeros((stretch.size, 0))
         moved, moved_slip = self._apart(*np.moveaxis(self._followed(names), 1, 0))
         slopes = -stiffness * moved - damping * moved_slip
-        for name, column in (("stiffness", stretch), ("damping", slip)):
+        for name, column in zip(_PUSHING, (stretch, slip), strict=True):
             if name in names:
                 slopes[:, names.index(name)] += column
         return stiffness * stretch + damping * slip, slopes
@@ -250,20 +251,28 @@ class _Load:
 
     def _followed(self, names: list[str]) -> FloatArray:
         """Return the derivatives of position and velocity at the edges, (edges, 2, names)."""
+        from jointid.simulation import tangents
+
+        # What enters the push comes last in a block.
+        order = sorted(range(len(names)), key=lambda i: names[i] in _PUSHING)
+        blocks = [order[i : i + tangents.LANES] for i in range(0, len(order), tangents.LANES)]
+        followed = [self._block([names[i] for i in block]) for block in blocks]
+        return np.concatenate(followed, axis=2)[:, :, np.argsort(order)]
+
+    def _block(self, names: list[str]) -> FloatArray:
+        """Return those of a few names, of which what enters the push comes last."""
         from jointid.simulation import kernels, tangents
 
         width, n = tangents.LANES, self.push.size
         seeds, weights, start = np.zeros((14, width)), np.zeros((3, width)), np.zeros((4, width))
-        pushes = dict(zip(("stiffness", "damping"), self.motion.pushes, strict=True))
-        order = sorted(range(len(names)), key=lambda i: names[i] in pushes)  # what enters the push comes last
+        pushes, own = dict(zip(_PUSHING, self.motion.pushes, strict=True)), [p.name for p in self.joint.parameters]
         explicit = []
-        for j, i in enumerate(order):
-            name = names[i]
+        for j, name in enumerate(names):
             if name in LOAD_STATE:
                 start[LOAD_STATE.index(name), j] = 1.0
                 continue
-            seeds[:, j] = coefficient_seed(lambda at: _drive(self.joint, at), self.joint, name)
-            weights[:, j] = gravity_seed(self.joint, name)
+            seeds[:, j] = coefficient_seed(lambda at: _drive(self.joint, at), own, name)
+            weights[:, j] = gravity_seed(self.joint, own, name)
             start[:, j] = start_slope(lambda at: _start(self.joint, self.motion, at), self.values, name)
             if name in pushes:
                 explicit.append(np.append(pushes[name], pushes[name][-1]))
@@ -277,7 +286,7 @@ class _Load:
             np.zeros((0, width)), np.empty((n, width)), np.empty((0, width)), states,
             self.gravity, None if self.gravity is None else weights,
         )  # fmt: skip
-        return states[:, :2, np.argsort(order)]
+        return states[:, :2, : len(names)]
 
 
 def _drive(joint: FlexibleJoint, values: Mapping[str, float]) -> FloatArray:

@@ -84,8 +84,9 @@ def simulate_sensitivities(
     Raises:
         MethodError: a name is none of these, or of a part that is not there, as a `ki` of 0.
     """
+    own = tuple(p.name for p in loop.joint.parameters)
     for name in names:
-        if _is_of_law(loop, name):
+        if _is_of_law(own, name):
             number(loop.controller, name)
     rows = taped_rows(experiment.periods)
     out = run(loop, experiment, values, initial, keep=True, taped=rows)
@@ -97,9 +98,9 @@ def simulate_sensitivities(
         position = torque if positions else torque[:, :0]
         return Sensitivities(response, torque, position, position if loop.joint.model == "flexible" else torque[:, :0])
     # The law's own columns come last in a block.
-    order = sorted(range(len(names)), key=lambda i: _is_of_law(loop, names[i]))
+    order = sorted(range(len(names)), key=lambda i: _is_of_law(own, names[i]))
     blocks = [order[i : i + _lanes()] for i in range(0, len(order), _lanes())]
-    followed = [_followed(loop, experiment, values, [names[i] for i in block], out, positions) for block in blocks]
+    followed = [_followed(loop, experiment, values, own, [names[i] for i in block], out, positions) for block in blocks]
     back = np.argsort(order) if order != sorted(order) else slice(None)
     acts, behind = (
         _joined([one[i][:, : len(block)] for one, block in zip(followed, blocks, strict=True)])[:, back] for i in (0, 1)
@@ -125,8 +126,8 @@ def _lanes() -> int:
     return tangents.LANES
 
 
-def _is_of_law(loop: ClosedLoop, name: str) -> bool:
-    return name not in _INITIAL and name != "delay" and all(name != p.name for p in loop.joint.parameters)
+def _is_of_law(own: Sequence[str], name: str) -> bool:
+    return name not in _INITIAL and name != "delay" and name not in own
 
 
 def _logged(experiment: Experiment, out: Run, command: FloatArray, names: Sequence[str]) -> FloatArray:
@@ -143,6 +144,7 @@ def _followed(
     loop: ClosedLoop,
     experiment: Experiment,
     values: Mapping[str, float],
+    own: Sequence[str],
     names: Sequence[str],
     out: Run,
     positions: bool,
@@ -154,14 +156,13 @@ def _followed(
     from jointid.simulation import tangents
 
     law, width = experiment.feedback, tangents.LANES
-    own = {p.name for p in loop.joint.parameters}
     seeds, weights, start = np.zeros((14, width)), np.zeros((3, width)), np.zeros((4, width))
     memory, delay, limits = np.zeros((law.order, width)), np.zeros(width), np.zeros((law.limits.size, width))
     explicit = []
     for j, name in enumerate(names):
         if name in own:
-            seeds[:, j] = coefficient_seed(loop.joint.coefficients, loop.joint, name)
-            weights[:, j] = gravity_seed(loop.joint, name)
+            seeds[:, j] = coefficient_seed(loop.joint.coefficients, own, name)
+            weights[:, j] = gravity_seed(loop.joint, own, name)
             start[:, j] = start_slope(lambda at: loop.joint.start(at, out.position, out.velocity), values, name)
         elif name in _INITIAL:
             at = _INITIAL[name]
@@ -206,15 +207,17 @@ def taped_rows(samples: int) -> int:
     return _TAPED + samples // 16
 
 
-def coefficient_seed(coefficients: Callable[[Mapping[str, float]], FloatArray], joint: Joint, name: str) -> FloatArray:
-    """Return how the kernels' coefficients depend on a parameter of the joint: they are linear in it."""
-    nothing = {p.name: 0.0 for p in joint.parameters}
+def coefficient_seed(
+    coefficients: Callable[[Mapping[str, float]], FloatArray], own: Sequence[str], name: str
+) -> FloatArray:
+    """Return how the kernels' coefficients depend on a parameter of the joint, of its own: they are linear in it."""
+    nothing = dict.fromkeys(own, 0.0)
     return np.asarray(coefficients(nothing | {name: 1.0}) - coefficients(nothing))
 
 
-def gravity_seed(joint: Joint, name: str) -> FloatArray:
+def gravity_seed(joint: Joint, own: Sequence[str], name: str) -> FloatArray:
     """Return how the factors of gravity depend on a parameter of the joint, (3,): they are linear in it."""
-    one = joint.gravity_coefficients({p.name: float(p.name == name) for p in joint.parameters})
+    one = joint.gravity_coefficients({each: float(each == name) for each in own})
     return np.zeros(3) if one is None else one[:3]
 
 
