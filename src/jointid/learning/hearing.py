@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.data.record import FloatArray
-from jointid.learning.noise import loudness, widths
+from jointid.learning.noise import PositionError, by_band, loudness, widths
 from jointid.learning.structures import SLOWER
 from jointid.model.controllers import DIRECTION, INJECTED, POSITION, REFERENCE
 
@@ -24,35 +24,49 @@ _LOUDER = 4.0  # times the noise, in power: what is not tells of the noise, not 
 _DEPENDENT = 1e-12  # of the largest singular value: what is below is rounding
 
 
-def heard(inputs: FloatArray, torque: FloatArray, added: FloatArray, kept: FloatArray) -> FloatArray:
+def heard(
+    inputs: FloatArray, torque: FloatArray, added: FloatArray, kept: FloatArray, error: PositionError
+) -> FloatArray:
     """Return 1 at the frequencies of the real transform that tell of the law, else 0.
+
+    A law is applied to the logged position. Where that is no louder than its rounding it tells of the law only if it
+    shows in the torque: if the controller saw the same rounding, or a slower position loop makes images there of what
+    moves slowly. A rounding that the controller did not see cannot: what is taken from it is left in the residual.
 
     Args:
         inputs: (samples, INPUTS) what a law as fast as the log reads.
         torque: (samples,) logged, less what was added after the limit.
         added: (samples,) what that was; in a log that is late it still shows.
         kept: (samples,) 1 where the torque is what a law gives, not a limit.
+        error: what is known of the position's.
     """
-    left = _unexplained(inputs, torque, added, kept)
-    loud = loudness(torque - torque.mean()) > _LOUDER * loudness(left)
+    r, q = (inputs[:, i] - inputs[0, REFERENCE] for i in (REFERENCE, POSITION))
+    asked = [np.ones((r.size, 1)), np.cumsum(r - q)[:, np.newaxis], *_bent(r), *_images(_change(r))]
+    asked += [_past(one, _BESIDE) for one in (inputs[:, DIRECTION], inputs[:, INJECTED], added) if np.any(one)]
+    shown, left = map(loudness, _regressed(asked, [*_bent(q), *_images(r - q)], torque, kept))
+    loud = loudness(torque - torque.mean()) > _LOUDER * left
+    loud &= (error.power > _LOUDER * error.variance * by_band(error.shape**2)) | (shown > _LOUDER * left)
     return np.concatenate([[1.0], np.repeat(np.asarray(loud, dtype=np.float64), widths(torque.size // 2 + 1))])
 
 
-def _unexplained(inputs: FloatArray, torque: FloatArray, added: FloatArray, kept: FloatArray) -> FloatArray:
-    """Return what long stretches of the past leave, (samples,), as large as it would be on samples of its own."""
-    r, e = inputs[:, REFERENCE] - inputs[0, REFERENCE], inputs[:, REFERENCE] - inputs[:, POSITION]
-    columns = [np.ones((e.size, 1)), np.cumsum(e)[:, np.newaxis], *_bent(r), *_bent(e)]
-    turns = np.exp(2j * np.pi * np.arange(e.size) * np.arange(1, max(SLOWER) // 2 + 1)[:, np.newaxis] / max(SLOWER))
-    held = (part * one for turn in turns for part in (turn.real, turn.imag) for one in (e, _change(r)))
-    columns += [_past(one, _IMAGES) for one in held]
-    columns += [_past(one, _BESIDE) for one in (inputs[:, DIRECTION], inputs[:, INJECTED], added) if np.any(one)]
-    X = np.hstack(columns) * kept[:, np.newaxis]
+def _regressed(
+    asked: list[FloatArray], seen: list[FloatArray], torque: FloatArray, kept: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return what is seen does to the torque, and what is left, as large as it would be on samples of its own."""
+    X = np.hstack([*asked, *seen])
     norms = np.linalg.norm(X, axis=0)
     X /= np.where(norms > 0, norms, 1.0)
-    wanted = torque * kept
-    gains, _, rank, _ = np.linalg.lstsq(X, wanted, rcond=_DEPENDENT)
-    rows = float(np.sum(kept))
-    return np.asarray((wanted - X @ gains) * np.sqrt(rows / max(rows - int(rank), 1.0)))
+    rows, first = float(np.sum(kept)), sum(one.shape[1] for one in asked)
+    gains, _, rank, _ = np.linalg.lstsq(X * kept[:, np.newaxis], torque * kept, rcond=_DEPENDENT)
+    left = (torque - X @ gains) * kept * np.sqrt(rows / max(rows - int(rank), 1.0))
+    return np.asarray(X[:, first:] @ gains[first:]), np.asarray(left)
+
+
+def _images(signal: FloatArray) -> list[FloatArray]:
+    """Return what a slower position loop may make of a signal: the same, turned by parts of its rate."""
+    parts = np.arange(1, max(SLOWER) // 2 + 1)[:, np.newaxis] / max(SLOWER)
+    turns = np.exp(2j * np.pi * parts * np.arange(signal.size))
+    return [_past(signal * part, _IMAGES) for turn in turns for part in (turn.real, turn.imag)]
 
 
 def _bent(signal: FloatArray) -> list[FloatArray]:

@@ -73,10 +73,14 @@ class PositionError:
         shape: (frequencies,) the root of its spectrum, over that of white noise of the same variance.
         most: bound of its variance: where a law leaves more than its noise, the rest must not be taken for an error of
             the position, as one that is too large would reward the law for reacting to the position.
+        variance: of its rounding; 0 where that is not known.
+        power: (bands,) of the logged position itself.
     """
 
     shape: FloatArray
     most: float
+    variance: float
+    power: FloatArray
 
     def alike(self, samples: int) -> FloatArray:
         """Return the root of the spectra that look like each frequency's to what reads one of so many samples."""
@@ -175,7 +179,7 @@ def position_error(position: FloatArray, step: float | None) -> PositionError:
 
     power = loudness(position - np.linspace(position[0], position[-1], position.size))
     quietest = float(np.quantile(power[power.size // 8 :], 0.25))
-    white = PositionError(np.ones(position.size // 2 + 1), _BEYOND * quietest)
+    white = PositionError(np.ones(position.size // 2 + 1), _BEYOND * quietest, 0.0, power)
     if step is None:
         return white
     steps = savgol_filter((position - position[0]) / step, _SMOOTHED, 3)
@@ -186,7 +190,8 @@ def position_error(position: FloatArray, step: float | None) -> PositionError:
     if quietest > _NOISIER * mean * step**2:  # the log's digits are finer than what it was read from
         return white
     shape = np.sqrt(np.repeat(np.maximum(bands / mean, _LEAST), wide))
-    return PositionError(np.concatenate([shape[:1], shape]), _BEYOND * mean * step**2)
+    variance = mean * step**2
+    return PositionError(np.concatenate([shape[:1], shape]), _BEYOND * variance, variance, power)
 
 
 def loudness(signal: FloatArray) -> FloatArray:

@@ -187,7 +187,7 @@ def _heard(
     assert record.torque is not None and record.motor_position is not None
     own = inputs[1, False]
     error = position_error(own[:, POSITION], step_of(record.motor_position))
-    told = heard(own, torque, added, kept * _below(torque, plateau))
+    told = heard(own, torque, added, kept * _below(torque, plateau), error)
     return Watched(record, record.torque.sample_time, torque, added, kept, plateau, error, told, inputs)
 
 
