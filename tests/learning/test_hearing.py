@@ -7,13 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jointid.data.excitation import trapezoids
 from jointid.data.record import FloatArray
 from jointid.learning.columns import combined, response
 from jointid.learning.fitting import Task
 from jointid.learning.noise import by_band, loudness, widths
 from jointid.learning.watched import watched
-from jointid.model.controllers import POSITION
+from jointid.model.controllers import POSITION, Cascade
+from jointid.model.joints import RigidJoint
 from jointid.paper.learned import LoopTwin, loop_twin
+from jointid.simulation.experiment import ClosedLoop
+from jointid.simulation.synthesis import simulated_record
 
 SEEDS = (57, 134, 140, 160, 180, 500, 506, 512)
 
@@ -29,8 +33,8 @@ def against_the_truth(twin: LoopTwin) -> tuple[Task, FloatArray]:
 def test_without_a_law_as_much_is_heard_as_with_the_true_one(seed: int) -> None:
     """Position loops every 2 to 8 periods, a notch, feed-forwards: no law is named to what listens."""
     task, louder = against_the_truth(loop_twin(seed))
-    heard, wide = by_band(task.watched.heard), widths(task.watched.heard.size)
-    clear = louder > 8.0
+    heard, wide, error = by_band(task.watched.heard), widths(task.watched.heard.size), task.watched.error
+    clear = (louder > 8.0) & (error.power > 8.0 * error.variance * by_band(error.shape**2))
     assert wide[clear] @ heard[clear] > 0.9 * np.sum(wide[clear])
 
 
@@ -48,6 +52,22 @@ def test_noise_is_not_heard() -> None:
     assert np.mean(louder > 10.0) > 0.05 and np.mean(louder < 1.0) > 0.5
     assert np.mean(heard[louder > 10.0]) > 0.9
     assert np.mean(heard[louder < 1.0]) < 0.02
+
+
+def test_a_position_that_is_all_rounding_is_heard_if_the_controller_saw_it() -> None:
+    """The drive's own counts, as they are in its own log; an encoder that only the log rounds tells nothing there."""
+    law = Cascade(kp=60.0, kv=500.0)
+    reference = trapezoids([0.1, 0.3, 0.5], 2.0, 0.2, 1e-3, 0.1, 6.0)
+    values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
+    record = simulated_record(ClosedLoop(RigidJoint(), law), reference, values, sample_time=1e-3, encoder_step=1e-6)
+    assert record.motor_position is not None and record.torque is not None
+    unseen = watched(record)
+    saw = unseen.predicted(law.law(1e-3))  # the law on the rounded position
+    noise = 1e-3 * np.std(saw) * np.random.default_rng(1).standard_normal(saw.size)
+    seen = watched(replace(record, torque=replace(record.torque, values=saw + noise)))
+    high = slice(unseen.heard.size // 3, None)
+    assert np.mean(unseen.heard[high]) < 0.05
+    assert np.mean(seen.heard[high]) > 0.9
 
 
 def test_a_wrong_law_silences_nothing() -> None:
