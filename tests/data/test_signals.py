@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import cheby1, sosfiltfilt
 
 from jointid.common.errors import MethodError, RecordError
 from jointid.data.excitation import pulses, trapezoids
@@ -51,6 +52,23 @@ def test_decimation_passes_a_constant_at_its_ripple_and_keeps_the_last_sample() 
     ramp = decimate(np.arange(3001.0), filtering, T)
     assert ramp.size == 301
     assert np.allclose(np.diff(ramp[50:-50]), 10 * 0.98855, rtol=2e-3)
+
+
+@pytest.mark.parametrize("columns", [1, 7, 16, 17, 33])
+@pytest.mark.parametrize("cutoff", [5.0, 60.0, 200.0])
+def test_the_compiled_filter_is_scipy_s(columns: int, cutoff: float) -> None:
+    """On a random walk, whose ends are far apart, with columns of very different sizes."""
+    filtering = Filtering(cutoff=cutoff).resolved(T)
+    assert filtering.cutoff is not None
+    rng = np.random.default_rng(3)
+    values = np.cumsum(rng.standard_normal((3001, columns)), axis=0) * 10.0 ** rng.uniform(-9, 9, columns)
+    sections = cheby1(8, 0.05, 2 * filtering.cutoff * T, output="sos")
+    expected = sosfiltfilt(sections, values, axis=0, padlen=24)[:: -(filtering.decimation or 1)][::-1]
+    for found in (decimate(values, filtering, T), decimate(values, filtering, T, compiled=True)):
+        assert found.shape == expected.shape
+        assert np.max(np.abs(found - expected) / np.max(np.abs(expected), axis=0)) < 1e-11
+    strided = decimate(np.asfortranarray(values), filtering, T, compiled=True)
+    assert np.array_equal(strided, decimate(values, filtering, T, compiled=True))
 
 
 def test_columns_are_decimated_like_the_torque() -> None:

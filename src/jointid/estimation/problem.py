@@ -102,7 +102,7 @@ class Problem:
 
     def filtered(self, columns: FloatArray) -> FloatArray:
         """Return signals, (samples,) or (samples, columns), through the problem's own filter."""
-        return decimate(columns, self.filtering, self.experiment.sample_time)
+        return decimate(columns, self.filtering, self.experiment.sample_time, compiled=True)
 
     def simulate(self, x: FloatArray) -> Simulation:
         """Return the loop's run with these parameters, its torque as the log should show it."""
@@ -138,7 +138,8 @@ class Problem:
     def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free), from one run."""
         response, columns = self.sensitivities(x)
-        return self.error(response), -self.filtered(columns)
+        both = self.filtered(np.column_stack([self._left(response), columns]))
+        return np.ascontiguousarray(both[:, 0]), -both[:, 1:]
 
     def sensitivities(self, x: FloatArray) -> tuple[Response, FloatArray]:
         """Return what the log should show, and its derivatives by the free parameters, (samples, free), raw.
@@ -151,6 +152,8 @@ class Problem:
         scaled = any(p.name == "drive_gain" for p in self.free)
         wanted = [*names, *(name for name in own if scaled and name not in names)]
         run = simulate_sensitivities(c.loop, c.experiment, c.values, wanted, c.initial)
+        if len(names) == len(self.free) == len(wanted) and (c.drive_gain, c.log_gain, c.log_delay) == (1.0, 1.0, 0.0):
+            return run.response, run.torque
         columns = dict(zip(wanted, run.torque.T, strict=True))
         shown = self._shown(run.response.torque, c)
         if scaled:  # all of the joint's parameters are measured in the torque that acts
@@ -172,12 +175,15 @@ class Problem:
 
     def error(self, run: Simulation | Response) -> FloatArray:
         """Return the filtered torque error of a run; of one that failed, something large and finite."""
+        return self.filtered(self._left(run))
+
+    def _left(self, run: Simulation | Response) -> FloatArray:
         error = self.measured - run.torque
         if run.outcome is not Outcome.FINISHED:
             # The earlier it failed the worse: a search must see which way to go.
             size = float(np.sqrt(np.mean(self.measured**2)))
             error = np.full_like(error, _FAILED * size * (2.0 - run.finished))
-        return self.filtered(error)
+        return error
 
     def cells(self, simulation: Simulation) -> Cells:
         """Return where and how the motor was, in a simulation, when each row of the residual was taken."""

@@ -100,13 +100,17 @@ def simulate_sensitivities(
     # The law's own columns come last in a block.
     order = sorted(range(len(names)), key=lambda i: _is_of_law(own, names[i]))
     blocks = [order[i : i + _lanes()] for i in range(0, len(order), _lanes())]
-    followed = [_followed(loop, experiment, values, own, [names[i] for i in block], out, positions) for block in blocks]
-    back = np.argsort(order) if order != sorted(order) else slice(None)
-    acts, behind = (
-        _joined([one[i][:, : len(block)] for one, block in zip(followed, blocks, strict=True)])[:, back] for i in (0, 1)
-    )
+    acts = np.empty((experiment.periods, len(names)))
+    behind = acts if experiment.law.tap == experiment.law.output else np.empty_like(acts)
+    states = np.empty((experiment.looked.size, 2, len(names) if positions else 0))
+    for block in blocks:
+        followed = _followed(loop, experiment, values, own, [names[i] for i in block], out, positions)
+        acts[:, block] = followed[0][:, : len(block)]
+        if behind is not acts:
+            behind[:, block] = followed[1][:, : len(block)]
+        if positions:
+            states[:, :, block] = followed[2][experiment.looked, ::2, : len(block)]
     command = behind if experiment.tap is Tap.COMMAND else acts
-    states = _joined([s[experiment.looked] if positions else s for _, _, s in followed])[:, ::2, back]
     flexible = loop.joint.model == "flexible"
     return Sensitivities(
         response,
@@ -114,10 +118,6 @@ def simulate_sensitivities(
         states[:, 0] if positions else command[:, :0],
         states[:, 1] if positions and flexible else command[:, :0],
     )
-
-
-def _joined(blocks: list[FloatArray]) -> FloatArray:
-    return blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=-1)
 
 
 def _lanes() -> int:
@@ -149,9 +149,9 @@ def _followed(
     out: Run,
     positions: bool,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the derivatives of the output and of that behind the limit, (periods, lanes), and of the states.
+    """Return the derivatives of the output, of that behind the limit where that is another, and of the states.
 
-    Those are (periods * parts, 4, names).
+    The first are (periods, lanes), the last (periods * parts, 4, lanes).
     """
     from jointid.simulation import tangents
 
@@ -185,7 +185,7 @@ def _followed(
         explained, len(names) - len(explicit), delay, limits, start, memory, command, tapped, states,
         out.gravity, None if out.gravity is None else weights,
     )  # fmt: skip
-    return command, tapped if len(tapped) else command, states[:, :, : len(names)]
+    return command, tapped, states
 
 
 def by_mode(drive: FloatArray, seeds: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
