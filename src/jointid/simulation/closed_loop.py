@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.errors import MethodError
+from jointid.common.memory import Fresh, Room
 from jointid.data.record import Channel, FloatArray, Record
 from jointid.model.controllers import POSITION, REFERENCE, Cascade
 from jointid.model.joints import Motion, RigidJoint
@@ -36,6 +37,9 @@ class Outcome(StrEnum):
 
 
 _OUTCOMES = (Outcome.FINISHED, Outcome.DIVERGED, Outcome.TOO_STIFF, Outcome.CHATTERING)
+
+
+_FRESH = Fresh()
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,8 +145,9 @@ def run(
     *,
     keep: bool,
     taped: int = 0,
+    room: Room | None = None,
 ) -> Run:
-    """Run one candidate; `keep` its states and modes, and so many rows of its tape."""
+    """Run one candidate; `keep` its states and modes, and so many rows of its tape, in fresh memory or in a room."""
     from jointid.simulation import kernels
 
     initial = initial or Initial()
@@ -156,8 +161,10 @@ def run(
         raise MethodError(f"A simulation needs a value for every parameter; {missing} has none: give one.") from None
     periods, parts, elements = experiment.periods, experiment.lengths.size, law.limits.size
     command, tapped = np.empty(periods), np.empty(periods if law.tap != law.output else 0)
-    states, excess = np.empty((periods * parts if keep else 0, 4)), np.empty((periods if keep else 0, elements))
-    modes, tape = np.empty(len(states), dtype=np.int8), np.empty((taped, kernels.TAPE))
+    kept = periods * parts if keep else 0
+    array = (room or _FRESH).array
+    states, excess = array("states", (kept, 4)), array("excess", (periods if keep else 0, elements))
+    modes, tape = array("modes", (kept,), np.int8), array("tape", (taped, kernels.TAPE))
     counts = np.zeros(4, dtype=np.int64)
     outcome, before = Outcome.INVALID, 0.0
     if _possible(drive) and _hangs(drive, gravity) and math.isfinite(position) and math.isfinite(velocity):
@@ -260,14 +267,15 @@ def simulation_of(loop: ClosedLoop, experiment: Experiment, out: Run) -> Simulat
 
 
 def _tally(out: Run) -> tuple[float, int, float]:
-    events, _, done, clipped = (int(count) for count in out.counts)
+    events, _, done, clipped = out.counts.tolist()
     return done / out.command.size, events, clipped / max(done, 1)
 
 
 def _possible(drive: FloatArray) -> bool:
     """Whether a row of coefficients is a drive at all: positive masses, a spring, cones that are not empty."""
-    cones = drive[6] + drive[7] >= 0 and drive[10] + drive[11] >= 0
-    return bool(np.all(np.isfinite(drive)) and drive[0] > 0 and drive[1] > 0 and min(drive[2:4]) >= 0 and cones)
+    row = drive.tolist()  # a few plain numbers take less time than an array of them
+    cones = row[6] + row[7] >= 0 and row[10] + row[11] >= 0
+    return all(map(math.isfinite, row)) and min(row[:2]) > 0 and min(row[2:4]) >= 0 and cones
 
 
 def _hangs(drive: FloatArray, gravity: FloatArray | None) -> bool:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.errors import MethodError
+from jointid.common.memory import Room
 from jointid.data.record import FloatArray, Tap, Timing
 from jointid.model.controllers import POSITION, SampledLaw, number, respond, with_numbers
 from jointid.model.joints import Joint
@@ -34,6 +35,7 @@ _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial i
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
 _SMALL = 1e-6  # of a joint's value: where steady motion begins is a rational function of it
 _TAPED = 1000  # rows of the tape to begin with
+_ROOM = Room()
 _INITIAL = {
     "initial_position": (1.0, 0.0, 0.0),
     "initial_velocity": (0.0, 1.0, 0.0),
@@ -89,9 +91,9 @@ def simulate_sensitivities(
         if _is_of_law(own, name):
             number(loop.controller, name)
     rows = taped_rows(experiment.periods)
-    out = run(loop, experiment, values, initial, keep=True, taped=rows)
+    out = run(loop, experiment, values, initial, keep=True, taped=rows, room=_ROOM)
     if out.counts[1] > rows:  # a joint that turns round and sticks all the time
-        out = run(loop, experiment, values, initial, keep=True, taped=int(out.counts[1]))
+        out = run(loop, experiment, values, initial, keep=True, taped=int(out.counts[1]), room=_ROOM)
     response = response_of(experiment, out)
     if out.outcome is not Outcome.FINISHED:
         torque = np.zeros((response.torque.size, len(names)))
@@ -99,18 +101,20 @@ def simulate_sensitivities(
         return Sensitivities(response, torque, position, position if loop.joint.model == "flexible" else torque[:, :0])
     # The law's own columns come last in a block.
     order = sorted(range(len(names)), key=lambda i: _is_of_law(own, names[i]))
-    blocks = [order[i : i + _lanes()] for i in range(0, len(order), _lanes())]
-    acts = np.empty((experiment.periods, len(names)))
-    behind = acts if experiment.law.tap == experiment.law.output else np.empty_like(acts)
+    # The log's tap sees the output, or what is behind the torque's limit where that is another.
+    seen = int(experiment.tap is Tap.COMMAND and experiment.law.tap != experiment.law.output)
+    command = np.empty((experiment.periods, len(names)))
     states = np.empty((experiment.looked.size, 2, len(names) if positions else 0))
-    for block in blocks:
-        followed = _followed(loop, experiment, values, own, [names[i] for i in block], out, positions)
-        acts[:, block] = followed[0][:, : len(block)]
-        if behind is not acts:
-            behind[:, block] = followed[1][:, : len(block)]
+    for begin in range(0, len(names), _lanes()):
+        block = [names[i] for i in order[begin : begin + _lanes()]]
+        at, width = slice(begin, begin + len(block)), len(block)
+        followed = _followed(loop, experiment, values, own, block, out, positions)
+        command[:, at] = followed[seen][:, :width]
         if positions:
-            states[:, :, block] = followed[2][experiment.looked, ::2, : len(block)]
-    command = behind if experiment.tap is Tap.COMMAND else acts
+            states[:, :, at] = followed[2][experiment.looked, ::2, :width]
+    if order != sorted(order):
+        back = np.argsort(order)
+        command, states = command[:, back], states[:, :, back]
     flexible = loop.joint.model == "flexible"
     return Sensitivities(
         response,
@@ -162,8 +166,10 @@ def _followed(
     for j, name in enumerate(names):
         if name in own:
             seeds[:, j] = coefficient_seed(loop.joint.coefficients, own, name)
-            weights[:, j] = gravity_seed(loop.joint, own, name)
-            start[:, j] = start_slope(lambda at: loop.joint.start(at, out.position, out.velocity), values, name)
+            if out.gravity is not None:
+                weights[:, j] = gravity_seed(loop.joint, own, name)
+            if out.velocity != 0.0 or out.gravity is not None:  # else it begins where the motor is, whatever it is like
+                start[:, j] = start_slope(lambda at: loop.joint.start(at, out.position, out.velocity), values, name)
         elif name in _INITIAL:
             at = _INITIAL[name]
             start[:, j] = _moved_start(loop, values, out, *at[:2]) if any(at[:2]) else 0.0
@@ -174,10 +180,10 @@ def _followed(
             column, limits[:, j] = _explicit(loop, experiment, out, name)
             explicit.append(column)
     spring, side, dspring, dinertia, dside = by_mode(out.drive, seeds)
-    command = np.empty((out.command.size, width))
-    states = np.empty((len(out.states) if positions else 0, 4, width))
+    command = _ROOM.array("slopes", (out.command.size, width))
+    states = _ROOM.array("moved", (len(out.states) if positions else 0, 4, width))
     periods, elements = len(out.command), law.limits.size
-    tapped = np.empty((periods if law.tap != law.output else 0, width))
+    tapped = _ROOM.array("tapped", (periods if law.tap != law.output else 0, width))
     explained = np.stack(explicit, axis=2) if explicit else np.zeros((periods, elements, 0))
     tangents.follow(
         experiment.lengths, experiment.lags, out.states, out.modes, out.tape, int(out.counts[1]), out.command,

@@ -42,9 +42,11 @@ _FACTOR = np.array([1.0 / math.factorial(i) for i in range(_ORDER + 1)])
 # Rows of the scratch, LANES long: derivatives of the state, what parameters change in the map, the derivatives of the
 # torque that acts, of a Taylor series, of two states of the law, of its output and its limit; then what parameters
 # change in the output; then, in gravity, the derivatives of the velocity of its mass at the last part, of how far its
-# force hangs the load, of its factors, and of the stiffness.
+# force hangs the load, and of its factors; last those of stiffness and damping, of the inertias, and of viscous
+# coefficient and constant force of the motor and of the load in the modes they are in: beside what is written, where
+# the compiler sees that nothing overlaps.
 _S, _T, _DS, _W, _Z, _OUT, _LIMIT, _EXPLICIT = (LANES * row for row in (0, 4, 8, 9, 12, 14, 15, 16))
-_SLID, _HUNG, _WEIGHT, _DK, _ROWS = (LANES * row for row in (17, 18, 19, 22, 23))
+_SLID, _HUNG, _WEIGHT, _SPRING, _INERTIA, _SIDE, _ROWS = (LANES * row for row in (17, 18, 19, 22, 24, 26, 30))
 
 
 class _Law(NamedTuple):
@@ -66,7 +68,7 @@ class _Law(NamedTuple):
 @compiled
 def _propagate(
     q: FloatArray, h: float, mode: int, steady: float, s: float, motion: Motion, spring: FloatArray, side: FloatArray,
-    dspring: FloatArray, dinertia: FloatArray, dside: FloatArray,
+    dside: FloatArray,
 ) -> Motion:  # fmt: skip
     """Move one piece of a motion, and its derivatives in the scratch, over `h` seconds; return the motion.
 
@@ -78,26 +80,30 @@ def _propagate(
     h1, h2 = h * side[0, 0, one], h * side[1, 0, two]
     drag1, drag2 = side[0, 1, one] * h1, side[1, 1, two] * h2
     d1, v1, stretch, d2, v2 = motion
+    moves1, moves2 = 1.0 if h1 > 0.0 else 0.0, 1.0 if h2 > 0.0 else 0.0
     for j in range(LANES):
-        q[_W + j] = q[_S + LANES + j] if h1 > 0.0 else 0.0
+        q[_SIDE + j], q[_SIDE + LANES + j] = dside[0, 0, one, j], dside[0, 1, one, j]
+        q[_SIDE + 2 * LANES + j], q[_SIDE + 3 * LANES + j] = dside[1, 0, two, j], dside[1, 1, two, j]
+    for j in range(LANES):
+        dv1, dv2 = moves1 * q[_S + LANES + j], moves2 * q[_S + 3 * LANES + j]
         q[_W + LANES + j] = q[_S + 2 * LANES + j] - q[_S + j]
-        q[_W + 2 * LANES + j] = q[_S + 3 * LANES + j] if h2 > 0.0 else 0.0
-        q[_S + LANES + j], q[_S + 3 * LANES + j] = q[_W + j], q[_W + 2 * LANES + j]
+        q[_W + j], q[_W + 2 * LANES + j] = dv1, dv2
+        q[_S + LANES + j], q[_S + 3 * LANES + j] = dv1, dv2
     end1, end2, end = v1, v2, stretch
     first = 1.0
     for k in range(1, _ORDER + 1):
         apart = v2 - v1
         new1 = h1 * (first * (s + steady * side[0, 2, one]) + K * stretch + F * apart) - drag1 * v1
         new2 = h2 * (first * steady * side[1, 2, two] - K * stretch - F * apart) - drag2 * v2
-        moved, rate = h * _FACTOR[k], _FACTOR[k]
+        moved, rate, steadily = h * _FACTOR[k], _FACTOR[k], first * steady
         for j in range(LANES):
             dv1, dstretch, dv2 = q[_W + j], q[_W + LANES + j], q[_W + 2 * LANES + j]
             dapart = dv2 - dv1
-            force = (dspring[0, j] * stretch + dspring[1, j] * apart) + (K * dstretch + F * dapart)
-            push1 = force + first * (q[_DS + j] + steady * dside[0, 1, one, j]) - dside[0, 0, one, j] * v1
-            push2 = first * steady * dside[1, 1, two, j] - dside[1, 0, two, j] * v2 - force
-            to1 = h1 * push1 - drag1 * dv1 - dinertia[0, j] * new1
-            to2 = h2 * push2 - drag2 * dv2 - dinertia[1, j] * new2
+            force = (q[_SPRING + j] * stretch + q[_SPRING + LANES + j] * apart) + (K * dstretch + F * dapart)
+            push1 = ((force + first * q[_DS + j]) + steadily * q[_SIDE + LANES + j]) - q[_SIDE + j] * v1
+            push2 = (steadily * q[_SIDE + 3 * LANES + j] - q[_SIDE + 2 * LANES + j] * v2) - force
+            to1 = (h1 * push1 - drag1 * dv1) - q[_INERTIA + j] * new1
+            to2 = (h2 * push2 - drag2 * dv2) - q[_INERTIA + LANES + j] * new2
             q[_S + j] += moved * dv1
             q[_S + LANES + j] += rate * to1
             q[_S + 2 * LANES + j] += moved * dv2
@@ -116,21 +122,20 @@ def _propagate(
 @compiled
 def _fill(
     q: FloatArray, h: float, rate: float, mode: int, b: int, phi: FloatArray, M: FloatArray, spring: FloatArray,
-    side: FloatArray, dspring: FloatArray, dinertia: FloatArray, dside: FloatArray,
+    side: FloatArray, dside: FloatArray,
 ) -> None:  # fmt: skip
     """Write the map of a mode over `h` seconds at phi[b], and its derivatives at M[b], one input after the other."""
     one, two = mode // 3, mode % 3
     pieces = max(math.ceil(rate * h / _STEP), 1)
     for i in range(_INPUTS):
-        q[:] = 0.0
+        q[:_SPRING] = 0.0
         v1 = 1.0 if i == 0 and side[0, 0, one] > 0.0 else 0.0
         v2 = 1.0 if i == 2 and side[1, 0, two] > 0.0 else 0.0
         motion = 0.0, v1, 1.0 if i == 1 else 0.0, 0.0, v2
         for _ in range(pieces):
             motion = _propagate(
-                q, h / pieces, mode, 1.0 if i == 4 else 0.0, 1.0 if i == 3 else 0.0, motion, spring, side,
-                dspring, dinertia, dside,
-            )  # fmt: skip
+                q, h / pieces, mode, 1.0 if i == 4 else 0.0, 1.0 if i == 3 else 0.0, motion, spring, side, dside
+            )
         phi[b, 4 * i], phi[b, 4 * i + 1] = motion[0], motion[1]
         phi[b, 4 * i + 2], phi[b, 4 * i + 3] = motion[3], motion[4]
         M[b, i] = q[_S : _S + 4 * LANES]
@@ -203,14 +208,14 @@ def _acceleration(side: FloatArray, mass: int, m: int, force: float, v: float) -
 @compiled
 def _through_events(
     q: FloatArray, part: int, row: int, s: float, tape: FloatArray, rows: int, spring: FloatArray, side: FloatArray,
-    dspring: FloatArray, dinertia: FloatArray, dside: FloatArray,
+    dside: FloatArray,
 ) -> int:  # fmt: skip
     """Move the derivatives through the pieces of a part with events, from a row of the tape; return the next row."""
     while row < rows and tape[row, 0] == part:
         one, two = int(tape[row, 2]) + 1, int(tape[row, 3]) + 1
         motion = tape[row, 4], tape[row, 5], tape[row, 6] - tape[row, 4], tape[row, 6], tape[row, 7]
         if tape[row, 1] > 0.0:
-            motion = _propagate(q, tape[row, 1], 3 * one + two, 1.0, s, motion, spring, side, dspring, dinertia, dside)
+            motion = _propagate(q, tape[row, 1], 3 * one + two, 1.0, s, motion, spring, side, dside)
         mass = int(tape[row, 8])
         if mass >= 0:
             _, v1, stretch, _, v2 = motion
@@ -244,7 +249,7 @@ def _hang(
         dx, dv = q[at + j], q[at + LANES + j]
         by_factors = (q[_WEIGHT + j] * cos + q[_WEIGHT + LANES + j] * sin) + q[_WEIGHT + 2 * LANES + j] * middle
         dforce = slope * (dx + ahead * (dv + bend * (dv - q[_SLID + j]))) + by_factors
-        dhung = compliance * (dforce - compliance * force * q[_DK + j])
+        dhung = compliance * (dforce - compliance * force * q[_SPRING + j])
         q[_SLID + j] = dv
         q[_DS + j] -= dforce
         q[_HUNG + j] = dhung
@@ -258,15 +263,22 @@ def _control(q: FloatArray, law: _Law, saturated: float, at: int, du: FloatArray
 
     `saturated` is the sign of an output at its limit, else 0.
     """
-    free, row = 1.0 - abs(saturated), np.uint64(at)
-    for j in range(LANES):
-        position, z0, z1 = q[_S + j], q[_Z + j], q[_Z + LANES + j]
-        raw = (law.d * position + q[_EXPLICIT + j]) + (law.c0 * z0 + law.c1 * z1)
-        out = free * raw + saturated * q[_LIMIT + j]
-        cut = out - raw
-        q[_Z + j] = (law.b0 * position + law.e0 * cut) + (law.a00 * z0 + law.a01 * z1)
-        q[_Z + LANES + j] = (law.b1 * position + law.e1 * cut) + (law.a10 * z0 + law.a11 * z1)
-        q[_OUT + j] = out
+    row = np.uint64(at)
+    if saturated == 0.0:
+        for j in range(LANES):
+            position, z0, z1 = q[_S + j], q[_Z + j], q[_Z + LANES + j]
+            q[_OUT + j] = (law.d * position + q[_EXPLICIT + j]) + (law.c0 * z0 + law.c1 * z1)
+            q[_Z + j] = law.b0 * position + (law.a00 * z0 + law.a01 * z1)
+            q[_Z + LANES + j] = law.b1 * position + (law.a10 * z0 + law.a11 * z1)
+    else:
+        for j in range(LANES):
+            position, z0, z1 = q[_S + j], q[_Z + j], q[_Z + LANES + j]
+            raw = (law.d * position + q[_EXPLICIT + j]) + (law.c0 * z0 + law.c1 * z1)
+            out = saturated * q[_LIMIT + j]
+            cut = out - raw
+            q[_Z + j] = (law.b0 * position + law.e0 * cut) + (law.a00 * z0 + law.a01 * z1)
+            q[_Z + LANES + j] = (law.b1 * position + law.e1 * cut) + (law.a10 * z0 + law.a11 * z1)
+            q[_OUT + j] = out
     for j in range(LANES):
         du[row, j] = q[_OUT + j]
 
@@ -394,6 +406,9 @@ def follow(
     filled = np.zeros(9 * parts, dtype=np.bool_)
     q, scratch, z = _aligned(_ROWS), _aligned(_ROWS), np.zeros((2 * nz, LANES))
     e = np.zeros((elements, LANES))
+    for rows_of in (q, scratch):
+        rows_of[_SPRING : _SPRING + 2 * LANES] = dspring.reshape(-1)
+        rows_of[_INERTIA : _INERTIA + 2 * LANES] = dinertia.reshape(-1)
     q[_S : _S + 4 * LANES] = S.reshape(-1)
     z[:nz] = Z
     small = nz <= 2 and feedback.D.size == 1  # one phase, one element
@@ -407,7 +422,6 @@ def follow(
         slid, since = states[0, at], lengths[0]
         q[_SLID : _SLID + LANES] = S[at]
         q[_WEIGHT : _WEIGHT + 3 * LANES] = dgravity.reshape(-1)
-        q[_DK : _DK + LANES] = dspring[0]
     keep = dstates.shape[0] > 0
     plain = small and parts == 1 and lags[0] == 0 and gravity is None and not keep and not delayed
     row, last = 0, before
@@ -421,7 +435,7 @@ def follow(
                 continue
             if not filled[mode]:
                 filled[mode] = True
-                _fill(scratch, lengths[0], rate, mode, mode, phi, M, spring, side, dspring, dinertia, dside)
+                _fill(scratch, lengths[0], rate, mode, mode, phi, M, spring, side, dside)
             v1, stretch, v2 = states[k, 1], states[k, 2] - states[k, 0], states[k, 3]
             _period(q, law, phi, M, mode, v1, stretch, v2, u[k] + post[k], k, du)
             continue
@@ -462,12 +476,12 @@ def follow(
                     q[_S + LANES + j] += kick * ddelay[j]
             last = acting
             if row < rows and tape[row, 0] == at:
-                row = _through_events(q, at, row, s, tape, rows, spring, side, dspring, dinertia, dside)
+                row = _through_events(q, at, row, s, tape, rows, spring, side, dside)
             else:
                 b = 9 * part + mode
                 if not filled[b]:
                     filled[b] = True
-                    _fill(scratch, lengths[part], rate, mode, b, phi, M, spring, side, dspring, dinertia, dside)
+                    _fill(scratch, lengths[part], rate, mode, b, phi, M, spring, side, dside)
                 _step(q, phi, M, b, x1, x2 - x0, x3, s)
             if gravity is not None and dgravity is not None:
                 for j in range(LANES):

@@ -1,0 +1,50 @@
+"""Memory that is used again: aligned, no larger than it must be, and never shared between threads."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+
+import numpy as np
+
+from jointid.common.memory import Room
+
+
+def test_an_array_begins_with_a_line_of_the_cache() -> None:
+    room = Room()
+    for shape in ((3,), (1000, 8), (0, 4), (7, 3)):
+        for dtype in (np.float64, np.int8):
+            found = room.array("a", shape, dtype)
+            assert found.shape == shape and found.dtype == dtype
+            assert found.size == 0 or found.ctypes.data % 64 == 0
+
+
+def test_one_name_is_one_memory_and_two_are_two() -> None:
+    room = Room()
+    first = room.array("a", (100,))
+    first[:] = 1.0
+    other = room.array("b", (100,))
+    other[:] = 2.0
+    again = room.array("a", (90,))
+    assert np.shares_memory(first, again)
+    assert not np.shares_memory(first, other)
+    assert np.all(again == 1.0)
+
+
+def test_much_more_than_is_needed_is_given_back() -> None:
+    room = Room()
+    large = room.array("a", (100_000,))
+    assert not np.shares_memory(large, room.array("a", (100,)))
+
+
+def test_threads_have_rooms_of_their_own() -> None:
+    room, both = Room(), Barrier(2)
+
+    def fill(value: float) -> bool:
+        mine = room.array("a", (1000,))
+        mine[:] = value
+        both.wait()
+        return bool(np.all(mine == value))
+
+    with ThreadPoolExecutor(2) as pool:
+        assert all(pool.map(fill, (1.0, 2.0)))
