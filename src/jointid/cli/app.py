@@ -6,6 +6,8 @@ interrupted. A traceback is shown only with `--debug`.
 
 from __future__ import annotations
 
+import atexit
+import gc
 import sys
 
 from cyclopts import App, CycloptsError
@@ -40,6 +42,8 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the program and exit; `arguments` are those of the command line when None."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
+    # At its end Python would look through all that was loaded for what can be freed, which took 0.3 s of `identify`.
+    atexit.register(gc.freeze)
     sys.exit(_run([word for word in words if word != "--debug"], debug))
 
 
