@@ -18,6 +18,7 @@ from jointid.cli.compare import compare
 from jointid.cli.demo import demo
 from jointid.cli.identify import identify
 from jointid.cli.intervals import intervals
+from jointid.cli.long import long
 from jointid.cli.loop import loop
 from jointid.cli.reproduce import reproduce
 from jointid.cli.simulate import simulate
@@ -34,7 +35,7 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (demo, loop, identify, together, intervals, compare, validate, advise, simulate, reproduce):
+for command in (demo, loop, identify, long, together, intervals, compare, validate, advise, simulate, reproduce):
     app.command(command)
 
 
