@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from jointid.answers.estimates import combinations_answer
 from jointid.answers.parts import (
     Json,
     filtering_answer,
@@ -30,6 +31,7 @@ def long_answer(estimate: LongEstimate) -> Json:
         "channels": list(estimate.channels),
         "parameters": {p.name: parameter_answer(p) for p in estimate.parameters},
         "other_side": other_side_answer(estimate.parameters, estimate.other),
+        "combinations": combinations_answer(estimate.known),
         "correlation": [[float(value) for value in row] for row in estimate.correlation],
         "repeatable": {
             "rms": estimate.repeatable.rms,

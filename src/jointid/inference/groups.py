@@ -69,13 +69,20 @@ def step_of(sums: Sums, lower: FloatArray, upper: FloatArray) -> FloatArray:
     """Return the step that minimises ``||e + J s||^2`` within bounds on it, (free,)."""
     from scipy.optimize import lsq_linear
 
+    R = root_of(sums)
+    scale = _scale(sums.A)
+    columns = R / scale
+    target = -np.linalg.lstsq(columns.T, sums.b / scale, rcond=None)[0]
+    found = lsq_linear(columns, target, (lower * scale, upper * scale), method="bvls")
+    return np.asarray(np.clip(found.x / scale, lower, upper))
+
+
+def root_of(sums: Sums) -> FloatArray:
+    """Return what stands for the derivatives of all rows, (told directions, free): R with R'R = J'J."""
     scale = _scale(sums.A)
     values, vectors = np.linalg.eigh(sums.A / np.outer(scale, scale))
     kept = values > _SINGULAR * values[-1]
-    root = np.sqrt(values[kept])
-    target = -(vectors[:, kept].T @ (sums.b / scale)) / root
-    found = lsq_linear((vectors[:, kept] * root).T, target, (lower * scale, upper * scale), method="bvls")
-    return np.asarray(np.clip(found.x / scale, lower, upper))
+    return np.asarray((vectors[:, kept] * np.sqrt(values[kept])).T * scale)
 
 
 def left_out(groups: Sequence[Sums]) -> Covariance:

@@ -2,9 +2,9 @@
 
 An ordinary identification of one window gives the start. Then least squares over all windows, each with a beginning of
 its own (`window`), in two or three passes (`passes`): time grows with the length of the record, memory with that of a
-window. Noise that is averaged over a day leaves next to nothing, and what the model lacks stays: where the residual
-repeats with the motion (`places`), the deviations are the larger, in every direction, of what leaving out windows says
-and what leaving out places says (`groups`).
+window. Noise that is averaged over a day leaves next to nothing, and what the model lacks stays: unless the residual is
+seen not to repeat with the motion (`places`), the deviations are the larger, in every direction, of what leaving out
+windows says and what leaving out places says (`groups`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from jointid.estimation.estimated import EstimatedParameter
 from jointid.estimation.flexible import FlexibleDIDIM
 from jointid.estimation.identify import Method, default_method, identify
 from jointid.estimation.problem import Problem
-from jointid.inference.groups import left_out, total
+from jointid.inference.groups import left_out, root_of, total
+from jointid.inference.identifiability import identifiability
 from jointid.inference.repeatable import Repeatable
 from jointid.inference.uncertainty import Covariance, larger
 from jointid.long.long_estimate import LongEstimate
@@ -176,6 +177,7 @@ def _concluded(
         torque_unit=first.torque.unit,
         parameters=tuple(_row(p, values[p.name], spread.get(p.name), problem, p.name in own) for p in shown),
         correlation=covariance.correlation,
+        known=identifiability(problem.free, problem.units, end.x, root_of(sums), covariance),
         repeatable=repeated,
         drift=drift(found.windows, end.x, problem.free, problem.units),
         record=source.name,
@@ -210,7 +212,7 @@ def _covariance(found: Pass, repeated: Repeatable) -> tuple[Covariance, str]:
     if len(windows) < 2:
         raise MethodError("A long record has two windows or more; give a shorter window, or use identify.")
     covariance, said = left_out(windows), f"from leaving out each of {len(windows)} windows"
-    if repeated.significant and len(places) > 1:
+    if (repeated.significant or repeated.p_value is None) and len(places) > 1:  # what cannot be excluded is covered
         covariance = larger(covariance, left_out(places))
         said += f", or each of {len(places)} places by direction and speed: the larger in every direction"
     return covariance, said

@@ -11,8 +11,9 @@ from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
 from jointid.data.transmission import transmission_lines
 from jointid.estimation.estimate import IdentifiedJoint, law_fingerprint
-from jointid.estimation.estimated import EstimatedParameter, on_other_side
-from jointid.estimation.printed import parameter_row
+from jointid.estimation.estimated import EstimatedParameter, known_on_other_side, on_other_side
+from jointid.estimation.printed import known_line, parameter_row
+from jointid.inference.identifiability import Identifiability
 from jointid.inference.repeatable import Repeatable
 from jointid.long.stretches import Drift, Stretch
 from jointid.model.joints import Joint
@@ -31,6 +32,7 @@ class LongEstimate:
         torque_unit: of the torque.
         parameters: of the joint, then what else was free; those are means over the record, where it drifts.
         correlation: of the errors of the free parameters, in their order.
+        known: which parameters and combinations the record tells, and how well.
         repeatable: what of the residual repeats with the motion.
         drift: what its stretches say by themselves, and whether they agree.
         record: its name. channels: that were read. sample_time: of them, seconds.
@@ -53,6 +55,7 @@ class LongEstimate:
     torque_unit: str
     parameters: tuple[EstimatedParameter, ...]
     correlation: FloatArray
+    known: Identifiability
     repeatable: Repeatable
     drift: Drift
     record: str
@@ -120,8 +123,16 @@ class LongEstimate:
                 (False, False, *[True] * 3, False),
             ),
         ]
+        if self.known.physical:
+            there = known_on_other_side(self.known.physical, self.other) or (None,) * len(self.known.physical)
+            lines += ["", "known together"]
+            lines += [known_line(k, o, self.other) for k, o in zip(self.known.physical, there, strict=True)]
         if self.drift.stretches:
-            lines += ["", self._stretches()]
+            lines += [
+                "",
+                "each stretch by itself, +- 2 sigma to compare them by; what all of them err alike is not in it",
+            ]
+            lines += [self._stretches()]
         lines += [
             "",
             f"torque error  {100 * self.filtered_error:.4f} % filtered ({self.rows} rows)",
@@ -132,6 +143,7 @@ class LongEstimate:
             f"intervals     {self.intervals}",
             f"residual      {self.repeatable}",
             f"drift         {self.drift_sentence}",
+            *(f"told          {sentence}" for sentence in self.known.sentences),
             *(f"warning       {warning}" for warning in self.warnings),
         ]
         return "\n".join(lines)

@@ -3,7 +3,7 @@
 A pass reads every window once, and keeps of each what `groups.Sums` holds: memory does not grow with what is read but
 by a kilobyte for each window. Of the first passes one window in sixteen is enough, at a sixteenth of the cost: a start
 from one window is far off in the deviations of all of them. A pass over the whole that moves the parameters by less
-than a tenth of their deviations is the last.
+than 0.3 of their deviations is the last.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ SPARSE = 16
 
 _SPARSE_PASSES, _PASSES = 3, 12
 _FEW = 8  # windows: with fewer a sparse pass says too little, and an interrupted one nothing
-_THERE = 0.1  # deviations
+_THERE = 0.3  # deviations: the last step is taken, too, and what is left after it is far less
 _ROUNDING = 1e-9  # of the parameters
 
 
