@@ -76,7 +76,7 @@ def identify(path: Path, window: float) -> None:
     """Identify one record in this process, and print what it took and what it found."""
     channels = {"torque": "torque", "reference": "reference", "injected": "injected"}
     log = ji.Log(path, channels, {"sample_time": PERIOD})
-    small = ji.InMemory(next(log.pieces(20_000, 0)).record)
+    small = next(log.pieces(20_000, 0)).record
     ji.identify_long(small, LOOP, window=8.0, method=ji.FlexibleDIDIM(frequency=30.0))  # compiles, or loads what is
     before = peak()
     begun = time.perf_counter()

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from jointid.data.columns import Column
     from jointid.data.drive import Drive
     from jointid.data.excitation import pulses, trapezoids
-    from jointid.data.pieces import InMemory, Log
+    from jointid.data.pieces import Log
     from jointid.data.reading import read
     from jointid.data.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, record_of
     from jointid.data.signals import Filtering
@@ -109,7 +109,7 @@ _HOMES = {
     "data.columns": ("Column",),
     "data.drive": ("Drive",),
     "data.excitation": ("pulses", "trapezoids"),
-    "data.pieces": ("InMemory", "Log"),
+    "data.pieces": ("Log",),
     "data.reading": ("read",),
     "data.writing": ("write",),
     "data.record": ("Channel", "Injection", "InjectionPoint", "Record", "Tap", "Timing", "record_of"),
@@ -187,7 +187,6 @@ __all__ = [
     "FlexibleJoint",
     "Gravity",
     "IdentifiedJoint",
-    "InMemory",
     "Initial",
     "Injection",
     "InjectionPoint",

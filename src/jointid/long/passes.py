@@ -18,7 +18,7 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress
 from jointid.data.pieces import LongRecord
 from jointid.data.record import FloatArray
-from jointid.inference.groups import step_of, total
+from jointid.inference.groups import Sums, step_of, total
 from jointid.long.places import Place, Places
 from jointid.long.window import Model, NotSimulatedError, Window, looked_at, moves
 from jointid.model.parameters import Parameter
@@ -29,7 +29,7 @@ SPARSE = 16
 _SPARSE_PASSES, _PASSES = 3, 12
 _FEW = 8  # windows: with fewer a sparse pass says too little, and an interrupted one nothing
 _THERE = 0.3  # deviations: the last step is taken, too, and what is left after it is far less
-_ROUNDING = 1e-9  # of the parameters
+_ROUNDING = 1e-6  # of the torque
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +71,21 @@ class End:
     passes: int
     stop: str
     converged: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Before:
+    """The last pass that a step was taken from: where, over one window in how many, and the residual's mean square."""
+
+    x: FloatArray | None = None
+    every: int = 0
+    level: float = math.inf
+    found: Pass | None = None
+
+
+def _rounding(sums: Sums) -> float:
+    """Return the mean square of a residual that is as good as none."""
+    return _ROUNDING**2 * sums.size / sums.rows
 
 
 @dataclass(slots=True)
@@ -133,45 +148,59 @@ class Passes:
 
         Raises:
             NotSimulatedError: a window cannot be simulated at x.
-            MethodError: too few windows say anything.
+            MethodError: in no window does the axis move.
         """
         lower, upper = (np.array([getattr(p, side) for p in self.free]) for side in ("lower", "upper"))
-        x, every, sparse, whole = np.clip(x, lower, upper), SPARSE, 0, 0
-        before: tuple[FloatArray, int, float] | None = None  # the last good x, how it was passed over, mean square
-        for _ in range(_PASSES):
-            try:
-                found = self.at(x, every)
-            except NotSimulatedError:
-                if before is None:
-                    raise
-                x = 0.5 * (x + before[0])
+        x, every, whole, before = np.clip(x, lower, upper), SPARSE, 0, _Before()
+        for number in range(1, _PASSES + 1):
+            found = self._passed(x, every, before)
+            whole += every == 1
+            if found is None:
+                assert before.x is not None
+                x = 0.5 * (x + before.x)
                 continue
-            few = len(found.windows) < _FEW
-            if not found.ended and (every > 1 or few):
-                raise KeyboardInterrupt
-            sparse, whole = sparse + (every > 1), whole + (every == 1)
-            if every > 1 and few:
+            if every > 1 and len(found.windows) < _FEW:
                 every = 1
                 continue
             if not found.windows:
                 raise MethodError("In no window of this record does the axis move; give another record.")
             sums = total([w.sums for w in found.windows])
             level = sums.square / sums.rows
-            if found.ended and before is not None and before[1] == every and level > before[2]:
-                x = 0.5 * (x + before[0])
-                continue
             step = step_of(sums, lower - x, upper - x)
             far = math.sqrt(float(step @ sums.A @ step) / level) if level > 0 else 0.0
-            still = bool(
-                np.all(np.abs(step) <= _ROUNDING * np.abs(x))
-            )  # where there is no noise, nothing is a deviation
-            if not found.ended or (every == 1 and (far < _THERE or still)):
+            there = far < _THERE or level <= _rounding(sums)  # where nothing is left, nothing is a deviation
+            if not found.ended or (every == 1 and there):
                 return self._end(x, step, found, whole, far)
-            before, x = (x, every, level), x + step
+            before, x = _Before(x, every, level, found), x + step
             self.progress(f"{len(found.windows)} windows move the parameters by {far:.2g} deviations")
-            if sparse >= _SPARSE_PASSES or far < 1.0:
+            if number >= _SPARSE_PASSES or far < 1.0:
                 every = 1
-        return End(x, found, self.simulations, whole, f"not converged after {_PASSES} passes", False)
+        assert before.x is not None
+        assert before.found is not None
+        stop = f"not converged after {_PASSES} passes: the last ones led uphill, or still moved the parameters"
+        return End(before.x, before.found, self.simulations, whole, stop, False)
+
+    def _passed(self, x: FloatArray, every: int, before: _Before) -> Pass | None:
+        """Return a pass; None where a step led uphill, or to what cannot be simulated.
+
+        Raises:
+            KeyboardInterrupt: it was interrupted, and says too little.
+            NotSimulatedError: a window cannot be simulated at the start.
+        """
+        try:
+            found = self.at(x, every)
+        except NotSimulatedError:
+            if before.x is None:
+                raise
+            return None
+        if not found.ended:
+            if every > 1 or len(found.windows) < _FEW:
+                raise KeyboardInterrupt
+            return found
+        if before.every == every and found.windows:
+            sums = total([w.sums for w in found.windows])
+            return None if sums.square / sums.rows > max(before.level, _rounding(sums)) else found
+        return found
 
     def _end(self, x: FloatArray, step: FloatArray, found: Pass, whole: int, far: float) -> End:
         moved = found.moved(step)
