@@ -96,7 +96,9 @@ def drift(windows: Sequence[Window], x: FloatArray, free: Sequence[Parameter], u
     names = [p.name for p in free]
     parts = [[windows[i] for i in part] for part in np.array_split(np.arange(len(windows)), count)]
     fits = [_Fit.of(part, x) for part in parts]
-    scatter = sum(fit.scatter for fit in fits) / (len(windows) - count)
+    degrees = len(windows) - count
+    # By a covariance that is itself an estimate, a chi-square comes out so much too large (Hotelling).
+    scatter = sum(fit.scatter for fit in fits) / len(windows) * degrees / (degrees - len(free) - 1)
     stretches, alone = [], []
     for part, fit in zip(parts, fits, strict=True):
         covariance = covariance_of(fit.back @ scatter @ fit.back.T, 0)
@@ -134,8 +136,11 @@ class _Fit:
         values, vectors = np.linalg.eigh(sums.A / np.outer(scale, scale))
         roots = np.where(values > _SINGULAR * values[-1], 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0)
         back = (vectors * roots) @ vectors.T / scale[:, np.newaxis]
-        scores = math.sqrt(len(windows)) * np.array([back.T @ w.sums.moved(step).b for w in windows])
-        return cls(x + step, back, scores.T @ scores)
+        # A window takes part in what it is compared with, one that tells much more than one that tells little.
+        apart = [np.eye(x.size) - back.T @ w.sums.A @ back for w in windows]
+        own = [back.T @ w.sums.moved(step).b for w in windows]
+        scores = np.array([np.linalg.lstsq(a, b, rcond=1e-6)[0] for a, b in zip(apart, own, strict=True)])
+        return cls(x + step, back, (len(windows) - 1) * scores.T @ scores)
 
 
 def _trend(name: str, stretches: Sequence[Stretch]) -> Trend:
