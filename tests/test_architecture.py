@@ -82,8 +82,8 @@ def test_every_room_of_the_picture_exists() -> None:
 @pytest.mark.parametrize(
     ("statement", "absent"),
     [
-        ("import jointid", ("numpy", "scipy", "numba", "matplotlib", "pydantic")),
-        ("import jointid.cli.app", ("numpy", "scipy", "numba", "matplotlib")),
+        ("import jointid", ("numpy", "scipy", "numba", "matplotlib", "pydantic", "cyclopts", "dataclasses")),
+        ("import jointid.cli.app", ("numpy", "scipy", "numba", "matplotlib", "pydantic")),
         ("import jointid.jointfile", ("numba", "matplotlib", "scipy.signal", "scipy.optimize")),
         ("import jointid.assessment.validation", ("numba", "matplotlib", "scipy.signal", "scipy.optimize")),
     ],
@@ -92,6 +92,18 @@ def test_what_an_import_loads(statement: str, absent: tuple[str, ...]) -> None:
     program = f"import sys; {statement}; print([m for m in {absent!r} if m in sys.modules])"
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("words", [["--help"], ["identify", "--help"], ["--version"]])
+def test_help_loads_the_command_line_and_nothing_heavy(words: list[str]) -> None:
+    program = (
+        "import sys; import jointid.cli.app as cli; cli.app(sys.argv[1:], result_action='return_value'); "
+        "print(*sorted({m.split('.')[0] for m in sys.modules}))"
+    )
+    found = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True, check=True)
+    loaded = set(found.stdout.splitlines()[-1].split())
+    assert {"jointid", "cyclopts"} <= loaded
+    assert not loaded & {"numpy", "scipy", "numba", "matplotlib", "pydantic", "tomli_w", "unittest"}
 
 
 def test_every_public_name_can_be_loaded() -> None:

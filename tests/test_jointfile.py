@@ -676,7 +676,7 @@ FAULTS = [
     (
         "[record]\nfile = 'run.xyz'\n" + SMALLEST,
         'record.file: run.xyz has the suffix ".xyz", which names no known format (CSV: .csv, .txt, .tsv, .dat; '
-        "MAT: .mat).",
+        "MAT: .mat; NPY: .npy).",
     ),
     (
         "[record]\nfile = 'run.mat'\ndecimal = ','\n" + SMALLEST,

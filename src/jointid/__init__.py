@@ -14,6 +14,7 @@ if TYPE_CHECKING:
         comparison_answer,
         estimate_answer,
         learned_answer,
+        long_answer,
         loop_answer,
         revealing_answer,
         simulation_answer,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from jointid.data.columns import Column
     from jointid.data.drive import Drive
     from jointid.data.excitation import pulses, trapezoids
+    from jointid.data.pieces import Log
     from jointid.data.reading import read
     from jointid.data.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, record_of
     from jointid.data.signals import Filtering
@@ -55,6 +57,8 @@ if TYPE_CHECKING:
     from jointid.jointfile import JointFile, load
     from jointid.learning.learn import learn_loop
     from jointid.learning.learned import LearnedLoop
+    from jointid.long.identify_long import identify_long
+    from jointid.long.long_estimate import LongEstimate
     from jointid.model.controllers import (
         PD,
         PID,
@@ -87,6 +91,7 @@ _HOMES = {
         "comparison_answer",
         "estimate_answer",
         "learned_answer",
+        "long_answer",
         "loop_answer",
         "revealing_answer",
         "simulation_answer",
@@ -104,6 +109,7 @@ _HOMES = {
     "data.columns": ("Column",),
     "data.drive": ("Drive",),
     "data.excitation": ("pulses", "trapezoids"),
+    "data.pieces": ("Log",),
     "data.reading": ("read",),
     "data.writing": ("write",),
     "data.record": ("Channel", "Injection", "InjectionPoint", "Record", "Tap", "Timing", "record_of"),
@@ -135,6 +141,8 @@ _HOMES = {
         "SecondOrder",
         "StateSpaceController",
     ),
+    "long.identify_long": ("identify_long",),
+    "long.long_estimate": ("LongEstimate",),
     "model.effects": ("Drift", "PositionHarmonics"),
     "model.friction": ("AsymmetricFriction", "SymmetricFriction"),
     "model.gravity": ("Counterbalance", "Gravity"),
@@ -187,6 +195,8 @@ __all__ = [
     "JointFileError",
     "JointidError",
     "LearnedLoop",
+    "Log",
+    "LongEstimate",
     "LoopCheck",
     "LoopTests",
     "MethodError",
@@ -220,11 +230,13 @@ __all__ = [
     "estimate_answer",
     "frequencies",
     "identify",
+    "identify_long",
     "identify_together",
     "intervals",
     "learn_loop",
     "learned_answer",
     "load",
+    "long_answer",
     "loop_answer",
     "prepare",
     "pulses",

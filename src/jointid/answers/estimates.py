@@ -68,7 +68,7 @@ def estimate_answer(estimate: Estimate) -> Json:
         "effects": [effect_answer(effect) for effect in estimate.effects],
         "warnings": list(estimate.warnings),
         "verdicts": [{"subject": v.subject, "good": v.good, "said": v.said} for v in estimate.verdicts],
-        "combinations": None if estimate.known is None else _combinations(estimate.known),
+        "combinations": None if estimate.known is None else combinations_answer(estimate.known),
         "residuals": None if estimate.residuals is None else _residuals(estimate.residuals),
         "stiffness_bounds": [_bound(bound) for bound in estimate.bounds],
     }
@@ -88,7 +88,8 @@ def _bound(bound: StiffnessBound) -> Json:
     return {"load_share": bound.share, "stiffness": bound.stiffness, "free_free_hz": bound.frequency}
 
 
-def _combinations(known: Identifiability) -> list[Json]:
+def combinations_answer(known: Identifiability) -> list[Json]:
+    """Return what is known of several parameters together as it is written to JSON."""
     return [_combination(one) for one in (*known.physical, *known.directions)]
 
 

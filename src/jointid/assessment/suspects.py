@@ -9,6 +9,7 @@ it does to the joint's parameters, and what is left is tested again.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -136,7 +137,8 @@ def _tested(state: _State, settings: LoopTests) -> _Tested:
         )
     asked = [n for n in known if n not in state.named and (settings.suspects is None or n in settings.suspects)]
     declared = {name: _declared(state, name) for name in asked}
-    suspects = tested(residual, _own(state, own), alternatives, declared, lambda: _cells(state))
+    where = cache(lambda: _cells(state))  # asked by every suspect that is found, and a simulation each time
+    suspects = tested(residual, _own(state, own), alternatives, declared, where)
     return _Tested(residual, own, alternatives, suspects)
 
 

@@ -26,7 +26,6 @@ def compare(
         json: also write the answer as JSON to this file.
         quiet: say nothing of the progress.
     """
-    from jointid import answers
     from jointid.assessment.comparison import compare as run
     from jointid.cli.console import check_outputs, progress, ready, show
     from jointid.estimation.didim import DIDIM
@@ -48,4 +47,6 @@ def compare(
     )
     show(comparison)
     if json is not None:
+        from jointid import answers
+
         answers.write(answers.comparison_answer(comparison), json)

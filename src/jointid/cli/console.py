@@ -32,12 +32,18 @@ def progress(quiet: bool) -> Progress:
     return silent if quiet else tell
 
 
-def ready(listener: Progress) -> None:
-    """Load the compiled simulation; where it must be compiled first, say why that takes long."""
-    from jointid.simulation.closed_loop import warm_up
+def ready(listener: Progress, *, derivatives: bool = True) -> None:
+    """Load the compiled simulation; where it must be compiled first, say why that takes long.
 
+    Args:
+        listener: is told.
+        derivatives: whether its derivatives are needed, too.
+    """
+    from jointid.simulation import closed_loop, sensitivities
+
+    warm_up, takes = (sensitivities.warm_up, 20) if derivatives else (closed_loop.warm_up, 10)
     timer = threading.Timer(
-        _PATIENCE, listener, ["compiling the simulation for this machine; this happens once and takes some 10 s"]
+        _PATIENCE, listener, [f"compiling the simulation for this machine; this happens once and takes some {takes} s"]
     )
     timer.daemon = True
     timer.start()

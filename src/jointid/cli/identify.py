@@ -47,9 +47,7 @@ def identify(
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         quiet: say nothing of the progress.
     """
-    from jointid import answers
     from jointid.assessment.loop import with_loop_verdict
-    from jointid.assessment.revealing import what_would_tell_more
     from jointid.cli.console import check_outputs, identified, progress, show
     from jointid.estimation.flexible import FlexibleDIDIM
     from jointid.jointfile import load
@@ -72,10 +70,14 @@ def identify(
         estimate = with_loop_verdict(estimate, logged)  # the paper's search need not end where least squares would
     show(estimate)
     if json is not None:
+        from jointid import answers
+
         answers.write(answers.estimate_answer(estimate), json)
     if figure is not None:
         from jointid.report.figures import save, torque_figure
 
         save(torque_figure(estimate), figure)
     if estimate.bounds:
+        from jointid.assessment.revealing import what_would_tell_more
+
         show(f"\n{what_would_tell_more(estimate, logged)}")

@@ -27,7 +27,6 @@ def loop(
         write: also write the joint file, with the learned [controller], to this file.
         quiet: say nothing of the progress.
     """
-    from jointid import answers
     from jointid.cli.console import check_outputs, progress, show
     from jointid.jointfile import load
     from jointid.learning.learn import learn_loop
@@ -45,6 +44,8 @@ def loop(
     )
     show(learned)
     if json is not None:
+        from jointid import answers
+
         answers.write(answers.learned_answer(learned), json)
     if write is not None:
         save(learned, file, write)

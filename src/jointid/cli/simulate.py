@@ -82,7 +82,7 @@ def _joint(
         values = identified.values
         if identified.effects:
             listener("the estimate's ripple and drift are left out, which the simulated loop does not have")
-    ready(listener)
+    ready(listener, derivatives=False)
     simulation = require_finished(simulate(file.loop, prepare(file.loop, logged), values))
     peak = float(abs(simulation.torque).max())
     for line in transmission_lines(file.joint.transmission):
@@ -111,7 +111,7 @@ def _twin(
     from jointid.data.writing import write
     from jointid.paper.twin import twin
 
-    ready(progress(quiet))
+    ready(progress(quiet), derivatives=False)
     axis = twin(loop, added_mass=added_mass, noise=noise, seed=seed)
     write(axis.record, out)
     symbols = {p.name: p.symbol for p in axis.loop.joint.parameters}

@@ -24,7 +24,6 @@ def together(
         json: also write the answer as JSON to this file.
         quiet: say nothing of the progress.
     """
-    from jointid import answers
     from jointid.cli.console import check_outputs, progress, ready, show
     from jointid.common.errors import MethodError
     from jointid.jointfile import load
@@ -55,4 +54,6 @@ def together(
     )
     show(estimate)
     if json is not None:
+        from jointid import answers
+
         answers.write(answers.together_answer(estimate), json)

@@ -64,38 +64,69 @@ def read(
         RecordError: the file cannot be read, or does not hold what it is declared to hold; `faults` has a
             sentence for each missing column, wrong unit, gap, jump of the clock and impossible scale.
     """
-    drive, columns = drive or Drive(), columns or {}
-    unknown = [channel for channel in columns if channel not in CHANNELS]
-    if unknown:
-        raise RecordError(f"No channel is called {', '.join(unknown)}; there are {', '.join(CHANNELS)}.")
-    if kind not in units.POSITION_UNITS:
-        raise RecordError(f'A joint is "prismatic" or "revolute"; got {kind!r}.')
-    wanted = {n: Column(c) if isinstance(c := columns[n], str) else c for n in CHANNELS if n in columns}
-    table = read_table(path, **options)
-    if any(column.sample_time for column in wanted.values()):
-        table = _without_tails(table)
-    reading = _Reading(table, kind, transmission, drive, [])
-    found = reading.found(reading.profiled(wanted))
-    clock = Clock(sample_time)
-    if time is None and sample_time is None and drive.traces is not None:
-        time = drive.traces.time_column(table.columns)
-    if time is not None or any(column.sample_time is None for column in found.values()):
-        clock, wrong = clock_of(table, time, time_unit, sample_time, clock_tolerance)
-        reading.faults.extend(wrong)
-    read_in = {channel: reading.channel(channel, found, clock) for channel in found}
-    if reading.faults:
-        raise RecordError(reading.faults)
-    logged = {n: Refreshed(c, found[n].update_time) for n, c in read_in.items() if c is not None}
-    others = {n: Refreshed(c) for n, c in reading.others(found, clock).items()}
-    channels, begin, faults = begun_together({**logged, **others})
-    if faults:
-        raise RecordError(faults)
-    apart = {n: channels.pop(n) for n in others}
-    record = replace(_record(channels, found, name or Path(path).stem), other_axes=apart, begin=begin)
-    faults = scale_faults(record)
-    if faults:
-        raise RecordError(faults)
-    return record
+    how = Wanted(
+        columns or {}, drive or Drive(), time, time_unit, sample_time, kind, transmission, name, clock_tolerance
+    )
+    return how.record(read_table(path, **options), Path(path).stem)
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """How a table becomes a record; see `read` for what each means.
+
+    Raises:
+        RecordError: there is no channel of a name, or no such kind of joint.
+    """
+
+    columns: Mapping[str, str | Column]
+    drive: Drive
+    time: str | None = None
+    time_unit: str | None = None
+    sample_time: float | None = None
+    kind: str = "prismatic"
+    transmission: Transmission | None = None
+    name: str | None = None
+    clock_tolerance: float = CLOCK_TOLERANCE
+
+    def __post_init__(self) -> None:
+        unknown = [channel for channel in self.columns if channel not in CHANNELS]
+        if unknown:
+            raise RecordError(f"No channel is called {', '.join(unknown)}; there are {', '.join(CHANNELS)}.")
+        if self.kind not in units.POSITION_UNITS:
+            raise RecordError(f'A joint is "prismatic" or "revolute"; got {self.kind!r}.')
+
+    def record(self, table: Table, name: str) -> Record:
+        """Return the record that a table holds, under its own name or this one.
+
+        Raises:
+            RecordError: see `read`.
+        """
+        columns = self.columns
+        wanted = {n: Column(c) if isinstance(c := columns[n], str) else c for n in CHANNELS if n in columns}
+        if any(column.sample_time for column in wanted.values()):
+            table = _without_tails(table)
+        reading = _Reading(table, self.kind, self.transmission, self.drive, [])
+        found = reading.found(reading.profiled(wanted))
+        clock, time = Clock(self.sample_time), self.time
+        if time is None and self.sample_time is None and self.drive.traces is not None:
+            time = self.drive.traces.time_column(table.columns)
+        if time is not None or any(column.sample_time is None for column in found.values()):
+            clock, wrong = clock_of(table, time, self.time_unit, self.sample_time, self.clock_tolerance)
+            reading.faults.extend(wrong)
+        read_in = {channel: reading.channel(channel, found, clock) for channel in found}
+        if reading.faults:
+            raise RecordError(reading.faults)
+        logged = {n: Refreshed(c, found[n].update_time) for n, c in read_in.items() if c is not None}
+        others = {n: Refreshed(c) for n, c in reading.others(found, clock).items()}
+        channels, begin, faults = begun_together({**logged, **others})
+        if faults:
+            raise RecordError(faults)
+        apart = {n: channels.pop(n) for n in others}
+        record = replace(_record(channels, found, self.name or name), other_axes=apart, begin=begin)
+        faults = scale_faults(record)
+        if faults:
+            raise RecordError(faults)
+        return record
 
 
 @dataclass(frozen=True, slots=True)

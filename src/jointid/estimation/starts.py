@@ -99,6 +99,16 @@ def resting_position(problem: Problem) -> float:
     A proportional loop lets a load that weighs something sag by the torque that carries it, over its gain. A search
     that begins beside it may not find it: friction holds the motor where it begins.
     """
+    return beginning_position(problem, 0.0)
+
+
+def beginning_position(problem: Problem, velocity: float) -> float:
+    """Return where a motor that moves uniformly has the controller put out the first logged torque; else its reference.
+
+    Args:
+        problem: with the record's torque.
+        velocity: of the motor.
+    """
     experiment = problem.experiment
     law = experiment.feedback
     home = float(experiment.inputs[0, REFERENCE])
@@ -106,6 +116,7 @@ def resting_position(problem: Problem) -> float:
         return home
     gain = law.C[0, law.output] @ experiment.memory[:, 0] + law.D[0, law.output, POSITION]
     asked = problem.measured[0] - experiment.shown[0] - experiment.feedforward[law.output, 0]
+    asked -= velocity * (law.C[0, law.output] @ experiment.memory[:, 1])
     return float(asked / gain) if gain != 0.0 else home
 
 

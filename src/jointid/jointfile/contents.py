@@ -12,6 +12,7 @@ from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.data.checks import CLOCK_TOLERANCE, check_record
 from jointid.data.columns import Column
 from jointid.data.drive import Drive
+from jointid.data.pieces import Log
 from jointid.data.reading import read
 from jointid.data.record import Record
 from jointid.data.signals import Filtering
@@ -178,20 +179,24 @@ class JointFile:
                 sentence for each missing column, gap, jump of the clock, impossible scale, constant torque, and
                 torque at the controller's limit.
         """
-        if path is None:
-            if self.source.file is None:
-                raise RecordError(f"{self.path} names no record; add file to [record], or name one by --record.")
-            path = self.path.parent / self.source.file
-        needed = {*needed_channels(self._method_name, self.controller, self.joint.model), "injected"}
-        columns = {n: c if n in needed else replace(c, optional=True) for n, c in self.columns.items()}
-        if self.drive.traces is not None:  # it is to find what the method needs and the file does not name
-            columns |= {n: Column() for n in needed if n not in columns and n != "injected"}
+        path = self._path(path)
+        columns = self._columns
         record = read(path, columns, clock_tolerance=self.source.clock_tolerance, **self._reading)
         controller, torque = self.controller, record.torque
         limit = controller.law(torque.sample_time).limit if controller is not None and torque is not None else None
         gear = self.joint.transmission
         check_record(record, limit=limit, side=None if gear is None else gear.side)
         return record
+
+    def log(self, path: str | os.PathLike[str] | None = None) -> Log:
+        """Return the record as one that is read in pieces, when it is asked for; see `record`.
+
+        Raises:
+            RecordError: a channel has a sample time of its own, or no record is named.
+        """
+        reading = {"clock_tolerance": self.source.clock_tolerance, **self._reading}
+        settings = {key: value for key, value in reading.items() if key not in self.source.options}
+        return Log(self._path(path), self._columns, settings, self.source.options)
 
     def write(self, record: Record, path: str | os.PathLike[str]) -> None:
         """Write a record, on the joint's side of its transmission, as this file reads it: `record(path)` gives it back.
@@ -200,6 +205,23 @@ class JointFile:
             RecordError: see `jointid.data.writing.write`.
         """
         write(record, path, self.columns, **self._reading)
+
+    def _path(self, path: str | os.PathLike[str] | None) -> str | os.PathLike[str]:
+        """Return the path of the record: that one, or the one this file names."""
+        if path is not None:
+            return path
+        if self.source.file is None:
+            raise RecordError(f"{self.path} names no record; add file to [record], or name one by --record.")
+        return self.path.parent / self.source.file
+
+    @property
+    def _columns(self) -> dict[str, Column]:
+        """The channels to read: those that the method needs, and others if they are there."""
+        needed = {*needed_channels(self._method_name, self.controller, self.joint.model), "injected"}
+        columns = {n: c if n in needed else replace(c, optional=True) for n, c in self.columns.items()}
+        if self.drive.traces is not None:  # it is to find what the method needs and the file does not name
+            columns |= {n: Column() for n in needed if n not in columns and n != "injected"}
+        return columns
 
     @property
     def _reading(self) -> dict[str, Any]:

@@ -340,6 +340,11 @@ def require_finished(simulation: Finished) -> Finished:
 
 def warm_up() -> None:
     """Compile the simulation, or load it from the cache: what the first simulation would otherwise wait for."""
+    simulate_torque(*smallest())
+
+
+def smallest() -> tuple[ClosedLoop, Experiment, dict[str, float]]:
+    """Return a loop, what it is driven with and values, as small as they can be."""
     loop = ClosedLoop(RigidJoint(), Cascade(kp=1.0, kv=1.0))
     still = Record(reference=Channel(np.zeros(10), "m", 1.0))
-    simulate_torque(loop, prepare(loop, still), dict.fromkeys(("inertia", "viscous", "coulomb", "offset"), 1.0))
+    return loop, prepare(loop, still), dict.fromkeys(("inertia", "viscous", "coulomb", "offset"), 1.0)

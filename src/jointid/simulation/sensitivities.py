@@ -27,6 +27,7 @@ from jointid.simulation.closed_loop import (
     first_state,
     response_of,
     run,
+    smallest,
 )
 from jointid.simulation.experiment import ClosedLoop, Experiment, known_memory
 from jointid.simulation.logged import acting, as_logged, averages, seen_torque
@@ -122,6 +123,11 @@ def simulate_sensitivities(
         states[:, 0] if positions else command[:, :0],
         states[:, 1] if positions and flexible else command[:, :0],
     )
+
+
+def warm_up() -> None:
+    """Compile the simulation and its derivatives, or load them from the cache."""
+    simulate_sensitivities(*smallest(), ["inertia"])
 
 
 def _lanes() -> int:

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
 
 from jointid.common.errors import RecordError
 from jointid.data.formats.csv import Csv
 from jointid.data.formats.matlab import Matlab
-from jointid.data.formats.table import Format, Table
+from jointid.data.formats.npy import Npy
+from jointid.data.formats.table import Block, Format, Streamed, Table
 
-__all__ = ["FORMATS", "Csv", "Format", "Matlab", "Table", "format_of", "read_table", "write_table"]
+__all__ = [
+    "FORMATS", "Block", "Csv", "Format", "Matlab", "Npy", "Streamed", "Table", "format_of", "read_blocks", "read_table",
+    "write_table",
+]  # fmt: skip
 
-FORMATS: tuple[Format, ...] = (Csv(), Matlab())
+FORMATS: tuple[Format, ...] = (Csv(), Matlab(), Npy())
 """Every format there is."""
 
 
@@ -49,12 +55,39 @@ def read_table(path: str | os.PathLike[str], **options: object) -> Table:
     """
     path = Path(path)
     reader = format_of(path, **options)
+    with _reading(path):
+        return reader.read(path)
+
+
+def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> Iterator[Block]:
+    """Yield so many rows of a file after so many, in bounded memory; a block is read when it is asked for.
+
+    Args:
+        path: the file.
+        rows: of a block, 1 or more; the last one may have fewer.
+        options: of the format's reader; see `Csv`.
+
+    Raises:
+        RecordError: there is no such file, it cannot be read, or its format has no rows one after the other.
+    """
+    path = Path(path)
+    reader = format_of(path, **options)
+    if not isinstance(reader, Streamed):
+        streamed = ", ".join(entry.name for entry in FORMATS if isinstance(entry, Streamed))
+        raise RecordError(f"{reader.name} cannot be read in pieces; convert {path.name} to one of {streamed}.")
+    with _reading(path):
+        yield from reader.blocks(path, rows)
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Say in a sentence why a file cannot be read."""
     if path.is_dir():
         raise RecordError(f"{path} is a folder; name a file in it.")
     try:
         if path.stat().st_size == 0:
             raise RecordError(f"{path.name} is empty (0 bytes); log or copy it again.")
-        return reader.read(path)
+        yield
     except OSError as error:
         raise RecordError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain, islice
 from pathlib import Path
 from typing import ClassVar
 
@@ -20,12 +21,53 @@ from jointid.common.errors import RecordError
 from jointid.common.units import UnitError, unit
 from jointid.data.formats.dialect import BLANKS, Dialect, Fit, is_number, sniff
 from jointid.data.formats.table import Table
-from jointid.data.formats.textfile import Line, TextFile, is_comment, read_lines
+from jointid.data.formats.textfile import Line, TextFile, is_comment, read_lines, stream_lines, text_of
 from jointid.data.record import FloatArray
 
 _BRACKETED = re.compile(r"\[(.*)\]|\((.*)\)")
 _NO_UNIT = ("", "-")
+_BEGINNING = 1000  # lines, that tell how those of a long file are written
 _DELIMITER = re.compile(r"[^\w\r\n\".+-]")  # anything but a part of a number, of a name, of a line end
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """How the rows of a file are written.
+
+    Attributes:
+        dialect: of the rows.
+        names: of the columns.
+        start: the first row among the lines that are neither empty nor comments.
+        closed: whether every row ends with the delimiter, behind which there is no column.
+    """
+
+    dialect: Dialect
+    names: Sequence[str]
+    start: int
+    closed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Lines:
+    """Rows of a file as text, which may be its last; a `Block`."""
+
+    file: str
+    layout: Layout
+    lines: Sequence[Line]
+    last: bool = True
+
+    @property
+    def rows(self) -> int:
+        """How many there are."""
+        return len(self.lines)
+
+    def table(self, rows: int | None = None) -> Table:
+        """Return the numbers of all, or of the first so many."""
+        dialect, lines = self.layout.dialect, self.lines[:rows]
+        if self.layout.closed:
+            lines = [Line(i, row.rstrip(BLANKS).removesuffix(dialect.delimiter)) for i, row in lines]
+        values = _values(self.file, lines, dialect, self.layout.names, self.last)
+        return Table(dict(zip(self.layout.names, values.T, strict=True)), source=self.file)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +133,27 @@ class Csv:
         rows = map(mark.join, zip(*cells, strict=True))
         path.write_text("\n".join([*_header(table, mark), *rows, ""]), encoding="utf-8", newline="\n")
 
+    def blocks(self, path: Path, rows: int) -> Iterator[Lines]:
+        """Yield so many rows after so many; how they are written is told by the file's first lines."""
+        try:
+            lines = stream_lines(path)
+            head = list(islice(lines, _BEGINNING))
+            text = text_of(path.name, head)
+            layout = self._layout(text)
+        except csv.Error as error:
+            raise RecordError(f"{path.name} cannot be split into cells ({error}); is it delimited text?") from error
+        found = chain(text.lines[layout.start :], (line for line in lines if not is_comment(line.text)))
+        block = list(islice(found, rows))
+        while block:
+            following = list(islice(found, rows))
+            yield Lines(path.name, layout, block, not following)
+            block = following
+
     def _table(self, text: TextFile) -> Table:
+        layout = self._layout(text)
+        return Lines(text.name, layout, text.lines[layout.start :]).table()
+
+    def _layout(self, text: TextFile) -> Layout:
         fit = self._fit(text)
         dialect, width = fit.dialect, fit.width
         start = fit.first_row([line.text for line in text.lines])
@@ -101,9 +163,8 @@ class Csv:
             row.text.rstrip(BLANKS).endswith(dialect.delimiter) for row in rows[:-1] or rows
         )
         header = self._names(text, start, fit, closed)
-        if closed and (header is None or len(header) < width or not header[-1]):
-            width -= 1
-            rows = [Line(i, row.rstrip(BLANKS).removesuffix(dialect.delimiter)) for i, row in rows]
+        unnamed = closed and (header is None or len(header) < width or not header[-1])
+        width -= unnamed
         names = [name or str(i) for i, name in enumerate(header or [""] * width, start=1)][:width]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
@@ -111,8 +172,7 @@ class Csv:
                 f'{text.name} has more than one column called "{twice[0]}"; rename them, or give '
                 "header = false to call the columns by their numbers."
             )
-        values = _values(text.name, rows, dialect, names)
-        return Table(dict(zip(names, values.T, strict=True)), source=text.name)
+        return Layout(dialect, names, start, unnamed)
 
     def _fit(self, text: TextFile) -> Fit:
         """Return the reading of the rows; where there are two, the one that the line of names speaks for."""
@@ -186,8 +246,8 @@ def _is_unit(text: str) -> bool:
     return True
 
 
-def _values(file: str, rows: Sequence[Line], dialect: Dialect, names: Sequence[str]) -> FloatArray:
-    """Return the numbers of the rows, shape (rows, columns)."""
+def _values(file: str, rows: Sequence[Line], dialect: Dialect, names: Sequence[str], ends: bool) -> FloatArray:
+    """Return the numbers of the rows, shape (rows, columns); the file may end with them."""
     plain = [row.text for row in rows]
     if dialect.decimal == ",":  # a point is then a thousands separator, and no number
         plain = [row.replace(".", "?").replace(",", ".") for row in plain]
@@ -195,7 +255,7 @@ def _values(file: str, rows: Sequence[Line], dialect: Dialect, names: Sequence[s
         mark = None if dialect.delimiter == BLANKS else dialect.delimiter
         return np.loadtxt(plain, dtype=np.float64, delimiter=mark, comments=None, ndmin=2)
     except ValueError:  # quotes, an empty cell or a fault: only the slow way can tell
-        return np.array([_row(file, row, row is rows[-1], dialect, names) for row in rows])
+        return np.array([_row(file, row, ends and row is rows[-1], dialect, names) for row in rows])
 
 
 def _row(file: str, line: Line, last: bool, dialect: Dialect, names: Sequence[str]) -> list[float]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import Field, dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -82,5 +82,36 @@ class Format(Protocol):
         Raises:
             RecordError: the format cannot hold this table.
             OSError: the file cannot be written.
+        """
+        ...
+
+
+class Block(Protocol):
+    """Neighbouring rows of a file, not read until they are asked for."""
+
+    @property
+    def rows(self) -> int:
+        """How many there are, 1 or more."""
+        ...
+
+    def table(self, rows: int | None = None) -> Table:
+        """Read them, or the first so many.
+
+        Raises:
+            RecordError: a row is damaged; the sentence names its line.
+        """
+        ...
+
+
+@runtime_checkable
+class Streamed(Protocol):
+    """A format whose files can be read from front to back in bounded memory."""
+
+    def blocks(self, path: Path, rows: int) -> Iterator[Block]:
+        """Yield so many rows after so many; the last block may have fewer.
+
+        Raises:
+            RecordError: the file is not of this format.
+            OSError: the file cannot be opened.
         """
         ...

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -10,6 +11,7 @@ from typing import NamedTuple
 from jointid.common.errors import RecordError
 
 _COMMENTS = ("#", "%", "//")
+_HEAD = 65536  # bytes
 _SPREADSHEET = "sep="  # "sep=;" is a note from one spreadsheet program to another
 
 
@@ -61,8 +63,41 @@ def read_lines(path: Path) -> TextFile:
         raise RecordError(f"{path.name} holds bytes that are no text; save it as CSV in UTF-8.")
     # str.splitlines would also split at form feeds and other marks that occur inside names.
     every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    filled = [Line(number, line) for number, line in enumerate(every, start=1) if line and not line.isspace()]
+    return text_of(path.name, [Line(number, line) for number, line in enumerate(every, start=1) if _filled(line)])
+
+
+def text_of(name: str, filled: list[Line]) -> TextFile:
+    """Return the text that lines make, none of which is empty."""
     lines = [line for line in filled if not is_comment(line.text)]
     above = [line for line in filled if not lines or line.number < lines[0].number][-1:]
     comments = [Line(n, line.lstrip(" \t#%/")) for n, line in above if not line.startswith(_SPREADSHEET)]
-    return TextFile(path.name, lines, comments[0] if comments else None)
+    return TextFile(name, lines, comments[0] if comments else None)
+
+
+def stream_lines(path: Path) -> Iterator[Line]:
+    """Yield the lines that are not empty, comments too, of a file of any length, encoded as for `read_lines`.
+
+    Whether it is UTF-8 is told by its beginning; what is no text further down is no number either.
+
+    Raises:
+        RecordError: the file is not text.
+        OSError: the file cannot be opened.
+    """
+    with path.open("rb") as raw:
+        head = raw.read(_HEAD)
+    encoding = "utf-16" if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    try:
+        beginning = codecs.getincrementaldecoder(encoding)().decode(head)
+    except UnicodeDecodeError:
+        encoding, beginning = "latin-1", head.decode("latin-1")
+    if "\0" in beginning:
+        raise RecordError(f"{path.name} holds bytes that are no text; save it as CSV in UTF-8.")
+    with path.open(encoding=encoding, errors="replace") as file:
+        for number, line in enumerate(file, start=1):
+            text = line.rstrip("\n")
+            if _filled(text):
+                yield Line(number, text)
+
+
+def _filled(line: str) -> bool:
+    return bool(line) and not line.isspace()
