@@ -1,0 +1,122 @@
+"""The measuring stick: a plain C version of the same stepper, for its own law; it lies beside the real records."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+import math
+import os
+import shutil
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.peers.shape import CORES, Peer, Setting
+from benchmarks.problem import NAMES, STICK, Array, Loop
+
+_ROOT = Path(__file__).resolve().parents[2]
+
+
+def stick_folder() -> Path | None:
+    """Return the folder of the measuring stick: beside that of the real records, found as the tests find it."""
+    named = os.environ.get("JOINTID_DATA")
+    places = [*([Path(named)] if named else []), _ROOT.parent / "shared" / "data"]
+    return next((p.parent / "bench" for p in places if (p.parent / "bench" / "stick.py").is_file()), None)
+
+
+def stick_module(name: str) -> ModuleType:
+    """Load a module of the stick's; nothing is written beside it."""
+    folder = stick_folder()
+    if folder is None:
+        raise ModuleNotFoundError("There is no measuring stick beside the real records; set JOINTID_DATA.")
+    if str(folder) not in sys.path:
+        sys.path.append(str(folder))
+    writes, sys.dont_write_bytecode = sys.dont_write_bytecode, True
+    try:
+        return importlib.import_module(name)
+    finally:
+        sys.dont_write_bytecode = writes
+
+
+class CStick(Peer):
+    """`sim`, `sim_sens` and `batch` of exact.c, called with their arrays prepared."""
+
+    key = "c"
+    title = "plain C (the stick)"
+    settings = (Setting("exact", error=1e-9),)
+    model = "the same stepper for this law and symmetric friction alone; gcc -O3 -march=native"
+    derivatives = "exact, of the same run"
+    many = "two threads through ctypes, eight candidates in one vector where the processor has AVX-512"
+
+    def __init__(self, loop: Loop, setting: Setting) -> None:
+        super().__init__(loop, setting)
+        stick = stick_module("stick")
+        stick.c_sim()  # builds it
+        self.library, self.law = stick._lib, stick._ctl
+        self.library.sim.restype = self.library.sim_sens.restype = None
+        self.w, self.start = np.ascontiguousarray(loop.feedforward), ctypes.c_double(float(loop.reference[0]))
+        self.samples = ctypes.c_int(loop.samples)
+        self.found, self.counts = np.empty(loop.samples), np.zeros(2, np.int64)
+        self.columns = _aligned((loop.samples, len(NAMES)))
+
+    @classmethod
+    def absent(cls, loop: Loop | None = None) -> str | None:
+        """It knows one law only, and is built where it is used."""
+        if stick_folder() is None:
+            return "it lies beside the real records, which are not here"
+        if shutil.which("gcc") is None:
+            return "there is no gcc"
+        return "it knows the stick's law only" if loop is not None and loop.law.key != STICK.key else None
+
+    def torque(self, parameters: Array) -> Array:
+        """Return the torque, in the same array every time."""
+        self.library.sim(
+            self.samples, _at(parameters), ctypes.byref(self.law), _at(self.w), self.start, _at(self.found), None,
+            _at(self.counts),
+        )  # fmt: skip
+        return self.found
+
+    def slopes(self, parameters: Array) -> tuple[Array, Array]:
+        """Return the torque and its derivatives, in the same arrays every time."""
+        self.library.sim_sens(
+            self.samples, _at(parameters), ctypes.byref(self.law), _at(self.w), self.start, _at(self.found),
+            _at(self.columns), _at(self.counts),
+        )  # fmt: skip
+        return self.found, self.columns
+
+    def batch(self, candidates: Array) -> Sequence[Array]:
+        """Return many torques, in fresh memory; the library releases the interpreter, so threads are enough."""
+        eights = hasattr(self.library, "batch8") and len(candidates) % 8 == 0
+        call, lanes = (self.library.batch8, 8) if eights else (self.library.batch, 1)
+        groups = np.ascontiguousarray(candidates).reshape(-1, lanes, len(NAMES))
+        torques = _aligned((len(groups), self.loop.samples, lanes))
+        parts = zip(np.array_split(groups, CORES), np.array_split(torques, CORES), strict=True)
+        with ThreadPoolExecutor(CORES) as pool:
+            list(pool.map(lambda part: self._many(call, *part), parts))
+        return [torques[i // lanes, :, i % lanes] for i in range(len(candidates))]
+
+    def _many(self, call: Any, groups: Array, torques: Array) -> None:
+        call.restype = None
+        count = groups.shape[0] * groups.shape[1]
+        call(
+            ctypes.c_int(count), self.samples, _at(groups), ctypes.byref(self.law), _at(self.w), self.start,
+            _at(torques),
+        )  # fmt: skip
+
+
+def _aligned(shape: tuple[int, ...]) -> Array:
+    """Return an array that begins at a multiple of 64 bytes, as a vector of eight numbers must."""
+    size = math.prod(shape)
+    raw = np.empty(size + 8)
+    skip = (-raw.ctypes.data // 8) % 8
+    return raw[skip : skip + size].reshape(shape)
+
+
+def _at(array: NDArray[Any]) -> ctypes.c_void_p:
+    return array.ctypes.data_as(ctypes.c_void_p)

@@ -1,0 +1,109 @@
+"""This package: the exact simulation, its exact derivatives, threads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from benchmarks.peers.shape import CORES, Peer, Setting
+from benchmarks.problem import NAMES, PERIOD, Array, Law, Loop
+
+
+class Engine(Peer):
+    """`simulate_torque`, `simulate_sensitivities` and `simulate_many`."""
+
+    key = "jointid"
+    title = "jointid"
+    requires = (".",)
+    settings = (Setting("exact", error=1e-9),)
+    model = "exact to rounding: events located, true sticking"
+    derivatives = "exact, of the same run"
+    many = "`simulate_many`, two threads"
+
+    def __init__(self, loop: Loop, setting: Setting) -> None:
+        from jointid.simulation.experiment import prepare
+
+        super().__init__(loop, setting)
+        self.closed = _closed(loop.law)
+        self.experiment = prepare(self.closed, _record(loop))
+
+    def torque(self, parameters: Array) -> Array:
+        """Return the torque that an optimiser is given for one candidate."""
+        from jointid.simulation.closed_loop import simulate_torque
+
+        return simulate_torque(self.closed, self.experiment, _values(parameters)).torque
+
+    def slopes(self, parameters: Array) -> tuple[Array, Array]:
+        """Return the torque and its exact derivatives."""
+        from jointid.simulation.sensitivities import simulate_sensitivities
+
+        run = simulate_sensitivities(self.closed, self.experiment, _values(parameters), NAMES)
+        return run.response.torque, run.torque
+
+    def batch(self, candidates: Array, workers: int = CORES) -> Sequence[Array]:
+        """Return many torques; every one is kept, in fresh memory."""
+        from jointid.simulation.closed_loop import simulate_many
+
+        values = [_values(parameters) for parameters in candidates]
+        return [run.torque for run in simulate_many(self.closed, self.experiment, values, workers=workers)]
+
+    def kernel(self, parameters: Array) -> Callable[[], object]:
+        """Return a call of the compiled simulation alone, with the arguments that `torque` gives it."""
+        from jointid.simulation import kernels
+
+        caught: list[tuple[Any, ...]] = []
+        original = kernels.run
+
+        def spy(*arguments: Any) -> int:
+            caught.append(tuple(a.copy() if isinstance(a, np.ndarray) else a for a in arguments))
+            return int(original(*arguments))
+
+        kernels.run = spy  # type: ignore[assignment]
+        try:
+            self.torque(parameters)
+        finally:
+            kernels.run = original
+        (arguments,) = caught
+        arrays = [(a, a.copy()) for a in arguments if isinstance(a, np.ndarray) and a.size < _SMALL]
+
+        def call() -> None:
+            for array, begun in arrays:  # states are stepped where they stand
+                array[...] = begun
+            original(*arguments)
+
+        return call
+
+
+_SMALL = 100  # what is larger is a signal, not a state
+
+
+def _closed(law: Law) -> Any:
+    from jointid.model.controllers import PD, Cascade, DigitalFilter
+    from jointid.model.joints import FlexibleJoint
+    from jointid.simulation.experiment import ClosedLoop
+
+    filtered = DigitalFilter((law.now, law.before), (1.0, -law.memory))
+    if law.fed:
+        controller = PD(
+            kp=law.kp, kd=law.kd, reference_velocity="channel", velocity_filter=filtered, limit=law.limit
+        )  # fmt: skip
+        return ClosedLoop(FlexibleJoint(), controller)
+    return ClosedLoop(
+        FlexibleJoint(), Cascade(kp=law.kp / law.kd, kv=law.kd, velocity_filter=filtered, limit=law.limit)
+    )  # fmt: skip
+
+
+def _record(loop: Loop) -> Any:
+    from jointid.data.record import Channel, Injection, InjectionPoint, Record
+
+    return Record(
+        reference=Channel(loop.reference, "m", PERIOD),
+        reference_velocity=Channel(loop.reference_velocity, "m/s", PERIOD),
+        injected=Injection(Channel(loop.pulse, "N", PERIOD), InjectionPoint.BEFORE_LIMIT),
+    )
+
+
+def _values(parameters: Array) -> dict[str, float]:
+    return {**dict(zip(NAMES, map(float, parameters), strict=True)), "offset": 0.0}
