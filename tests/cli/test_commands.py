@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -504,3 +507,19 @@ def test_numbers_in_answers_are_finite(demo: Path) -> None:
     assert "NaN" not in text
     assert "Infinity" not in text
     assert np.all(np.isfinite(numbers(json.loads(text))))
+
+
+@pytest.mark.parametrize(("given", "kept"), [(None, "1"), ("2", "2")])
+def test_small_matrices_are_left_to_one_thread(given: str | None, kept: str) -> None:
+    """Before NumPy is loaded, which reads it once; what the user has set stays."""
+    program = (
+        "import os, sys\n"
+        "from jointid.cli.app import main\n"
+        "assert 'numpy' not in sys.modules\n"
+        "try:\n    main(['--version'])\n"
+        "except SystemExit:\n    print(os.environ['OPENBLAS_NUM_THREADS'])\n"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    environment |= {} if given is None else {"OPENBLAS_NUM_THREADS": given}
+    ran = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    assert ran.stdout.split()[-1] == kept

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import atexit
 import gc
+import os
 import sys
 
 from cyclopts import App, CycloptsError
@@ -43,6 +44,9 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the program and exit; `arguments` are those of the command line when None."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
+    # Matrices here are thousands of rows by ten columns: a second thread only waits for the first, and holds up others.
+    for library in ("OPENBLAS", "MKL"):  # each reads this once, when NumPy is loaded
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     # At its end Python would look through all that was loaded for what can be freed, which took 0.3 s of `identify`.
     atexit.register(gc.freeze)
     sys.exit(_run([word for word in words if word != "--debug"], debug))
