@@ -51,8 +51,8 @@ def learn_loop(
             one's gains are not told.
 
     Limits of validity: a position loop slower than the log by 2, 4 or 8, or a whole loop faster by 2 to 16; a delay of
-    the log of whole samples. Parts that carry less than 0.1 % of the torque are taken for none. What stays unknown is
-    said in `LearnedLoop.sentences`.
+    the log of whole samples. An integral, a feed-forward or a delay that carries less than 0.1 % of the torque is taken
+    for none. What stays unknown is said in `LearnedLoop.sentences`.
 
     Example:
         >>> import jointid as ji

@@ -47,7 +47,7 @@ def _untold(task: Task, best: Fitted, alike: tuple[Structure, ...]) -> Iterator[
     elif structure.integrates:
         yield "What becomes of the integral at the limit (anti_windup) was not weighed; it is taken to stop."
     if structure.torque_filter == "none":
-        yield "A torque filter that changes the torque by less than 0.1 % in the band that is heard does not show."
+        yield "A torque filter does not show where its change of the torque is lost in the noise."
     if watched.record.tap is Tap.COMMAND:
         yield (
             'A delay between the controller\'s output and the torque that acts does not show at the tap "command"; '
