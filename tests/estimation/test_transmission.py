@@ -222,7 +222,7 @@ def test_several_records_are_told_on_both_sides() -> None:
     there = identify_together([on_side(r, TURNED) for r in (light, loaded)], geared, added_inertia=[0.0, 0.5])
     assert motor["inertia"].value == pytest.approx(2e-4, rel=0.01)
     assert apart(values_of(motor.parameters), values_of(there.other_side)) < 1e-8
-    # At the bottom a last step that changes the criterion by 1e-12 is taken on one side, and tried shorter on the other.
+    # At the bottom a last step that changes the criterion by 1e-12 is taken on one side, and made shorter on the other.
     assert abs(there.simulations - motor.simulations) <= 0.1 * motor.simulations
     text, answer = str(there), together_answer(there)
     assert "values are on the load side\n" in text
