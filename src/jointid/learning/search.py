@@ -8,7 +8,6 @@ weighs, rows being the independent numbers that are heard. Of two structures, te
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -217,23 +216,28 @@ def _within(ground: _Ground, best: Fitted) -> tuple[_Ground, Fitted]:
 
 def _on_the_whole(ground: _Ground, best: Fitted, others: list[Fitted]) -> Found:
     """Return what the whole record says of structures that a stretch of it left."""
-    visits = Counter[Structure]()
+    errors: dict[Structure, float] = {}
+    decided = False
     # What an integral holds at the first sample is another number here, and no noise is known before it.
     best = ground.known(best, unheard(ground.regression)) or best
     while True:
         best = _settled(ground.task, best)
-        visits[best.structure] += 1
+        errors[best.structure] = best.noise.torque
         standing = ground.standing(best)
         own = ground.known(best, standing) or best
         known = [ground.known(one, standing) for one in others]
         fewer = [ground.tried(one, own.numbers, standing) for one in simpler(replace(own.structure, limited=False))]
         known += [ground.refined(one, standing) for one in fewer if one is not None]
         rivals = _ranked(ground.task, own, _distinct([one for one in known if one is not None]))
-        # One that was left may come back with better numbers, but once: two noises may speak each for another law.
-        if not rivals or rivals[0].worse >= 0.0 or visits[rivals[0].fitted.structure] > 1:
-            return Found(best, tuple(rival for rival in rivals if rival.fitted.structure != best.structure))
-        others = [best, *(rival.fitted for rival in rivals[1:])]
-        best = rivals[0].fitted
+        if not rivals or rivals[0].worse >= 0.0 or decided:
+            break
+        better = rivals[0].fitted
+        if better.structure in errors:  # two noises speak each for another law: the torque's own error is the smaller
+            if errors[better.structure] >= errors[best.structure]:
+                break
+            decided = True
+        others, best = [best, *(rival.fitted for rival in rivals[1:])], better
+    return Found(best, tuple(rival for rival in rivals if rival.fitted.structure != best.structure))
 
 
 def _distinct(laws: Iterable[_Law]) -> list[_Law]:
