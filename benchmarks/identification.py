@@ -14,8 +14,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import least_squares
 
+from benchmarks.peers.mujoco_sysid import with_toolbox
 from benchmarks.problem import Array
 from benchmarks.results import Solver
+from benchmarks.searching import Search, summed, timed
 from jointid.common.progress import silent
 from jointid.data.signals import Filtering
 from jointid.estimation.descent import Descent, by_simplex, refined
@@ -29,9 +31,6 @@ STARTS = 100
 FACTOR = 3.0
 """That a start may be off, either way."""
 
-SAME = 1e-3
-"""Of the criterion: an end that is no further above the lowest one is the same minimum."""
-
 FILTERING = Filtering(cutoff=60.0)
 """Twice the resonance, as in the paper."""
 
@@ -39,9 +38,6 @@ _PAPER = FlexibleDIDIM.paper()
 _EVALUATIONS = 60  # of least squares, derivatives by differences not counted; what `refined` allows itself
 
 _TIMES = 3  # that the verb is run: there is no start to vary
-
-Search = Callable[[Problem, Array], tuple[Array, int]]
-"""From a problem and a start to an end, and the simulations it took."""
 
 
 def problem_of(axis: Twin) -> Problem:
@@ -99,8 +95,6 @@ SEARCHES: dict[str, Search] = {
 
 def identified(starts: int, say: Callable[[str], None]) -> tuple[Solver, ...]:
     """Run every search from every start, in turn; then the verb itself, and MuJoCo's toolbox."""
-    from benchmarks.peers.mujoco_sysid import with_toolbox
-
     axis = twin("L19")
     problem = problem_of(axis)
     found: dict[str, list[tuple[float, int, float]]] = {title: [] for title in SEARCHES}
@@ -116,22 +110,6 @@ def identified(starts: int, say: Callable[[str], None]) -> tuple[Solver, ...]:
     solvers = tuple(summed(title, runs, best) for title, runs in found.items())
     say("  MuJoCo's toolbox")
     return (*solvers, _verb(axis, best), with_toolbox(axis, problem, begun, best))
-
-
-def timed(search: Search, problem: Problem, start: Array) -> tuple[float, int, float]:
-    """Return seconds, simulations, and the share of the torque that is left, of one search."""
-    begin = time.perf_counter()
-    end, simulations = search(problem, start)
-    took = time.perf_counter() - begin
-    size = float(np.linalg.norm(problem.filtered(problem.measured)))
-    return took, simulations, float(np.linalg.norm(problem.residual(end))) / size
-
-
-def summed(title: str, runs: list[tuple[float, int, float]], best: float, note: str = "") -> Solver:
-    """Return what all runs of one search came to; `best` is the least share of the torque that any search left."""
-    seconds, simulations, left = zip(*runs, strict=True)
-    found = tuple(bool(share**2 <= (1 + SAME) * best**2) for share in left)
-    return Solver(title, len(runs), seconds, simulations, left, found, note)
 
 
 def _verb(axis: Twin, best: float) -> Solver:

@@ -7,11 +7,12 @@ from pathlib import Path
 
 from benchmarks.figures import IMAGES, LEFT
 from benchmarks.footprint import NOTHING
-from benchmarks.identification import FACTOR, SAME
+from benchmarks.identification import FACTOR
 from benchmarks.measuring import ENOUGH
 from benchmarks.peers import PEERS, peer
 from benchmarks.problem import EMPS, SAMPLES, STICK
 from benchmarks.results import LoopResult, Results, Solver, Spread, Timed, spread
+from benchmarks.searching import SAME
 
 TRIED = Path(__file__).with_name("tried.md")
 """What was tried, measured and left out; kept by hand, a line for each."""

@@ -12,6 +12,7 @@ import numpy as np
 from benchmarks.peers.mujoco_step import MujocoStep
 from benchmarks.problem import EMPS, NAMES, PERIOD, Array, Law, Loop
 from benchmarks.results import Solver
+from benchmarks.searching import summed, timed
 from jointid.data.record import Channel
 from jointid.estimation.problem import Problem
 from jointid.paper.twin import CONTROLLERS, Twin
@@ -28,8 +29,6 @@ _ITERATIONS = 60
 
 def with_toolbox(axis: Twin, problem: Problem, starts: Array, best: float) -> Solver:
     """Return what the toolbox comes to from the first few starts, or that it is not installed."""
-    from benchmarks.identification import summed, timed
-
     missing = [name for name in _IMPORTS if importlib.util.find_spec(name) is None]
     if missing:
         return Solver(TITLE, 0, (), (), (), (), f"left out: {', '.join(missing)} not installed")
