@@ -115,7 +115,7 @@ def simulate_sensitivities(
             states[:, :, at] = followed[2][experiment.looked, ::2, :width]
     if order != sorted(order):
         back = np.argsort(order)
-        command, states = command[:, back], states[:, :, back]
+        command, states = command[:, back], states[:, :, back] if positions else states
     flexible = loop.joint.model == "flexible"
     return Sensitivities(
         response,
