@@ -135,6 +135,17 @@ def test_more_columns_than_the_kernel_follows_at_a_time_keep_their_order() -> No
         assert np.allclose(together.load_position[:, [j]], alone.load_position, rtol=1e-9, atol=1e-15)
 
 
+def test_what_is_held_at_rest_forgets_the_velocity_it_was_to_begin_with() -> None:
+    """Friction takes it at once, so it must not move what comes loose later; with positions and without."""
+    loop = ClosedLoop(RigidJoint(), Cascade(kp=100.0, kv=2e3))
+    experiment = prepare(loop, driven())
+    values = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+    slope = simulate_sensitivities(loop, experiment, values, ["initial_velocity"]).torque
+    assert np.any(slope[0]) and not np.any(slope[5:])
+    kept = simulate_sensitivities(loop, experiment, values, ["initial_velocity"], positions=True).torque
+    assert np.allclose(slope, kept, rtol=1e-12, atol=1e-12 * np.abs(kept).max())
+
+
 @pytest.mark.parametrize("delay", [0.3e-3, 1.25e-3])
 def test_a_delay_moves_the_edges_in_an_averaged_measured_torque(delay: float) -> None:
     loop = ClosedLoop(RigidJoint(), Cascade(kp=60.0, kv=5e3, delay=delay))

@@ -432,6 +432,8 @@ def follow(
                 q[_EXPLICIT + first_explicit + i] = explicit[k, 0, i]
             if mode == _AT_REST:
                 _control(q, law, 0.0, k, du)
+                for j in range(LANES):  # a velocity that was not let begin, as the first may be, does not come back
+                    q[_S + LANES + j], q[_S + 3 * LANES + j] = 0.0, 0.0
                 continue
             if not filled[mode]:
                 filled[mode] = True
