@@ -88,6 +88,19 @@ def test_a_piece_is_a_cut_of_the_record(path: Path) -> None:
             assert (channel.timing, channel.unit) == (other.timing, other.unit)
 
 
+@pytest.mark.parametrize(("rows", "overlap", "count"), [(81, 6, 4), (85, 6, 4), (86, 6, 5), (81, 0, 5), (5, 6, 1)])
+def test_a_rest_that_is_in_the_piece_before_is_no_piece(tmp_path: Path, rows: int, overlap: int, count: int) -> None:
+    """One row too many, with a single stamp of the clock, must not end a day of them."""
+    made, clock = tmp_path / "day.npy", {"time": "t"} if overlap else {"sample_time": 0.01}
+    write_table(made, Table(numbers(rows)))
+    log = Log(made, CHANNELS, clock)
+    for pieces in (list(log.pieces(20, overlap)), list(InMemory(read(made, CHANNELS)).pieces(20, overlap))):
+        assert [p.last for p in pieces] == [False] * (count - 1) + [True]
+        torque = pieces[-1].record.torque
+        assert torque is not None
+        assert len(torque) == rows - 20 * (count - 1)
+
+
 def test_one_piece_in_so_many_is_read(path: Path) -> None:
     log = Log(path, CHANNELS)
     every, some = list(log.pieces(20, 6)), list(log.pieces(20, 6, every=2))
