@@ -145,6 +145,37 @@ def test_what_cannot_be_read_in_pieces_says_so(tmp_path: Path) -> None:
         list(Log(tmp_path / "none.csv", CHANNELS).pieces(20, 4))
 
 
+@pytest.mark.parametrize(
+    ("header", "said"),
+    [
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (4, 0), }", r"holds float64 of shape \(4, 0\)"),
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (4, -2), }", "a matrix of numbers in C order"),
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (-4, 2), }", "should hold -4 rows"),
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (2, 1000000000000), }", "a matrix of numbers in C order"),
+        ("{'descr': '<f8, (', 'fortran_order': False, 'shape': (4, 2), }", r"is no \.npy file"),
+        ("{1: 2, 'a': 3}", r"is no \.npy file"),
+        ("(" * 50, r"is no \.npy file"),
+        ("-" * 5000 + "1", r"is no \.npy file"),
+        (" " * 20_000, r"is no \.npy file \([^)]*\)[^)]*\); write it by numpy.save.$"),
+    ],
+)
+def test_a_damaged_head_of_a_numpy_file_is_said_in_a_sentence(tmp_path: Path, header: str, said: str) -> None:
+    made, head = tmp_path / "log.npy", header.encode("latin-1")
+    made.write_bytes(b"\x93NUMPY\x01\0" + len(head).to_bytes(2, "little") + head + bytes(64))
+    with pytest.raises(RecordError, match=said):
+        read_table(made)
+
+
+def test_numpy_files_may_have_names_in_any_letters(tmp_path: Path) -> None:
+    made = tmp_path / "log.npy"
+    with pytest.warns(UserWarning, match="format 3.0"):
+        np.save(made, np.ones(3, dtype=[("Größe", float), ("力", float)]))
+    assert list(read_table(made).columns) == ["Größe", "力"]
+    made.write_bytes(made.read_bytes()[:6] + b"\x09" + made.read_bytes()[7:])
+    with pytest.raises(RecordError, match=r"its version is 9\.0"):
+        read_table(made)
+
+
 def test_numpy_files_hold_numbers_and_nothing_else(tmp_path: Path) -> None:
     made = tmp_path / "log.npy"
     matrix = np.arange(12.0, dtype=np.float32).reshape(4, 3)
