@@ -69,6 +69,17 @@ def test_a_bad_row_far_down_is_named_by_its_line(tmp_path: Path, line: int, bad:
         list(log.pieces(10, 2))
 
 
+def test_a_row_that_is_no_cells_is_named_by_its_line(tmp_path: Path) -> None:
+    """Beyond the first thousand, which tell how all are written."""
+    made = tmp_path / "day.csv"
+    write_table(made, Table(numbers(2000)))
+    lines = made.read_text(encoding="utf-8").splitlines()
+    lines[1499] = '"' + "1" * 200_000
+    made.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with pytest.raises(RecordError, match=r"line 1500 cannot be split into cells .*; mend or delete that line"):
+        list(Log(made, CHANNELS).pieces(100, 2))
+
+
 def test_a_piece_is_a_cut_of_the_record(path: Path) -> None:
     whole, log = read(path, CHANNELS), Log(path, CHANNELS)
     assert log.sample_time == pytest.approx(0.01)
