@@ -251,3 +251,15 @@ def test_a_stretch_is_silent_of_what_it_does_not_tell() -> None:
     assert estimate.drift.agreement is not None
     assert not estimate.drift.agreement.differs
     assert "not told" in str(estimate)
+
+
+def test_windows_begin_with_a_period_of_a_controller_slower_than_the_log() -> None:
+    """Windows of 5.01 s would begin in the middle of one of 4 ms: noise-free, that left 0.04 % of the torque."""
+    loop = ClosedLoop(RigidJoint(), Cascade(kp=30.0, kv=2000.0, period=4e-3))
+    lap = trapezoids(SPEEDS, 2.0, 0.1, PERIOD)
+    reference = np.tile(np.concatenate([lap, np.zeros(10_000 - lap.size)]), 4)
+    estimate = identify_long(simulated_record(loop, reference, TRUTH, sample_time=PERIOD), loop, window=5.001)
+    assert estimate.window == pytest.approx(5.02)
+    assert estimate.filtered_error < 1e-5
+    for name, truth in TRUTH.items():
+        assert estimate[name].value == pytest.approx(truth, rel=1e-6)
