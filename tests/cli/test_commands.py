@@ -410,6 +410,7 @@ def test_what_could_not_be_written_is_refused_before_anything_runs(
     for words, sentence in (
         (("--figure", tmp_path / "t.bmp"), ".png, .svg, .pdf"),
         (("--json", tmp_path / "none" / "out.json"), "there is no folder"),
+        (("--json", tmp_path), "it is a folder"),
     ):
         assert run("identify", demo / "joint.toml", "-q", *words) == 2
         said = capsys.readouterr()

@@ -69,6 +69,17 @@ def test_a_bad_row_far_down_is_named_by_its_line(tmp_path: Path, line: int, bad:
         list(log.pieces(10, 2))
 
 
+def test_a_row_that_is_no_cells_is_named_by_its_line(tmp_path: Path) -> None:
+    """Beyond the first thousand, which tell how all are written."""
+    made = tmp_path / "day.csv"
+    write_table(made, Table(numbers(2000)))
+    lines = made.read_text(encoding="utf-8").splitlines()
+    lines[1499] = '"' + "1" * 200_000
+    made.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with pytest.raises(RecordError, match=r"line 1500 cannot be split into cells .*; mend or delete that line"):
+        list(Log(made, CHANNELS).pieces(100, 2))
+
+
 def test_a_piece_is_a_cut_of_the_record(path: Path) -> None:
     whole, log = read(path, CHANNELS), Log(path, CHANNELS)
     assert log.sample_time == pytest.approx(0.01)
@@ -86,6 +97,19 @@ def test_a_piece_is_a_cut_of_the_record(path: Path) -> None:
             np.testing.assert_array_equal(channel.values, other.values)
             assert channel.sample_time == log.sample_time
             assert (channel.timing, channel.unit) == (other.timing, other.unit)
+
+
+@pytest.mark.parametrize(("rows", "overlap", "count"), [(81, 6, 4), (85, 6, 4), (86, 6, 5), (81, 0, 5), (5, 6, 1)])
+def test_a_rest_that_is_in_the_piece_before_is_no_piece(tmp_path: Path, rows: int, overlap: int, count: int) -> None:
+    """One row too many, with a single stamp of the clock, must not end a day of them."""
+    made, clock = tmp_path / "day.npy", {"time": "t"} if overlap else {"sample_time": 0.01}
+    write_table(made, Table(numbers(rows)))
+    log = Log(made, CHANNELS, clock)
+    for pieces in (list(log.pieces(20, overlap)), list(InMemory(read(made, CHANNELS)).pieces(20, overlap))):
+        assert [p.last for p in pieces] == [False] * (count - 1) + [True]
+        torque = pieces[-1].record.torque
+        assert torque is not None
+        assert len(torque) == rows - 20 * (count - 1)
 
 
 def test_one_piece_in_so_many_is_read(path: Path) -> None:
@@ -130,6 +154,37 @@ def test_what_cannot_be_read_in_pieces_says_so(tmp_path: Path) -> None:
         Log(made, {**CHANNELS, "torque": Column("torque", sample_time=0.02)})
     with pytest.raises(RecordError, match="cannot be opened"):
         list(Log(tmp_path / "none.csv", CHANNELS).pieces(20, 4))
+
+
+@pytest.mark.parametrize(
+    ("header", "said"),
+    [
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (4, 0), }", r"holds float64 of shape \(4, 0\)"),
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (4, -2), }", "a matrix of numbers in C order"),
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (-4, 2), }", "should hold -4 rows"),
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (2, 1000000000000), }", "a matrix of numbers in C order"),
+        ("{'descr': '<f8, (', 'fortran_order': False, 'shape': (4, 2), }", r"is no \.npy file"),
+        ("{1: 2, 'a': 3}", r"is no \.npy file"),
+        ("(" * 50, r"is no \.npy file"),
+        ("-" * 5000 + "1", r"is no \.npy file"),
+        (" " * 20_000, r"is no \.npy file \([^)]*\)[^)]*\); write it by numpy.save.$"),
+    ],
+)
+def test_a_damaged_head_of_a_numpy_file_is_said_in_a_sentence(tmp_path: Path, header: str, said: str) -> None:
+    made, head = tmp_path / "log.npy", header.encode("latin-1")
+    made.write_bytes(b"\x93NUMPY\x01\0" + len(head).to_bytes(2, "little") + head + bytes(64))
+    with pytest.raises(RecordError, match=said):
+        read_table(made)
+
+
+def test_numpy_files_may_have_names_in_any_letters(tmp_path: Path) -> None:
+    made = tmp_path / "log.npy"
+    with pytest.warns(UserWarning, match="format 3.0"):
+        np.save(made, np.ones(3, dtype=[("Größe", float), ("力", float)]))
+    assert list(read_table(made).columns) == ["Größe", "力"]
+    made.write_bytes(made.read_bytes()[:6] + b"\x09" + made.read_bytes()[7:])
+    with pytest.raises(RecordError, match=r"its version is 9\.0"):
+        read_table(made)
 
 
 def test_numpy_files_hold_numbers_and_nothing_else(tmp_path: Path) -> None:

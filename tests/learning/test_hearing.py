@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -108,3 +109,18 @@ def test_a_slower_position_loop_folds_the_position_s_error(seed: int) -> None:
     assert twin.structure.every > 1
     assert np.allclose(seen[2:-2], foretold[2:-2], rtol=0.25)
     assert np.median(seen / foretold) == pytest.approx(1.0, abs=0.03)
+
+
+def test_a_long_record_needs_no_memory_for_all_columns_at_once() -> None:
+    """Some two hundred of them, of eight bytes a sample: an hour's would fill a machine."""
+    law, peaks = Cascade(kp=60.0, kv=500.0), []
+    values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
+    for duration in (20.0, 60.0):
+        reference = trapezoids([0.1, 0.3, 0.5], 2.0, 0.2, 1e-3, 0.1, duration)
+        record = simulated_record(ClosedLoop(RigidJoint(), law), reference, values, sample_time=1e-3)
+        tracemalloc.start()
+        samples = watched(record).samples
+        peaks.append((samples, tracemalloc.get_traced_memory()[1]))
+        tracemalloc.stop()
+    (few, low), (many, high) = peaks
+    assert (high - low) / (many - few) < 1000  # bytes

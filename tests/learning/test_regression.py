@@ -15,7 +15,7 @@ from jointid.learning.columns import columns, parts_of
 from jointid.learning.fitting import Task
 from jointid.learning.noise import position_error, seen_from
 from jointid.learning.regression import Explained, gains_of, regression
-from jointid.learning.structures import Structure
+from jointid.learning.structures import LATE, RATES, SLOWER, Structure
 from jointid.learning.survey import begin, unheard
 from jointid.learning.watched import watched
 from jointid.model.controllers import INPUTS, PD, POSITION, Cascade, FirstOrder, SecondOrder, run
@@ -96,6 +96,18 @@ def test_an_encoder_s_rounding_is_made_again() -> None:
     made, real = (np.log([np.mean(one[band]) for band in bands]) for one in (error.shape**2, seen))
     assert np.corrcoef(made, real)[0, 1] > 0.7
     assert np.var(logged - position) < error.most < 2 * np.var(logged - position)
+
+
+def test_a_clock_is_charged_for_how_many_there_are() -> None:
+    """Else the best of many chances wins; a part of which there is one is charged log(rows) alone."""
+    plain, rows = Structure(), 1000.0
+    part = plain.weight(rows) / plain.parts
+    assert part == pytest.approx(np.log(rows))
+    assert Structure(feedforward=frozenset({"acceleration"})).weight(rows) == pytest.approx((plain.parts + 1) * part)
+    choices = {"rate": (2, 2 * len(RATES)), "every": (2, sum(SLOWER)), "late": (1, len(LATE))}
+    for name, (value, count) in choices.items():
+        clocked = replace(plain, **{name: value})
+        assert clocked.weight(rows) == pytest.approx(clocked.parts * part + 2.0 * np.log(count)), name
 
 
 def test_lines_between_samples_have_no_acceleration_but_rounding() -> None:

@@ -58,6 +58,27 @@ def test_leaving_out_groups_is_the_jackknife() -> None:
     np.testing.assert_allclose(covariance.matrix, 11 / 12 * apart.T @ apart, rtol=1e-6)
 
 
+def test_what_one_group_tells_alone_is_no_better_known_than_by_its_own_noise() -> None:
+    """Leaving it out leaves nothing that could differ: nothing is known from that, and not everything."""
+    random, parts = np.random.default_rng(4), drawn(4)
+    rows = [(random.standard_normal(30), J * [1.0, 1.0, float(i == 5)]) for i, (_, J) in enumerate(parts)]
+    sums = summed(rows)
+    step = step_of(total(sums), -ANYWHERE, ANYWHERE)
+    covariance = left_out([s.moved(step) for s in sums])
+    assert covariance.std[2] == pytest.approx(1.0 / np.linalg.norm(rows[5][1][:, 2]), rel=0.2)
+
+
+def test_two_groups_do_not_tell_three_parameters_exactly() -> None:
+    parts = [(np.random.default_rng(i).standard_normal(30), J) for i, (_, J) in enumerate(drawn(6, groups=2))]
+    sums, J = summed(parts), np.vstack([J for _, J in parts])
+    step = step_of(total(sums), -ANYWHERE, ANYWHERE)
+    covariance = left_out([s.moved(step) for s in sums])
+    white = np.linalg.inv(J.T @ J)
+    for seed in range(20):
+        weights = np.random.default_rng(seed).standard_normal(3) / covariance.std
+        assert covariance.std_of(weights) > 0.7 * np.sqrt(weights @ white @ weights)
+
+
 def test_intervals_hold_where_a_group_errs_together() -> None:
     held = []
     for seed in range(200):

@@ -108,6 +108,9 @@ def test_agree_for_the_loop_and_the_start(controller: Cascade, names: tuple[str,
     found = simulate_sensitivities(loop, prepare(loop, record), VALUES, wanted, start, positions=True)
     assert found.response.outcome is Outcome.FINISHED
     assert found.response.events > 10
+    # Without positions most periods are followed in one step of their own.
+    torque = simulate_sensitivities(loop, prepare(loop, record), VALUES, wanted, start).torque
+    assert np.allclose(torque, found.torque, rtol=1e-9, atol=1e-9 * np.abs(found.torque).max(axis=0))
     for j, name in enumerate(wanted):
         size = (
             VALUES.get(name)
@@ -130,6 +133,17 @@ def test_more_columns_than_the_kernel_follows_at_a_time_keep_their_order() -> No
         alone = simulate_sensitivities(loop, experiment, VALUES, [name], positions=True)
         assert np.allclose(together.torque[:, [j]], alone.torque, rtol=1e-12, atol=1e-12 * np.abs(alone.torque).max())
         assert np.allclose(together.load_position[:, [j]], alone.load_position, rtol=1e-9, atol=1e-15)
+
+
+def test_what_is_held_at_rest_forgets_the_velocity_it_was_to_begin_with() -> None:
+    """Friction takes it at once, so it must not move what comes loose later; with positions and without."""
+    loop = ClosedLoop(RigidJoint(), Cascade(kp=100.0, kv=2e3))
+    experiment = prepare(loop, driven())
+    values = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+    slope = simulate_sensitivities(loop, experiment, values, ["initial_velocity"]).torque
+    assert np.any(slope[0]) and not np.any(slope[5:])
+    kept = simulate_sensitivities(loop, experiment, values, ["initial_velocity"], positions=True).torque
+    assert np.allclose(slope, kept, rtol=1e-12, atol=1e-12 * np.abs(kept).max())
 
 
 @pytest.mark.parametrize("delay", [0.3e-3, 1.25e-3])

@@ -83,13 +83,15 @@ def check_outputs(figure: Path | None = None, *files: Path | None) -> None:
     """Refuse, before anything runs, what could not be written after it.
 
     Raises:
-        RecordError: a file's folder does not exist, or a figure has no format.
+        RecordError: a file's folder does not exist, the file is a folder, or a figure has no format.
     """
     from jointid.common.errors import RecordError
 
     for path in (figure, *files):
         if path is not None and not path.absolute().parent.is_dir():
             raise RecordError(f"{path} cannot be written, because there is no folder {path.parent}; make it first.")
+        if path is not None and path.is_dir():
+            raise RecordError(f"{path} cannot be written, because it is a folder; name a file in it.")
     if figure is not None:
         from jointid.report.figures import require_format
 

@@ -56,6 +56,8 @@ class LongRecord(Protocol):
     def pieces(self, length: int, overlap: int, every: int = 1) -> Iterator[Piece]:
         """Yield one piece after the other, or one in so many.
 
+        What is left at the end, and shorter than the overlap, is in the piece before it, and is none of its own.
+
         Args:
             length: samples from the beginning of a piece to that of the next.
             overlap: samples that a piece goes on beyond that, `length` at most.
@@ -132,9 +134,10 @@ class Log:
         """Yield the number, the numbers and whether it is the last of one piece in so many."""
         held: tuple[int, Table] | None = None
         for number, block in enumerate(read_blocks(self.path, length, **self.options)):
+            rest = number > 0 and block.rows < overlap
             if held is not None:
-                yield held[0], _joined(held[1], block.table(overlap)) if overlap else held[1], False
-            held = (number, block.table()) if number % every == 0 else None
+                yield held[0], _joined(held[1], block.table(overlap)) if overlap else held[1], rest
+            held = (number, block.table()) if number % every == 0 and not rest else None
         if held is not None:
             yield *held, True
 
@@ -162,10 +165,11 @@ class InMemory:
     def pieces(self, length: int, overlap: int, every: int = 1) -> Iterator[Piece]:
         """Yield one piece after the other, or one in so many; see `LongRecord`."""
         samples = min(len(channel) for _, channel in self.record.items())
-        for number, first in enumerate(range(0, samples, length)):
+        firsts = range(0, max(samples - max(overlap, 1), 0) + 1, length)
+        for number, first in enumerate(firsts):
             if number % every == 0:
                 part = _cut(self.record, first, min(first + length + overlap, samples))
-                yield Piece(number, part, first + length >= samples)
+                yield Piece(number, part, first == firsts[-1])
 
 
 def _rate(record: Record) -> float:

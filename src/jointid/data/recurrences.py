@@ -22,7 +22,7 @@ _LINE = 8  # numbers of a cache line
 
 @inlined
 def _aligned(size: int) -> FloatArray:
-    """Return so many zeros that begin with a line of the cache."""
+    """Return so many zeros that begin with a line of the cache; here again, as the compiler's cache sees one file."""
     room = np.zeros(size + _LINE)
     first = (-(room.ctypes.data // 8)) % _LINE
     return room[first : first + size]

@@ -7,8 +7,10 @@ group after the other does to the estimate then says how far it may be off (the 
     d_g = -(A - A_g)^-1 (b - b_g)        V = (G - 1) / G  sum_g (d_g - mean)(d_g - mean)'
 
 with A = sum_g J_g'J_g and b = sum_g J_g'e_g, 0 where the estimate is. It holds whatever the correlation and the size of
-the errors within a group are, and errs towards intervals that are too wide where there are few groups. The square of
-J's condition number must stay within the digits of a number: columns are scaled to one length first.
+the errors within a group are, and errs towards intervals that are too wide where there are few groups. What one group
+tells alone nothing is left to be compared with, and no more directions than G - 1 scatter at all: there the intervals
+are no narrower than those of a white residual. The square of J's condition number must stay within the digits of a
+number: columns are scaled to one length first.
 """
 
 from __future__ import annotations
@@ -19,9 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointid.data.record import FloatArray
-from jointid.inference.uncertainty import Covariance, covariance_of
+from jointid.inference.uncertainty import Covariance, covariance_of, larger
 
 _SINGULAR = 1e-12  # of the largest: a direction of the scaled parameters that nothing tells
+_ALONE = 0.9  # of what is told in a direction: the group is as good as alone
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,6 +98,13 @@ def left_out(groups: Sequence[Sums]) -> Covariance:
     )
     apart = steps - steps.mean(axis=0)
     found = covariance_of((len(groups) - 1) / len(groups) * apart.T @ apart, 0)
+    values, vectors = np.linalg.eigh(whole.A / outer)
+    kept = values > _SINGULAR * values[-1]
+    back = vectors[:, kept] / np.sqrt(values[kept])
+    most = max(float(np.linalg.eigvalsh(back.T @ (g.A / outer) @ back)[-1]) for g in groups)
+    if most > _ALONE or len(groups) <= scale.size:
+        white = covariance_of(whole.square / max(whole.rows - scale.size, 1) * back @ back.T, 0)
+        found = larger(white, found)
     return Covariance(found.std / scale, found.correlation, 0)
 
 

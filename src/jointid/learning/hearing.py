@@ -21,6 +21,7 @@ _PAST = 48  # samples of reference and position: a notch of 10 Hz at 1 kHz rings
 _BESIDE = 24  # samples of what passes the torque's filter only
 _IMAGES = 3  # samples of what a slower position loop makes of slow signals: near its rate, where it holds nothing
 _LOUDER = 4.0  # times the noise, in power: what is not tells of the noise, not of the law
+_ROWS = 4096  # samples whose columns are in memory at a time
 _DEPENDENT = 1e-12  # of the largest singular value: what is below is rounding
 
 
@@ -52,14 +53,25 @@ def heard(
 def _regressed(
     asked: list[FloatArray], seen: list[FloatArray], torque: FloatArray, kept: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what is seen does to the torque, and what is left, as large as it would be on samples of its own."""
-    X = np.hstack([*asked, *seen])
-    norms = np.linalg.norm(X, axis=0)
-    X /= np.where(norms > 0, norms, 1.0)
-    rows, first = float(np.sum(kept)), sum(one.shape[1] for one in asked)
-    gains, _, rank, _ = np.linalg.lstsq(X * kept[:, np.newaxis], torque * kept, rcond=_DEPENDENT)
-    left = (torque - X @ gains) * kept * np.sqrt(rows / max(rows - int(rank), 1.0))
-    return np.asarray(X[:, first:] @ gains[first:]), np.asarray(left)
+    """Return what is seen does to the torque, and what is left, as large as it would be on samples of its own.
+
+    The hundreds of columns are made of a few thousand samples at a time: of a long record they would fill the memory.
+    """
+    every, first = [*asked, *seen], sum(one.shape[1] for one in asked)
+    parts = [slice(at, at + _ROWS) for at in range(0, torque.size, _ROWS)]
+    root = np.zeros((0, sum(one.shape[1] for one in every) + 1))
+    for part in parts:
+        rows = np.column_stack([*(one[part] for one in every), torque[part]]) * kept[part, np.newaxis]
+        root = np.asarray(np.linalg.qr(np.vstack([root, rows]), mode="r"))
+    norms = np.linalg.norm(root[:, :-1], axis=0)
+    norms = np.where(norms > 0, norms, 1.0)
+    gains, _, rank, _ = np.linalg.lstsq(root[:, :-1] / norms, root[:, -1], rcond=_DEPENDENT)
+    split = np.zeros((norms.size, 2))  # what is asked, and what is seen
+    split[:first, 0], split[first:, 1] = (gains / norms)[:first], (gains / norms)[first:]
+    told = np.vstack([np.hstack([one[part] for one in every]) @ split for part in parts])
+    counted = float(np.sum(kept))
+    left = (torque - told.sum(axis=1)) * kept * np.sqrt(counted / max(counted - int(rank), 1.0))
+    return told[:, 1], np.asarray(left)
 
 
 def _images(signal: FloatArray) -> list[FloatArray]:

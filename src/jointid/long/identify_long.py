@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from fractions import Fraction
 from itertools import islice
 
 import numpy as np
@@ -40,6 +41,7 @@ from jointid.model.parameters import Parameter, Quantity, adjusted
 from jointid.simulation.experiment import ClosedLoop
 
 _STARTS = 5  # windows that are tried to start from
+_CLOCKS = 1000  # a period of the controller is taken to be a fraction of samples with no larger denominator
 _AT_LIMIT = 0.01  # of the periods: more is said
 
 
@@ -59,7 +61,8 @@ def identify_long(
     Args:
         record: a `Log`, which is read in pieces, or a record in memory; all channels at one rate.
         loop: joint and controller.
-        window: seconds that count in a window: a few cycles of the motion, so that one of them tells the joint roughly.
+        window: seconds that count in a window, up to whole rows and periods of the controller: a few cycles of the
+            motion, so that one of them tells the joint roughly.
         settling: seconds that are simulated before and after each window and do not count: what the loop takes to
             forget how it began. None measures that on the first window, and takes half a window at most.
         method: `DIDIM` (rigid) or `FlexibleDIDIM`, of the window that is started from; what it has `free` is free here.
@@ -96,10 +99,12 @@ def identify_long(
     sample_time = source.sample_time
     keep = filtering.resolved(sample_time, loop.joint.model).decimation or 1
 
-    def samples(seconds: float) -> int:  # whole rows, so that all windows keep the same samples
-        return keep * math.ceil(seconds / (sample_time * keep) - 1e-9)
+    def samples(seconds: float, unit: int = keep) -> int:  # whole rows, so that all windows keep the same samples
+        return unit * math.ceil(seconds / (sample_time * unit) - 1e-9)
 
-    length = samples(window)
+    # And whole periods of a controller that is slower than the log: the law's first is at a window's first sample.
+    slower = Fraction(loop.controller.law(sample_time).period / sample_time).limit_denominator(_CLOCKS).numerator
+    length = samples(window, math.lcm(keep, slower))
     model = Model(loop, wanted, chosen.free, filtering, samples(settling or window / 20))
     piece, start = _started(source, model, chosen, length, progress)
     known = {p.name: p.value for p in start.parameters if p.value is not None}

@@ -180,5 +180,6 @@ class LongEstimate:
 
     @staticmethod
     def _stretch(s: Stretch, names: list[str]) -> tuple[str, ...]:
-        cells = (f"{number(s.values[n], 4)} +- {number(2 * s.std[n], 2)}" for n in names)
+        told = {n: f"{number(s.values[n], 4)} +- {number(2 * s.std[n], 2)}" for n in s.values}
+        cells = (told.get(n, "not told") for n in names)
         return f"{s.begin / 3600:.2f}", f"{s.end / 3600:.2f}", *cells, f"{100 * s.filtered_error:.2f}"

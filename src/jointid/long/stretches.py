@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.data.record import FloatArray
 from jointid.inference.groups import step_of, total
@@ -26,6 +27,7 @@ from jointid.together.scatter import Agreement, Alone, agreement
 _MOST = 24  # stretches
 _WINDOWS = 3  # in a stretch at least, for each parameter
 _SINGULAR = 1e-12  # of the largest: a direction that a stretch does not tell
+_TOLD = 1.0 - 1e-6  # of a parameter that lies in the directions that it tells
 _HOUR = 3600.0
 
 
@@ -36,7 +38,8 @@ class Stretch:
     Attributes:
         begin, end: seconds from the first sample of the record.
         windows: in it.
-        values: of the free parameters, by name; std: their standard deviations.
+        values: of the free parameters, by name, but for those that it does not tell, as friction backwards in hours
+            that only go forwards; std: their standard deviations.
         filtered_error: what the joint of the whole record leaves of its filtered torque; a ratio.
     """
 
@@ -68,7 +71,7 @@ class Drift:
     Attributes:
         stretches: in the order of time; none where the record is too short for two.
         agreement: whether they agree; None without them.
-        trends: of the parameters, in their order.
+        trends: of the parameters that two stretches tell, in their order.
     """
 
     stretches: tuple[Stretch, ...]
@@ -96,20 +99,37 @@ def drift(windows: Sequence[Window], x: FloatArray, free: Sequence[Parameter], u
     names = [p.name for p in free]
     parts = [[windows[i] for i in part] for part in np.array_split(np.arange(len(windows)), count)]
     fits = [_Fit.of(part, x) for part in parts]
-    degrees = len(windows) - count
-    # By a covariance that is itself an estimate, a chi-square comes out so much too large (Hotelling).
-    scatter = sum(fit.scatter for fit in fits) / len(windows) * degrees / (degrees - len(free) - 1)
+    scatter = _pooled(fits, [len(part) for part in parts])
     stretches, alone = [], []
     for part, fit in zip(parts, fits, strict=True):
-        covariance = covariance_of(fit.back @ scatter @ fit.back.T, 0)
+        own = np.flatnonzero(fit.told)
+        covariance = covariance_of((fit.back @ scatter @ fit.back.T)[np.ix_(own, own)], 0)
         sums = total([w.sums for w in part])
-        values = dict(zip(names, map(float, fit.values), strict=True))
-        std = dict(zip(names, map(float, covariance.std), strict=True))
+        values = {names[i]: float(fit.values[i]) for i in own}
+        std = dict(zip(values, map(float, covariance.std), strict=True))
         error = math.sqrt(sums.square / sums.size) if sums.size > 0 else 0.0
         stretches.append(Stretch(part[0].begin, part[-1].end, len(part), values, std, error))
         alone.append(Alone(values, covariance))
     judged = agreement(alone, {name: units[name] for name in names})
-    return Drift(tuple(stretches), judged, tuple(_trend(name, stretches) for name in names))
+    trends = tuple(_trend(scatter.name, stretches) for scatter in judged.parameters)
+    return Drift(tuple(stretches), judged, trends)
+
+
+def _pooled(fits: Sequence[_Fit], windows: Sequence[int]) -> FloatArray:
+    """Return how the windows of all stretches scatter, (free, free), in units of what a window tells.
+
+    Args:
+        fits: of the stretches.
+        windows: of each.
+    """
+    free, count = fits[0].values.size, sum(windows)
+    degrees = count - len(fits)
+    # By a covariance that is itself an estimate, a chi-square comes out so much too large (Hotelling).
+    scatter = sum(np.where(np.outer(fit.told, fit.told), fit.scatter, 0.0) for fit in fits) / count
+    scatter *= degrees / (degrees - free - 1)
+    told = sum(fit.told * number for fit, number in zip(fits, windows, strict=True))
+    share = np.sqrt(count / np.maximum(told, 1))  # what is not told does not scatter
+    return np.asarray(np.outer(share, share) * scatter)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,11 +140,13 @@ class _Fit:
         values: (free,) where its windows agree.
         back: (free, free) the inverse root of its J'J, symmetric where every column of J has the length 1.
         scatter: (free, free) of its windows' scores, sum of the products, in units of what a window tells.
+        told: (free,) whether it tells a parameter.
     """
 
     values: FloatArray
     back: FloatArray
     scatter: FloatArray
+    told: NDArray[np.bool_]
 
     @classmethod
     def of(cls, windows: Sequence[Window], x: FloatArray) -> _Fit:
@@ -134,19 +156,22 @@ class _Fit:
         norms = np.sqrt(np.diag(sums.A))
         scale = np.where(norms > 0, norms, 1.0)
         values, vectors = np.linalg.eigh(sums.A / np.outer(scale, scale))
-        roots = np.where(values > _SINGULAR * values[-1], 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0)
+        kept = values > _SINGULAR * values[-1]
+        roots = np.where(kept, 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0)
         back = (vectors * roots) @ vectors.T / scale[:, np.newaxis]
         # A window takes part in what it is compared with, one that tells much more than one that tells little.
         apart = [np.eye(x.size) - back.T @ w.sums.A @ back for w in windows]
         own = [back.T @ w.sums.moved(step).b for w in windows]
         scores = np.array([np.linalg.lstsq(a, b, rcond=1e-6)[0] for a, b in zip(apart, own, strict=True)])
-        return cls(x + step, back, (len(windows) - 1) * scores.T @ scores)
+        told = np.sum(vectors[:, kept] ** 2, axis=1) > _TOLD
+        return cls(x + step, back, (len(windows) - 1) * scores.T @ scores, told)
 
 
 def _trend(name: str, stretches: Sequence[Stretch]) -> Trend:
-    """Return the weighted least-squares line through the stretches."""
-    hours = np.array([0.5 * (s.begin + s.end) for s in stretches]) / _HOUR
-    values, std = np.array([s.values[name] for s in stretches]), np.array([s.std[name] for s in stretches])
+    """Return the weighted least-squares line through the stretches that tell a parameter."""
+    telling = [s for s in stretches if name in s.values]
+    hours = np.array([0.5 * (s.begin + s.end) for s in telling]) / _HOUR
+    values, std = np.array([s.values[name] for s in telling]), np.array([s.std[name] for s in telling])
     weights = 1.0 / np.maximum(std, np.finfo(float).tiny) ** 2
     centred = hours - weights @ hours / weights.sum()
     power = float(weights @ centred**2)

@@ -406,9 +406,9 @@ def follow(
     filled = np.zeros(9 * parts, dtype=np.bool_)
     q, scratch, z = _aligned(_ROWS), _aligned(_ROWS), np.zeros((2 * nz, LANES))
     e = np.zeros((elements, LANES))
-    for rows_of in (q, scratch):
-        rows_of[_SPRING : _SPRING + 2 * LANES] = dspring.reshape(-1)
-        rows_of[_INERTIA : _INERTIA + 2 * LANES] = dinertia.reshape(-1)
+    for one in (q, scratch):
+        one[_SPRING : _SPRING + 2 * LANES] = dspring.reshape(-1)
+        one[_INERTIA : _INERTIA + 2 * LANES] = dinertia.reshape(-1)
     q[_S : _S + 4 * LANES] = S.reshape(-1)
     z[:nz] = Z
     small = nz <= 2 and feedback.D.size == 1  # one phase, one element
@@ -432,6 +432,8 @@ def follow(
                 q[_EXPLICIT + first_explicit + i] = explicit[k, 0, i]
             if mode == _AT_REST:
                 _control(q, law, 0.0, k, du)
+                for j in range(LANES):  # a velocity that was not let begin, as the first may be, does not come back
+                    q[_S + LANES + j], q[_S + 3 * LANES + j] = 0.0, 0.0
                 continue
             if not filled[mode]:
                 filled[mode] = True

@@ -260,7 +260,12 @@ def _values(file: str, rows: Sequence[Line], dialect: Dialect, names: Sequence[s
 
 def _row(file: str, line: Line, last: bool, dialect: Dialect, names: Sequence[str]) -> list[float]:
     """Return the numbers of one row, or raise the sentence that names its fault."""
-    cells = dialect.split(line.text)
+    try:
+        cells = dialect.split(line.text)
+    except csv.Error as error:
+        raise RecordError(
+            f"{file}: line {line.number} cannot be split into cells ({error}); mend or delete that line."
+        ) from None
     if len(cells) != len(names):
         place = f"line {line.number}, the last," if last else f"line {line.number}"
         remedy = "the file was cut off or ends in a remark; delete that line" if last else "mend or delete that line"

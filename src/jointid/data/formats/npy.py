@@ -8,12 +8,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from tokenize import TokenError
+from typing import IO, Any, ClassVar
 
 import numpy as np
 
 from jointid.common.errors import RecordError
 from jointid.data.formats.table import Table
+
+_VERSIONS = ((1, 0), (2, 0), (3, 0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,15 +86,16 @@ class Rows:
 
 def _layout(path: Path) -> _Layout:
     """Return how a file is laid out; one that could not be read row by row, or is no .npy, is refused."""
+    size = path.stat().st_size
     with path.open("rb") as file:
         try:
-            version = np.lib.format.read_magic(file)
-            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-            shape, by_column, dtype = read(file)
-        except ValueError as error:
-            raise RecordError(f"{path.name} is no .npy file ({error}); write it by numpy.save.") from None
+            shape, by_column, dtype = _header(file)
+        except (ValueError, TypeError, SyntaxError, TokenError, MemoryError, RecursionError) as error:
+            said = str(error).partition("\n")[0] or type(error).__name__  # NumPy's advice is for programmers
+            raise RecordError(f"{path.name} is no .npy file ({said}); write it by numpy.save.") from None
         begin = file.tell()
-    if dtype.names is None and len(shape) == 2 and not by_column and dtype.kind in "fiu":
+    wide = shape[1] * dtype.itemsize if len(shape) == 2 else 0
+    if dtype.names is None and 0 < wide <= size and not by_column and dtype.kind in "fiu":
         row = np.dtype([(str(i), dtype) for i in range(1, shape[1] + 1)])
     elif dtype.names and len(shape) == 1 and all(dtype[name].kind in "fiu" for name in dtype.names):
         row = dtype
@@ -100,7 +104,24 @@ def _layout(path: Path) -> _Layout:
             f"{path.name} holds {dtype} of shape {shape}; expected a record array of numbers, or a matrix of "
             "numbers in C order with a row for each sample."
         )
-    rows = (path.stat().st_size - begin) // row.itemsize
-    if rows < shape[0] or not shape[0]:
+    rows = (size - begin) // row.itemsize
+    if rows < shape[0] or shape[0] <= 0:
         raise RecordError(f"{path.name} should hold {shape[0]} rows and has {rows}; log or copy it again.")
     return _Layout(begin, row, int(shape[0]))
+
+
+def _header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Return the shape, whether columns come one after the other, and what a number or a row is.
+
+    Raises:
+        ValueError, TypeError, SyntaxError, TokenError, MemoryError, RecursionError: it is no header; NumPy's parser.
+    """
+    version = np.lib.format.read_magic(file)
+    if version not in _VERSIONS:
+        raise ValueError(f"its version is {version[0]}.{version[1]}")
+    if version == (1, 0):
+        return np.lib.format.read_array_header_1_0(file)
+    shape, by_column, dtype = np.lib.format.read_array_header_2_0(file)
+    if version == (3, 0) and dtype.names:  # as 2.0, but for names in UTF-8
+        dtype.names = tuple(name.encode("latin-1").decode() for name in dtype.names)
+    return shape, by_column, dtype
