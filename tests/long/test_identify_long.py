@@ -200,7 +200,8 @@ def test_how_long_a_window_remembers_is_measured() -> None:
     [
         ({"method": IDIM()}, "give the method didim"),
         ({"window": 0.0}, "A window lasts a finite time"),
-        ({"window": 5.0, "settling": 3.0}, "received 5 s and 3 s"),
+        ({"window": 5.0, "settling": 3.0}, "at most half a window of 5 s; received 3 s"),
+        ({"window": 5.0, "settling": 0.0}, "more than 0"),
         ({"window": 40.0}, "two windows or more"),
     ],
 )

@@ -89,10 +89,12 @@ def identify_long(
     chosen = method or default_method(loop.joint, True)
     if not isinstance(chosen, DIDIM | FlexibleDIDIM):
         raise MethodError("A long record is identified by simulating its loop; give the method didim.")
-    if not (0.0 < window < math.inf and (settling is None or 0.0 < 2 * settling <= window)):
+    if not 0.0 < window < math.inf:
+        raise MethodError(f"A window lasts a finite time; received {window:g} s.")
+    if settling is not None and not 0.0 < settling <= 0.5 * window:
         raise MethodError(
-            "A window lasts a finite time, and twice its settling time or longer; received "
-            f"{window:g} s{'' if settling is None else f' and {settling:g} s'}."
+            f"The settling time is more than 0 and at most half a window of {window:g} s; received {settling:g} s. "
+            "Without it, it is measured."
         )
     source = InMemory(record) if isinstance(record, Record) else record
     filtering, wanted = filtering or Filtering(), adjusted(loop.joint.parameters, parameters or {})
@@ -215,7 +217,10 @@ def _covariance(found: Pass, repeated: Repeatable) -> tuple[Covariance, str]:
     """
     windows, places = [w.sums for w in found.windows], [p.sums for p in found.places.values()]
     if len(windows) < 2:
-        raise MethodError("A long record has two windows or more; give a shorter window, or use identify.")
+        raise MethodError(
+            "A long record has two windows or more, in which the axis moves; this one has "
+            f"{len(windows)}: give a shorter window, or use identify."
+        )
     covariance, said = left_out(windows), f"from leaving out each of {len(windows)} windows"
     if (repeated.significant or repeated.p_value is None) and len(places) > 1:  # what cannot be excluded is covered
         covariance = larger(covariance, left_out(places))

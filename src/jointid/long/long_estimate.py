@@ -138,7 +138,7 @@ class LongEstimate:
             f"torque error  {100 * self.filtered_error:.4f} % filtered ({self.rows} rows)",
             f"windows       {self.windows} of {self.window:g} s, and {self.settling:g} s at either end{still}; "
             f"{number(self.duration / 3600, 3)} h",
-            f"effort        {self.passes} passes, {self.simulations} windows simulated",
+            f"effort        {self.passes} times over the whole, {self.simulations} windows simulated",
             f"stopped       {self.stop}",
             f"intervals     {self.intervals}",
             f"residual      {self.repeatable}",

@@ -177,7 +177,7 @@ class Passes:
                 every = 1
         assert before.x is not None
         assert before.found is not None
-        stop = f"not converged after {_PASSES} passes: the last ones led uphill, or still moved the parameters"
+        stop = "not converged: the last passes led uphill, or still moved the parameters"
         return End(before.x, before.found, self.simulations, whole, stop, False)
 
     def _passed(self, x: FloatArray, every: int, before: _Before) -> Pass | None:
