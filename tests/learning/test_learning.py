@@ -15,7 +15,7 @@ from jointid.data.record import FloatArray, Injection, InjectionPoint, Record, T
 from jointid.estimation.identify import identify
 from jointid.jointfile import load
 from jointid.learning.changes import canonical
-from jointid.learning.fitting import Task, fit
+from jointid.learning.fitting import Fitted, Task, fit, outside_faster
 from jointid.learning.learn import covariance, learn_loop
 from jointid.learning.learned import LearnedLoop
 from jointid.learning.noise import position_error
@@ -183,6 +183,28 @@ def test_the_true_structure_has_its_numbers_within_their_intervals() -> None:
     assert deviations.size > 50
     assert np.mean(np.abs(deviations) <= 2.0) > 0.88  # measured over 90 twins: 0.969
     assert 0.7 < np.sqrt(np.mean(deviations**2)) < 1.35  # 0.95
+
+
+def test_of_two_rates_that_may_be_exchanged_the_larger_is_the_position_loop_s() -> None:
+    """On the reference's full velocity kp and ki are two roots of one equation: the same torque, to rounding."""
+    twin = loop_twin(117)
+    assert (twin.structure.law, twin.structure.reference_velocity) == ("P-PI", "full")
+    task, numbers = Task(watched(twin.record), 1.0), twin.numbers
+    kp, kv, ki = numbers["kp"], numbers["kv"], numbers["ki"]
+    # As the PID that it is: kv (kp + ki), kv (1 - ki T), kv kp ki; solved for the other root.
+    sides = np.array([kv * (kp + ki), kv * (1 - ki * T), kv * kp * ki])
+    roots = np.roots([sides[0] * T / sides[1] + 1.0, -(sides[0] + sides[2] * T) / sides[1], sides[2] / sides[1]])
+    other = float(max(roots))
+    swapped = sides[1] / (1 - other * T)
+    exchanged = numbers | {"kp": sides[2] / (swapped * other), "kv": swapped, "ki": other}
+    assert exchanged["kp"] < exchanged["ki"]
+    same = task.residual(twin.structure, exchanged) - task.residual(twin.structure, numbers)
+    assert np.std(same) < 1e-9 * np.std(task.watched.torque)
+    noise = task.noise(twin.structure, numbers)
+    found = outside_faster(task, Fitted(twin.structure, exchanged, 0.0, noise))
+    assert found.numbers["kp"] == pytest.approx(kp, rel=1e-3)
+    assert found.numbers["ki"] == pytest.approx(ki, rel=1e-2)
+    assert outside_faster(task, found) is found
 
 
 def test_slopes_are_the_derivatives_whatever_the_gains() -> None:

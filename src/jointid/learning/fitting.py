@@ -141,6 +141,25 @@ def fit(task: Task, structure: Structure, start: Mapping[str, float], noise: Noi
     return Fitted(structure, dict(zip(names, map(float, x), strict=True)), cost, noise)
 
 
+def outside_faster(task: Task, one: Fitted) -> Fitted:
+    """Return a P-PI on the reference's full velocity with the larger of its two rates as kp; another as it is.
+
+    Its kp and ki are the two roots of one equation, ``kv (kp + ki)``, ``kv (1 - ki T)`` and ``kv kp ki`` being what the
+    torque follows: exchanged, with another kv, they are the same law. Position loops are made faster than integrals.
+    """
+    structure, known = one.structure, one.numbers
+    plain = structure.velocity_filter == "none" and structure.every == 1
+    if not (structure.law == "P-PI" and structure.reference_velocity == "full" and plain and known["kp"] < known["ki"]):
+        return one
+    kp, kv, ki, period = known["kp"], known["kv"], known["ki"], task.watched.period / structure.rate
+    # What the other root is follows from the product and the sum of both, each with its own kv.
+    proportional, slope, integral = kv * (kp + ki), kv * (1.0 - ki * period), kv * kp * ki
+    other = integral / ((slope + proportional * period) * ki)
+    gain = slope / (1.0 - other * period)
+    found = known | {"kp": integral / (gain * other), "kv": gain, "ki": other}
+    return fit(task, structure, found, one.noise) or one
+
+
 def _step(
     task: Task,
     structure: Structure,

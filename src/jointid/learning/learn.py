@@ -12,7 +12,7 @@ from jointid.data.record import FloatArray, Record
 from jointid.data.transmission import Transmission
 from jointid.inference.uncertainty import Covariance, covariance_of, larger, robust
 from jointid.jointfile import controller_text
-from jointid.learning.fitting import Fitted, Task
+from jointid.learning.fitting import Fitted, Task, outside_faster
 from jointid.learning.learned import Alternative, LearnedLoop, LearnedNumber
 from jointid.learning.search import Rival, search
 from jointid.learning.told import ALIKE, equivalents, untold
@@ -68,7 +68,7 @@ def learn_loop(
     task = Task(watched(record), gain)
     found = search(task, progress)
     _require_explained(task, found.best, record.name)
-    return _answer(task, found.best, found.rivals, transmission, declared)
+    return _answer(task, outside_faster(task, found.best), found.rivals, transmission, declared)
 
 
 def _require_explained(task: Task, best: Fitted, name: str) -> None:
