@@ -26,7 +26,11 @@ every round; times are medians, with the quartiles of the rounds in brackets, an
 rounds. A shared machine is slow now and then; nothing about time is asserted in the tests. Speed at another error is
 not the same thing: beside every time stands the worst torque error, against an event-driven reference.
 
-This page is written by one command, from `docs/benchmarks.json`, where everything it measured is kept:
+The measuring stick is a plain C version of the same exact simulation, with a law and a friction of its own. It lies
+beside the real records and outside the project; where it is not there its row says so.
+
+This page is written by one command, from `docs/benchmarks.json`, where everything it measured is kept. What a run is
+told not to measure (`--only`) stays as it was: on another machine, measure all.
 
 ```
 python3 -m uv run --group bench python -m benchmarks
