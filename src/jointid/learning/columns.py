@@ -114,22 +114,22 @@ def response(watched: Watched, structure: Structure, numbers: Mapping[str, float
     period, filters = watched.period / structure.rate, filters_of(structure, numbers)
     held = structure.every if structure.rate == 1 else 1
 
+    def slope_of(back: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        slope = (1.0 - back) / period
+        return np.where(slope == 0.0, 1e-300, slope)
+
     def outer(hertz: FloatArray) -> NDArray[np.complex128]:
         back = np.exp(-2j * np.pi * hertz * period)
         holding = np.polyval(np.ones(held), back) / held
         return np.asarray(
-            -_at(filters[1], back, period) * holding * (gains[_ERROR] + gains[_SUM] * back / _slope(back))
+            -_at(filters[1], back, period) * holding * (gains[_ERROR] + gains[_SUM] * back / slope_of(back))
         )
 
     def whole(hertz: FloatArray) -> NDArray[np.complex128]:
         back = np.exp(-2j * np.pi * hertz * period)
         velocity, torque = (_at(one, back, period) for one in filters)
-        inner = gains[_SPEED] * _slope(back) + gains[_FILTERED] * back
+        inner = gains[_SPEED] * slope_of(back) + gains[_FILTERED] * back
         return np.asarray(torque * velocity * inner + outer(hertz))
-
-    def _slope(back: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        slope = (1.0 - back) / period
-        return np.where(slope == 0.0, 1e-300, slope)
 
     seen = seen_from(whole, watched.period, watched.samples, structure.rate) * watched.error.shape
     if held == 1:

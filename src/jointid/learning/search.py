@@ -1,8 +1,7 @@
 """The search for the law's structure: from what explains most whatever the gains, in single changes, down a criterion.
 
 The criterion is Schwarz's: the whitened cost, in units of what the best structure leaves, and what the structure
-weighs, rows being the independent numbers that are heard. Of two structures, ten less is as good as certain: exp(-5) to
-1.
+weighs, rows being the independent numbers that are heard. Ten less is as good as certain: exp(-5) to 1.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ REMOVABLE = (
 )  # fmt: skip
 _EXPLAINS = 0.8  # of the cost without: a limit that leaves more was a torque that only lingered
 _SIEVE = ((80, 3), (24, 6), (12, 6))  # laws of the survey that are fitted, each time under a better noise, and how well
-_DAMPED = 1.01 * bounds("velocity_filter.damping", 1.0, 1)[0]
+_DAMPED = 1.01 * bounds("velocity_filter.damping", 1.0, 1)[0]  # what is below has run to the bound
 _SCREENING = 2  # steps of Gauss and Newton after which a candidate is judged, and perhaps left
 _PROMISING = 20  # candidates that are fitted to the end in a round
 
@@ -112,7 +111,7 @@ class _Ground:
             return None
 
     def fitted(self, one: Explained, noise: Noise) -> Fitted | None:
-        """Return what was explained as a law, exactly where a limit acts; None where a gain is negative."""
+        """Return what was explained as a law, exactly where a limit acts; None where a number cannot be."""
         numbers = gains_of(one, self.task.gain)
         if _impossible(numbers):
             return None
@@ -164,7 +163,8 @@ def _begun(task: Task, channel: bool, progress: Progress) -> tuple[_Ground, list
     best = next((one for one in fitted if one is not None), None)
     if best is None:
         raise MethodError(
-            "No law that is searched for gives this record's torque: all that come near have a negative gain. Check "
+            "No law that is searched for gives this record's torque: all that come near have a negative gain, or "
+            "a filter that is hardly damped. Check "
             "units, signs and sides of torque, reference and motor_position, or declare the law."
         )
     ground, best = _within(ground, best)
