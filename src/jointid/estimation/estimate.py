@@ -14,7 +14,7 @@ from jointid.common.text import aligned
 from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
 from jointid.data.transmission import transmission_lines
-from jointid.estimation.estimated import EstimatedParameter, known_on_other_side, on_other_side
+from jointid.estimation.estimated import EstimatedParameter, OnBothSides, known_on_other_side
 from jointid.estimation.printed import bound_line, known_line, parameter_row, shown
 from jointid.estimation.regression import Conditioning
 from jointid.inference.endogeneity import ChiSquareTest
@@ -23,7 +23,6 @@ from jointid.inference.residuals import ResidualReport
 from jointid.inference.verdict import StiffnessBound, Verdict
 from jointid.model.effects import Effect
 from jointid.model.joints import Joint
-from jointid.model.sides import OtherSide, other_side
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.experiment import ClosedLoop
 
@@ -87,7 +86,7 @@ class IdentifiedJoint:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
+class Estimate(OnBothSides):
     """What an identification found, and how.
 
     Attributes:
@@ -196,16 +195,6 @@ class Estimate:
     def values(self) -> dict[str, float]:
         """The parameters of joint and effects by name, fixed ones included; a refused one is missing."""
         return {p.name: p.value for p in self.parameters if p.of_joint and p.value is not None}
-
-    @property
-    def other(self) -> OtherSide | None:
-        """What takes these values to the other side of the transmission; None without one."""
-        return other_side(self.joint.transmission, self.torque_unit)
-
-    @property
-    def other_side(self) -> tuple[EstimatedParameter, ...]:
-        """The parameters as they are on the other side of the transmission, in the same order; none without one."""
-        return on_other_side(self.parameters, self.other)
 
     @property
     def iterations(self) -> int:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from jointid.inference.identifiability import Known
 from jointid.inference.verdict import StiffnessBound
-from jointid.model.sides import OtherSide
+from jointid.model.joints import Joint
+from jointid.model.sides import OtherSide, other_side
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +35,36 @@ class EstimatedParameter:
     identifiable: bool
     lower_bound: float | None = None
     of_joint: bool = True
+
+
+class OnBothSides:
+    """An answer whose parameters can be told on the other side of the joint's transmission, too."""
+
+    __slots__ = ()
+
+    if TYPE_CHECKING:  # every such answer is a frozen dataclass, and has these
+
+        @property
+        def joint(self) -> Joint:
+            """The joint that was identified."""
+
+        @property
+        def torque_unit(self) -> str:
+            """Of the record."""
+
+        @property
+        def parameters(self) -> tuple[EstimatedParameter, ...]:
+            """What was identified, and what was kept fixed."""
+
+    @property
+    def other(self) -> OtherSide | None:
+        """What takes these values to the other side of the transmission; None without one."""
+        return other_side(self.joint.transmission, self.torque_unit)
+
+    @property
+    def other_side(self) -> tuple[EstimatedParameter, ...]:
+        """The parameters on the other side of the transmission, in the same order; none without one."""
+        return on_other_side(self.parameters, self.other)
 
 
 def on_other_side(parameters: Sequence[EstimatedParameter], side: OtherSide | None) -> tuple[EstimatedParameter, ...]:

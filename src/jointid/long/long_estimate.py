@@ -11,20 +11,19 @@ from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
 from jointid.data.transmission import transmission_lines
 from jointid.estimation.estimate import IdentifiedJoint, law_fingerprint
-from jointid.estimation.estimated import EstimatedParameter, known_on_other_side, on_other_side
+from jointid.estimation.estimated import EstimatedParameter, OnBothSides, known_on_other_side
 from jointid.estimation.printed import known_line, parameter_row
 from jointid.inference.identifiability import Identifiability
 from jointid.inference.repeatable import Repeatable
 from jointid.long.stretches import Drift, Stretch
 from jointid.model.joints import Joint
-from jointid.model.sides import OtherSide, other_side
 from jointid.simulation.experiment import ClosedLoop
 
 _SHOWN = 2.0  # deviations that a trend has at least to be printed as one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LongEstimate:
+class LongEstimate(OnBothSides):
     """What a long record says of a joint.
 
     Attributes:
@@ -91,16 +90,6 @@ class LongEstimate:
             "didim", self.joint, self.loop, self.values, self.filtering, delay, self.record, "",
             law_fingerprint(self.loop),
         )  # fmt: skip
-
-    @property
-    def other(self) -> OtherSide | None:
-        """What takes these values to the other side of the transmission; None without one."""
-        return other_side(self.joint.transmission, self.torque_unit)
-
-    @property
-    def other_side(self) -> tuple[EstimatedParameter, ...]:
-        """The parameters on the other side of the transmission, in the same order; none without one."""
-        return on_other_side(self.parameters, self.other)
 
     def __getitem__(self, name: str) -> EstimatedParameter:
         """Return a parameter by its name or symbol."""

@@ -9,11 +9,10 @@ from jointid.common.text import aligned, number
 from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
 from jointid.data.transmission import transmission_lines
-from jointid.estimation.estimated import EstimatedParameter, on_other_side
+from jointid.estimation.estimated import EstimatedParameter, OnBothSides
 from jointid.estimation.printed import shown
 from jointid.inference.repeatable import Repeatable
 from jointid.model.joints import Joint
-from jointid.model.sides import OtherSide, other_side
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.experiment import ClosedLoop
 from jointid.together.scatter import Agreement
@@ -64,7 +63,7 @@ class RecordShare:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CommonEstimate:
+class CommonEstimate(OnBothSides):
     """What several records say of one joint together.
 
     Attributes:
@@ -100,16 +99,6 @@ class CommonEstimate:
     def values(self) -> dict[str, float]:
         """The parameters that records share, by name, fixed ones included."""
         return {p.name: p.value for p in self.parameters if p.value is not None}
-
-    @property
-    def other(self) -> OtherSide | None:
-        """What takes these values to the other side of the transmission; None without one."""
-        return other_side(self.joint.transmission, self.torque_unit)
-
-    @property
-    def other_side(self) -> tuple[EstimatedParameter, ...]:
-        """The shared parameters on the other side of the transmission, in the same order; none without one."""
-        return on_other_side(self.parameters, self.other)
 
     def __getitem__(self, name: str) -> EstimatedParameter:
         """Return a parameter by its name or symbol; ``name@2`` is the second record's own."""
