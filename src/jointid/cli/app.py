@@ -22,6 +22,7 @@ from jointid.cli.intervals import intervals
 from jointid.cli.long import long
 from jointid.cli.loop import loop
 from jointid.cli.reproduce import reproduce
+from jointid.cli.serve import serve
 from jointid.cli.simulate import simulate
 from jointid.cli.together import together
 from jointid.cli.validate import validate
@@ -36,7 +37,7 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (demo, loop, identify, long, together, intervals, compare, validate, advise, simulate, reproduce):
+for command in (demo, loop, identify, long, together, intervals, compare, validate, advise, simulate, reproduce, serve):
     app.command(command)
 
 
