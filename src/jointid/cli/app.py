@@ -21,6 +21,7 @@ from jointid.cli.identify import identify
 from jointid.cli.intervals import intervals
 from jointid.cli.long import long
 from jointid.cli.loop import loop
+from jointid.cli.report import report
 from jointid.cli.reproduce import reproduce
 from jointid.cli.simulate import simulate
 from jointid.cli.together import together
@@ -36,7 +37,20 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (demo, loop, identify, long, together, intervals, compare, validate, advise, simulate, reproduce):
+for command in (
+    demo,
+    loop,
+    identify,
+    long,
+    together,
+    intervals,
+    compare,
+    validate,
+    advise,
+    simulate,
+    report,
+    reproduce,
+):
     app.command(command)
 
 
