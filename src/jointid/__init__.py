@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     )
     from jointid.assessment.advice import Advice, advise
     from jointid.assessment.comparison import Comparison, compare
+    from jointid.assessment.dossier import Dossier, dossier
     from jointid.assessment.intervals import Intervals, intervals
     from jointid.assessment.loop import check_loop
     from jointid.assessment.loopcheck import LoopCheck
@@ -77,6 +78,7 @@ if TYPE_CHECKING:
     from jointid.model.parameters import Parameter
     from jointid.paper.twin import Twin, twin
     from jointid.report.figures import residual_figure, save, torque_figure
+    from jointid.report.report import Report, report, report_file
     from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_many
     from jointid.simulation.drive_side import DriveSide
     from jointid.simulation.experiment import ClosedLoop, prepare
@@ -100,6 +102,7 @@ _HOMES = {
     ),
     "assessment.advice": ("Advice", "advise"),
     "assessment.comparison": ("Comparison", "compare"),
+    "assessment.dossier": ("Dossier", "dossier"),
     "assessment.intervals": ("Intervals", "intervals"),
     "assessment.loop": ("check_loop",),
     "assessment.revealing": ("Revealing", "revealing", "what_would_tell_more"),
@@ -150,6 +153,7 @@ _HOMES = {
     "model.parameters": ("Parameter",),
     "paper.twin": ("Twin", "twin"),
     "report.figures": ("residual_figure", "save", "torque_figure"),
+    "report.report": ("Report", "report", "report_file"),
     "simulation.closed_loop": ("Initial", "Outcome", "Simulation", "simulate", "simulate_many"),
     "simulation.drive_side": ("DriveSide",),
     "simulation.experiment": ("ClosedLoop", "prepare"),
@@ -174,6 +178,7 @@ __all__ = [
     "Comparison",
     "Counterbalance",
     "DigitalFilter",
+    "Dossier",
     "Drift",
     "Drive",
     "DriveSide",
@@ -210,6 +215,7 @@ __all__ = [
     "Record",
     "RecordError",
     "RecordShare",
+    "Report",
     "Revealing",
     "RigidJoint",
     "SecondOrder",
@@ -227,6 +233,7 @@ __all__ = [
     "check_record",
     "compare",
     "comparison_answer",
+    "dossier",
     "estimate_answer",
     "frequencies",
     "identify",
@@ -242,6 +249,8 @@ __all__ = [
     "pulses",
     "read",
     "record_of",
+    "report",
+    "report_file",
     "residual_figure",
     "revealing",
     "revealing_answer",

@@ -21,6 +21,7 @@ from jointid.cli.identify import identify
 from jointid.cli.intervals import intervals
 from jointid.cli.long import long
 from jointid.cli.loop import loop
+from jointid.cli.report import report
 from jointid.cli.reproduce import reproduce
 from jointid.cli.serve import serve
 from jointid.cli.simulate import simulate
@@ -37,7 +38,21 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (demo, loop, identify, long, together, intervals, compare, validate, advise, simulate, reproduce, serve):
+for command in (
+    demo,
+    loop,
+    identify,
+    long,
+    together,
+    intervals,
+    compare,
+    validate,
+    advise,
+    simulate,
+    report,
+    reproduce,
+    serve,
+):
     app.command(command)
 
 

@@ -20,6 +20,7 @@ from jointid.common.errors import FaultsError, JointidError
 
 if TYPE_CHECKING:
     from jointid.data.record import Record
+    from jointid.estimation.estimate import Estimate
     from jointid.jointfile import JointFile
 
 REFUSED = 2
@@ -86,8 +87,21 @@ def identify(folder: Path) -> None:
     if not isinstance(file.method, FlexibleDIDIM) or file.method.minimiser == "least-squares":
         _tell("testing the loop as it is declared")
         estimate = with_loop_verdict(estimate, record)
-    answers.write(answers.estimate_answer(estimate), folder / "answer.json")
     _write(folder / "answer.txt", f"{estimate}\n")
+    _report(folder, work, file, record, estimate)
+    answers.write(answers.estimate_answer(estimate), folder / "answer.json")
+
+
+def _report(folder: Path, work: dict[str, Any], file: JointFile, record: Record, estimate: Estimate) -> None:
+    """Write the report that `jointid report joint.toml` writes of the downloaded files."""
+    from jointid.report.repetition import repetition
+    from jointid.report.report import report
+
+    _tell("writing the report")
+    told = report(estimate, record, name=file.name or "", loop=False, progress=_tell)
+    again = repetition(folder / "joint.toml", folder / work["file"], {})
+    again = replace(again, record_name=work["name"], command="jointid report joint.toml --html report.html")
+    _write(folder / "report.html", replace(told, repetition=again).html())
 
 
 def _learn(folder: Path, work: dict[str, Any]) -> None:
