@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.errors import MethodError, RecordError
+from jointid.data.modes import Modes, thinned
 from jointid.data.record import Channel, FloatArray, Timing
 
 if TYPE_CHECKING:
@@ -191,22 +192,18 @@ def decimate(values: FloatArray, filtering: Filtering, sample_time: float, *, co
         values: (samples,) or (samples, columns).
         filtering: cut-off and decimation.
         sample_time: seconds.
-        compiled: do the same, to rounding, by a compiled filter: several times faster for many columns, where a search
-            pays for loading the compiler.
+        compiled: do the same, to rounding, by the filter's `modes`: several times faster, where a search pays for
+            loading the compiler.
     """
     assert filtering.cutoff is not None
     assert filtering.decimation is not None
-    sections, settled = _chebyshev(2 * filtering.cutoff * sample_time)
     keep, n = filtering.decimation, len(values)
     first = keep - (keep * math.ceil(n / keep) - n) - 1
-    padding = _padding(values, _ORDER)
-    if not compiled or values.ndim == 1:
-        return _smoothed(sections, settled, values, padding)[first::keep]
-    from jointid.data.recurrences import both_ways
-
-    kept = np.empty((math.ceil(n / keep), values.shape[1]))
-    both_ways(sections, settled.reshape(-1), values, padding, first, kept, keep)
-    return kept
+    cutoff, padding = 2 * filtering.cutoff * sample_time, _padding(values, _ORDER)
+    if compiled:
+        kept = thinned(values.reshape(n, -1), _by_modes(cutoff), padding, first, keep)
+        return kept.reshape(len(kept), *values.shape[1:])
+    return _smoothed(*_chebyshev(cutoff), values, padding)[first::keep]
 
 
 @lru_cache(maxsize=64)
@@ -216,6 +213,14 @@ def _chebyshev(cutoff: float) -> tuple[FloatArray, FloatArray]:
 
     sections = np.asarray(cheby1(_ORDER, _RIPPLE, cutoff, output="sos"))
     return sections, np.asarray(sosfilt_zi(sections))
+
+
+@lru_cache(maxsize=64)
+def _by_modes(cutoff: float) -> Modes:
+    """Return the decimation filter by its modes; the cut-off as a fraction of the Nyquist frequency."""
+    from scipy.signal import cheby1
+
+    return Modes.of(*cheby1(_ORDER, _RIPPLE, cutoff, output="zpk"))
 
 
 def differences(values: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:

@@ -17,7 +17,8 @@ from jointid.common.progress import Progress
 from jointid.data.record import FloatArray
 from jointid.estimation.estimate import Iteration
 from jointid.estimation.problem import Problem, initial_of
-from jointid.simulation.closed_loop import Outcome, Simulation, simulate
+from jointid.simulation.closed_loop import Outcome, Simulation
+from jointid.simulation.sensitivities import simulate_with_sensitivities
 
 _ROUNDING = 1e-10  # of the torque: an error this small is rounding
 _PATIENCE = 8  # iterations without a better one: an approximate Jacobian may well go round in circles
@@ -31,19 +32,38 @@ class State:
     Attributes:
         x: the free parameters.
         simulation: of the loop with them.
-        error: filtered torque error.
+        error: filtered torque error, (rows,).
+        W: (rows, free of the joint) the inverse-dynamic regressor on the simulation, filtered.
+        J: (rows, free) the derivatives of the simulated torque, filtered.
+        scales: (free of the joint,) what their changes are measured against.
         gain_scale: factor on the simulated controller's gains.
     """
 
     x: FloatArray
     simulation: Simulation
     error: FloatArray
-    gain_scale: float
+    W: FloatArray
+    J: FloatArray
+    scales: FloatArray
+    gain_scale: float = 1.0
 
     @property
     def norm(self) -> float:
         """Of the filtered torque error."""
         return float(np.linalg.norm(self.error))
+
+    @property
+    def Z(self) -> FloatArray:  # noqa: N802
+        """The instruments of DIDIM, (rows, free): W, and for what surrounds the joint its derivatives."""
+        return np.hstack([self.W, self.J[:, self.W.shape[1] :]])
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """When a search has arrived: the residual's norm and no parameter changed by more than this share of itself."""
+
+    change: float
+    step: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,34 +86,29 @@ Step: TypeAlias = Callable[[State], FloatArray]
 class Search:
     """Evaluates candidates of a problem and keeps the trace; `problem` may be exchanged for a related one."""
 
-    def __init__(self, problem: Problem, tolerance: float, step_tolerance: float, progress: Progress) -> None:
-        self.problem = problem
-        self.tolerance, self.step_tolerance, self.progress = tolerance, step_tolerance, progress
+    def __init__(self, problem: Problem, progress: Progress) -> None:
+        self.problem, self.progress = problem, progress
         self.trace: list[Iteration] = []
         self.simulations = 0
         self.size = float(np.linalg.norm(problem.filtered(problem.measured)))
 
     def evaluate(self, x: FloatArray, gain_scale: float = 1.0) -> State:
-        """Simulate one candidate, with the controller's gains scaled."""
+        """Simulate one candidate with its derivatives, with the controller's gains scaled."""
         problem = self.problem
-        values = problem.values(x)
+        values, names = problem.values(x), [p.name for p in problem.free]
         experiment = problem.experiment if gain_scale == 1.0 else problem.experiment.scaled(gain_scale)
-        simulation = simulate(problem.loop, experiment, values, initial_of(values))
+        simulation, J = simulate_with_sensitivities(problem.loop, experiment, values, names, initial_of(values))
         self.simulations += 1
-        return State(x, simulation, problem.error(simulation), gain_scale)
-
-    def sensitivities(self, state: State) -> FloatArray:
-        """Return the simulated torque's derivatives by the free parameters, raw, (samples, free)."""
-        self.simulations += 1
-        return self.problem.sensitivities(state.x)[1]
+        W = problem.regressor(simulation)
+        error, W_seen, J_seen = problem.seen(simulation, W, J)
+        return State(x, simulation, error, W_seen, J_seen, problem.scales(x, W), gain_scale)
 
     def note(self, state: State, before: State | None) -> Iteration:
         """Add a line to the trace."""
         change = step = None
         if before is not None:
             change = abs(state.norm - before.norm) / before.norm if before.norm else 0.0
-            scales = self.problem.scales(state.x, self.problem.regressor(state.simulation))
-            step = float(np.max(np.abs(state.x - before.x)[: scales.size] / scales))
+            step = float(np.max(np.abs(state.x - before.x)[: state.scales.size] / state.scales))
         values, number = self.problem.values(state.x), len(self.trace)
         line = Iteration(number, values, state.norm, change, step, self.simulations, state.gain_scale)
         self.trace.append(line)
@@ -109,7 +124,7 @@ class Search:
             after = self.evaluate(0.5 * (after.x + state.x))
         return after
 
-    def repeat(self, state: State, step: Step, most: int, worst: float) -> End:
+    def repeat(self, state: State, step: Step, limits: Limits, most: int, worst: float) -> End:
         """Repeat a step until nothing changes, at most so often; where it does not end well, return the best iterate.
 
         Raises:
@@ -124,8 +139,8 @@ class Search:
             best, since = (state, 0) if state.norm < best.norm else (best, since + 1)
             if state.norm <= _ROUNDING * self.size:
                 return End(state, "the torque is reproduced to rounding", converged=True, reproduced=True)
-            if _within(line.change, self.tolerance) and _within(line.step, self.step_tolerance):
-                return End(state, self._converged(line), converged=True)
+            if _within(line.change, limits.change) and _within(line.step, limits.step):
+                return End(state, _converged(line, limits), converged=True)
             if since >= _PATIENCE:
                 break
         require_simulated(best)
@@ -137,11 +152,12 @@ class Search:
             converged=False,
         )
 
-    def _converged(self, line: Iteration) -> str:
-        return (
-            f"converged: the residual changed by {100 * (line.change or 0.0):.1g} % (limit {100 * self.tolerance:g} %) "
-            f"and no parameter by more than {100 * (line.step or 0.0):.1g} % (limit {100 * self.step_tolerance:g} %)"
-        )
+
+def _converged(line: Iteration, limits: Limits) -> str:
+    return (
+        f"converged: the residual changed by {100 * (line.change or 0.0):.1g} % (limit {100 * limits.change:g} %) "
+        f"and no parameter by more than {100 * (line.step or 0.0):.1g} % (limit {100 * limits.step:g} %)"
+    )
 
 
 def _within(value: float | None, limit: float) -> bool:
