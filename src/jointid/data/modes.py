@@ -66,66 +66,85 @@ class Modes:
         return cls(upper, residues, residues * backwards, direct, direct * gain, shared)
 
 
-def thinned(values: FloatArray, modes: Modes, padding: int, first: int, keep: int) -> FloatArray:
-    """Return columns filtered forwards and backwards, (kept, columns), as `scipy.signal.sosfiltfilt` does.
+@dataclass(frozen=True, slots=True, eq=False)
+class Thinning:
+    """What filtering by modes needs beside the signal, for one number of samples that are kept in so many.
 
-    Args:
-        values: (samples, columns).
+    Attributes:
         modes: of the filter.
-        padding: samples by which the ends are reflected about their ends.
-        first: sample that is kept first; the last one is kept, too.
         keep: one sample in so many.
+        padding: samples by which the ends are reflected about their ends.
+        between: (2, 2 modes, keep) what the samples between two that are kept add to the later, forwards, and to the
+            earlier, backwards: real parts, then imaginary ones.
+        older: (modes, padding + keep) the powers of the poles.
+        powers, weights: see `recurrences.add_modes`.
     """
-    from jointid.data.recurrences import add_modes
 
-    p, at = modes.poles, np.arange(keep)
-    values = np.ascontiguousarray(values, dtype=np.float64)
-    between = values[first + 1 :].reshape(-1, keep, values.shape[1])
-    kept = modes.passed * values[first::keep]
+    modes: Modes
+    keep: int
+    padding: int
+    between: FloatArray
+    older: ComplexArray
+    powers: FloatArray
+    weights: FloatArray
 
-    def add(states: ComplexArray, samples: NDArray[np.intp], step: int) -> ComplexArray:
+    @classmethod
+    def of(cls, modes: Modes, keep: int, padding: int) -> Self:
+        """Return it for a filter."""
+        older = modes.poles[:, np.newaxis] ** np.arange(padding + keep + 1)
+        between = np.stack([np.concatenate(_parts(row)) for row in (older[:, keep - 1 :: -1], older[:, 1 : keep + 1])])
+        return cls(modes, keep, padding, between[:, :, :keep], older, _parts(older[:, keep]), 2 * _parts(modes.both))
+
+    def __call__(self, values: FloatArray, first: int) -> FloatArray:
+        """Return columns filtered forwards and backwards, (kept, columns), as `scipy.signal.sosfiltfilt` does.
+
+        Args:
+            values: (samples, columns).
+            first: sample that is kept first; the last one is kept, too.
+        """
+        modes, padding = self.modes, self.padding
+        values = np.ascontiguousarray(values, dtype=np.float64)
+        between = values[first + 1 :].reshape(-1, self.keep, values.shape[1])
+        kept = modes.passed * values[first :: self.keep]
+        before = np.concatenate([2 * values[:1] - values[padding:0:-1], values[: first + 1]])
+        behind = 2 * values[-1:] - values[-2 : -padding - 2 : -1]
+        settled = np.multiply.outer(1 / (1 - modes.poles), before[0])
+        forwards = self._gathered(before[::-1], settled)
+        last = self._gathered(behind[::-1], self._add(kept, between, forwards, 1))
+        # Backwards the filter begins as if its own output had ended at a constant, not the signal.
+        says = modes.residues[:, np.newaxis] * last
+        output = modes.direct * behind[-1] + 2 * np.real(np.sum(says, axis=0))
+        ended = np.multiply.outer(1 / (1 - modes.poles), output) - modes.shared @ np.concatenate([says, says.conj()])
+        ended *= (modes.residues / modes.both)[:, np.newaxis]
+        self._add(kept, between, modes.poles[:, np.newaxis] * self._gathered(behind, ended), -1)
+        return kept
+
+    def _gathered(self, values: FloatArray, states: ComplexArray) -> ComplexArray:
+        """Return the modes, (modes, columns), after samples, each a sample older than the one before, and states."""
+        size = len(values)
+        return np.asarray(self.older[:, :size] @ values + self.older[:, size, np.newaxis] * states)
+
+    def _add(self, kept: FloatArray, between: FloatArray, states: ComplexArray, step: int) -> ComplexArray:
         """Add the modes of one direction to all that is kept, and return them where they end.
 
         Args:
+            kept: (kept, columns).
+            between: (kept - 1, keep, columns) the samples after each that is kept, up to the next.
             states: (modes, columns) where they begin.
-            samples: (keep,) how often each sample between two that are kept is forgotten a part before the second.
             step: 1 forwards, -1 backwards.
         """
-        kept[0 if step > 0 else -1] += 2 * np.real(modes.both @ states)
-        rows, moved = np.concatenate(_parts(p[:, np.newaxis] ** samples)), _parts(states)
+        from jointid.data.recurrences import add_modes
+
+        forwards = step > 0
+        kept[0 if forwards else -1] += 2 * np.real(self.modes.both @ states)
+        rows, moved = self.between[0 if forwards else 1], _parts(states)
         begins = range(0, len(between), _BLOCKS)
-        for begin in begins if step > 0 else reversed(begins):
+        for begin in begins if forwards else reversed(begins):
             block = between[begin : begin + _BLOCKS]
             pushes = _ROOM.array("pushes", (len(block), len(rows), block.shape[2]))
             np.matmul(rows, block, out=pushes)
-            add_modes(
-                _parts(p**keep), 2 * _parts(modes.both), pushes, step, moved, kept[begin : begin + len(block) + 1]
-            )
+            add_modes(self.powers, self.weights, pushes, step, moved, kept[begin : begin + len(block) + 1])
         return np.asarray(moved[0] + 1j * moved[1])
-
-    before = np.concatenate([2 * values[:1] - values[padding:0:-1], values[: first + 1]])
-    behind = 2 * values[-1:] - values[-2 : -padding - 2 : -1]
-    settled = np.multiply.outer(1 / (1 - p), before[0])
-    forwards = _gathered(p, before[::-1]) + _after(p, len(before), settled)
-    forwards = add(forwards, keep - 1 - at, 1)
-    last = _gathered(p, behind[::-1]) + _after(p, padding, forwards)
-    # Backwards the filter begins as if its own output had ended at a constant, not the signal.
-    output = modes.direct * behind[-1] + 2 * np.real(modes.residues @ last)
-    every = np.concatenate([modes.residues[:, np.newaxis] * last, (modes.residues[:, np.newaxis] * last).conj()])
-    ended = np.multiply.outer(1 / (1 - p), output) - modes.shared @ every
-    ended *= (modes.residues / modes.both)[:, np.newaxis]
-    backwards = p[:, np.newaxis] * _gathered(p, behind) + _after(p, padding + 1, ended)
-    add(backwards, 1 + at, -1)
-    return kept
-
-
-def _gathered(poles: ComplexArray, values: FloatArray) -> ComplexArray:
-    """Return the modes that samples leave, (modes, columns), each by so many samples older than the one before."""
-    return np.asarray(poles[:, np.newaxis] ** np.arange(len(values)) @ values)
-
-
-def _after(poles: ComplexArray, samples: int, states: ComplexArray) -> ComplexArray:
-    return np.asarray((poles**samples)[:, np.newaxis] * states)
 
 
 def _parts(numbers: ComplexArray) -> FloatArray:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.errors import MethodError, RecordError
-from jointid.data.modes import Modes, thinned
+from jointid.data.modes import Modes, Thinning
 from jointid.data.record import Channel, FloatArray, Timing
 
 if TYPE_CHECKING:
@@ -201,7 +201,7 @@ def decimate(values: FloatArray, filtering: Filtering, sample_time: float, *, co
     first = keep - (keep * math.ceil(n / keep) - n) - 1
     cutoff, padding = 2 * filtering.cutoff * sample_time, _padding(values, _ORDER)
     if compiled:
-        kept = thinned(values.reshape(n, -1), _by_modes(cutoff), padding, first, keep)
+        kept = _thinning(cutoff, keep, padding)(values.reshape(n, -1), first)
         return kept.reshape(len(kept), *values.shape[1:])
     return _smoothed(*_chebyshev(cutoff), values, padding)[first::keep]
 
@@ -216,11 +216,11 @@ def _chebyshev(cutoff: float) -> tuple[FloatArray, FloatArray]:
 
 
 @lru_cache(maxsize=64)
-def _by_modes(cutoff: float) -> Modes:
+def _thinning(cutoff: float, keep: int, padding: int) -> Thinning:
     """Return the decimation filter by its modes; the cut-off as a fraction of the Nyquist frequency."""
     from scipy.signal import cheby1
 
-    return Modes.of(*cheby1(_ORDER, _RIPPLE, cutoff, output="zpk"))
+    return Thinning.of(Modes.of(*cheby1(_ORDER, _RIPPLE, cutoff, output="zpk")), keep, padding)
 
 
 def differences(values: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:

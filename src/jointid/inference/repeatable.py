@@ -213,7 +213,7 @@ def repeatable(error: FloatArray, where: Cells, unit: str = "", seed: int = 0) -
     p_value = None
     if blocks >= _FEWEST and np.any(pairs > 0):
         signs = np.random.default_rng(seed).choice([-1.0, 1.0], size=(_FLIPS, blocks))
-        others = np.einsum("fb,bd,fd->f", signs, products, signs)
+        others = np.sum((signs @ products) * signs, axis=1)
         p_value = float(1 + np.sum(others >= square)) / (_FLIPS + 1)
     return Repeatable(
         rms=float(np.sqrt(max(square, 0.0))),

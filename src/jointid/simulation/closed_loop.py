@@ -237,22 +237,24 @@ def simulate(
 
 def simulation_of(loop: ClosedLoop, experiment: Experiment, out: Run) -> Simulation:
     """Return a run whose states were kept at the log's instants."""
-    seen, begin = out.states[experiment.looked], out.states[experiment.begun]
+    flexible = loop.joint.model == "flexible"
+    seen, begin = (
+        [out.states[at, i] for i in range(4 if flexible else 2)] for at in (experiment.looked, experiment.begun)
+    )
     push = (out.command + experiment.after_limit)[experiment.looked // experiment.lengths.size]
 
     def motion(side: int) -> Motion:
         possible = out.outcome is not Outcome.INVALID
         acceleration = _acceleration(out.drive, out.gravity, begin, push, side) if possible else np.zeros(push.size)
-        return Motion(begin[:, 2 * side], begin[:, 2 * side + 1], acceleration)
+        return Motion(begin[2 * side], begin[2 * side + 1], acceleration)
 
-    flexible = loop.joint.model == "flexible"
     return Simulation(
         experiment.sample_time,
         as_logged(experiment, seen_torque(experiment, out.command, out.tapped)),
-        seen[:, 0],
-        seen[:, 1],
-        seen[:, 2] if flexible else None,
-        seen[:, 3] if flexible else None,
+        seen[0],
+        seen[1],
+        seen[2] if flexible else None,
+        seen[3] if flexible else None,
         motion(0),
         motion(1) if flexible else None,
         out.outcome,
@@ -278,17 +280,17 @@ def _hangs(drive: FloatArray, gravity: FloatArray | None) -> bool:
 
 
 def _acceleration(
-    drive: FloatArray, gravity: FloatArray | None, states: FloatArray, torque: FloatArray, side: int
+    drive: FloatArray, gravity: FloatArray | None, states: Sequence[FloatArray], torque: FloatArray, side: int
 ) -> FloatArray:
     """Return the acceleration of the motor (side 0) or load (1) just after `torque` begins to act; 0 at rest."""
     viscous, viscous_back, coulomb, coulomb_back = drive[4 + 4 * side : 8 + 4 * side]
     push = torque - drive[12] if side == 0 else np.full(torque.size, -drive[13])
     if drive[2] != 0.0 or drive[3] != 0.0:
-        spring = drive[2] * (states[:, 2] - states[:, 0]) + drive[3] * (states[:, 3] - states[:, 1])
+        spring = drive[2] * (states[2] - states[0]) + drive[3] * (states[3] - states[1])
         push = push + spring if side == 0 else push - spring
     if gravity is not None and side == gravity[4]:
-        push = push - gravity_force(gravity, states[:, 2 * side])
-    velocity = states[:, 1 + 2 * side]
+        push = push - gravity_force(gravity, states[2 * side])
+    velocity = states[1 + 2 * side]
     moving = np.sign(velocity)
     still = np.flatnonzero(velocity == 0)
     moving[still] = (push[still] > coulomb) * 1.0 - (push[still] < -coulomb_back) * 1.0
