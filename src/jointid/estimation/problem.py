@@ -209,9 +209,9 @@ class Problem:
                 "The inverse-dynamic regressor of a simulated flexible joint is no approximation of its Jacobian "
                 "(the load is not controlled); identify the joint as rigid, at low frequency."
             )
-        columns = self.loop.joint.regressor(simulation.motor)[0]
-        names = [p.name for p in self.loop.joint.parameters]
-        return np.asarray(columns[:, [names.index(p.name) for p in self.free_joint]])
+        columns, own = self.loop.joint.regressor(simulation.motor)[0], self.loop.joint.parameters
+        free = [p.free for p in self.parameters[: len(own)]]
+        return columns if all(free) else np.asarray(columns[:, free])
 
     def fixed_torque(self, simulation: Simulation) -> FloatArray:
         """Return the torque that the joint's fixed parameters take on a run, (samples,)."""
