@@ -163,12 +163,14 @@ def _solve(search: Search, settings: DIDIM, state: State, step: Step, limits: Li
 
 def _searched(problem: Problem, search: Search, settings: DIDIM, start: Start) -> End:
     """Search from a start, the motor at rest at the first sample, or moving where that is better."""
-    steps, limits = _Steps(search, settings.form), Limits(settings.tolerance, settings.step_tolerance)
+    free, residual = settings.initial_state == "free", settings.form == "residual"
+    steps = _Steps(search, settings.form)
+    limits = Limits(settings.tolerance, settings.step_tolerance, foreseen=free and residual)
     state, scaled = _begun(search, settings, start)
     most = max(settings.iterations - scaled, 1)
-    if settings.initial_state == "reference":
+    if not free:
         return _solve(search, settings, state, steps.regressor, limits, most)
-    near = Limits(max(limits.change, _DECIDED / state.error.size), max(limits.step, _NEAR))
+    near = replace(limits, change=max(limits.change, _DECIDED / state.error.size), step=max(limits.step, _NEAR))
     resting = _solve(search, settings, state, steps.regressor, near, most)
     if resting.reproduced:
         return resting

@@ -220,11 +220,16 @@ class Problem:
         kept = [0.0 if p.free else p.start or 0.0 for p in self.parameters[: len(joint.parameters)]]
         return np.asarray(joint.regressor(simulation.motor)[0] @ np.array(kept))
 
-    def scales(self, x: FloatArray, columns: FloatArray) -> FloatArray:
-        """Return the size a change of each joint parameter is measured against: its value, or a small torque's."""
-        norms = np.sqrt(np.einsum("ij,ij->j", columns, columns))
-        floor = _FLOOR * np.linalg.norm(self.measured) / np.where(norms > 0, norms, 1.0)
-        return np.asarray(np.maximum(np.abs(x[: norms.size]), floor))
+    def scales(self, x: FloatArray, columns: FloatArray, size: float) -> FloatArray:
+        """Return the size a change of each joint parameter is measured against: its value, or a small torque's.
+
+        Args:
+            x: free parameters.
+            columns: (rows, free of the joint) of the torque, filtered.
+            size: norm of the torque, filtered.
+        """
+        norms = np.linalg.norm(columns, axis=0)
+        return np.asarray(np.maximum(np.abs(x[: norms.size]), _FLOOR * size / np.where(norms > 0, norms, 1.0)))
 
     def _candidate(self, x: FloatArray) -> _Candidate:
         values = self.values(x)

@@ -60,10 +60,17 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """When a search has arrived: the residual's norm and no parameter changed by more than this share of itself."""
+    """When a search has arrived.
+
+    Attributes:
+        change: of the residual's norm, a share of it.
+        step: of every parameter, likewise.
+        foreseen: whether the change that the next step would make is asked, which saves making it, or that of the last.
+    """
 
     change: float
     step: float
+    foreseen: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +108,7 @@ class Search:
         self.simulations += 1
         W = problem.regressor(simulation)
         error, W_seen, J_seen = problem.seen(simulation, W, J)
-        return State(x, simulation, error, W_seen, J_seen, problem.scales(x, W), gain_scale)
+        return State(x, simulation, error, W_seen, J_seen, problem.scales(x, W_seen, self.size), gain_scale)
 
     def note(self, state: State, before: State | None) -> Iteration:
         """Add a line to the trace."""
@@ -115,9 +122,9 @@ class Search:
         self.progress(f"iteration {number}: torque error {100 * state.norm / self.size:.4f} %")
         return line
 
-    def advance(self, state: State, step: Step, worst: float) -> State:
-        """Take a step, halved while it cannot be simulated or the error grows beyond `worst` times the last one."""
-        after = self.evaluate(step(state))
+    def advance(self, state: State, x: FloatArray, worst: float) -> State:
+        """Take a step to `x`, halved while it cannot be simulated or the error grows beyond `worst` times the last."""
+        after = self.evaluate(x)
         for _ in range(_HALVINGS):
             if after.simulation.outcome is Outcome.FINISHED and after.norm <= worst * state.norm:
                 break
@@ -133,14 +140,17 @@ class Search:
         best, since = state, 0
         for _ in range(most):
             require_simulated(state)
-            after = self.advance(state, step, worst)
+            x = step(state)
+            if limits.foreseen and (stop := _arrived(*_foreseen(state, x), limits)):
+                return End(state, stop, converged=True)
+            after = self.advance(state, x, worst)
             line = self.note(after, state)
             state = after
             best, since = (state, 0) if state.norm < best.norm else (best, since + 1)
             if state.norm <= _ROUNDING * self.size:
                 return End(state, "the torque is reproduced to rounding", converged=True, reproduced=True)
-            if _within(line.change, limits.change) and _within(line.step, limits.step):
-                return End(state, _converged(line, limits), converged=True)
+            if stop := _arrived(line.change, line.step, limits):
+                return End(state, stop, converged=True)
             if since >= _PATIENCE:
                 break
         require_simulated(best)
@@ -153,15 +163,22 @@ class Search:
         )
 
 
-def _converged(line: Iteration, limits: Limits) -> str:
+def _foreseen(state: State, x: FloatArray) -> tuple[float, float]:
+    """Return the relative changes of the residual's norm and of the parameters that a step to `x` would make."""
+    step = x - state.x
+    norm = float(np.linalg.norm(state.error - state.J @ step))
+    return abs(norm - state.norm) / state.norm, float(np.max(np.abs(step[: state.scales.size]) / state.scales))
+
+
+def _arrived(change: float | None, step: float | None, limits: Limits) -> str | None:
+    """Return why a search ends where it changes so little; None where it goes on."""
+    if change is None or step is None or change > limits.change or step > limits.step:
+        return None
+    changed = "would change" if limits.foreseen else "changed"
     return (
-        f"converged: the residual changed by {100 * (line.change or 0.0):.1g} % (limit {100 * limits.change:g} %) "
-        f"and no parameter by more than {100 * (line.step or 0.0):.1g} % (limit {100 * limits.step:g} %)"
+        f"converged: the residual {changed} by {100 * change:.1g} % (limit {100 * limits.change:g} %) "
+        f"and no parameter by more than {100 * step:.1g} % (limit {100 * limits.step:g} %)"
     )
-
-
-def _within(value: float | None, limit: float) -> bool:
-    return value is not None and value <= limit
 
 
 def require_simulated(state: State) -> None:

@@ -205,12 +205,15 @@ def _regressed(
     sample_time, instants = problem.experiment.sample_time, np.arange(torque.size)
     filtering = replace(problem.filtering, borders=(50, 50) if torque.size > 500 else (0, 0), timing="respected")
     held = Channel(torque, joint.torque_unit or "N", sample_time, Timing.HELD)
-    bridged = np.interp(instants, instants[known], position[known])
-    model = inverse_model(joint, held, (bridged,), filtering, delay)
-    masked = InverseModel(model.torque * known, model.columns * known[:, np.newaxis], model.inside, model.motor)
+    if not np.all(known):
+        position = np.interp(instants, instants[known], position[known])
+    model = inverse_model(joint, held, (position,), filtering, delay)
+    if not np.all(known):
+        columns = model.columns * known[:, np.newaxis]
+        model = InverseModel(model.torque * known, columns, model.inside, model.motor)
     parameters, free = problem.parameters[: len(joint.parameters)], problem.free_joint
     kept = np.array([0.0 if p.free else p.start or 0.0 for p in parameters])
-    Y, W = masked.decimated(filtering, sample_time, kept, compiled=True)
+    Y, W = model.decimated(filtering, sample_time, kept, compiled=True)
     names = tuple(p.name for p in free)
     found = least_squares(W[:, [p.free for p in parameters]], Y, names).values
     return dict(zip(names, map(float, found), strict=True))

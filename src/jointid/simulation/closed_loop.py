@@ -238,10 +238,11 @@ def simulate(
 def simulation_of(loop: ClosedLoop, experiment: Experiment, out: Run) -> Simulation:
     """Return a run whose states were kept at the log's instants."""
     flexible = loop.joint.model == "flexible"
-    seen, begin = (
-        [out.states[at, i] for i in range(4 if flexible else 2)] for at in (experiment.looked, experiment.begun)
-    )
-    push = (out.command + experiment.after_limit)[experiment.looked // experiment.lengths.size]
+    states, push = out.states[:, : 4 if flexible else 2], out.command + experiment.after_limit
+    seen = begin = states.T.copy()
+    if experiment.looked.size < len(states) or experiment.lengths.size > 1 or experiment.lags[0] > 0:
+        seen, begin = (states[at].T.copy() for at in (experiment.looked, experiment.begun))
+        push = push[experiment.looked // experiment.lengths.size]
 
     def motion(side: int) -> Motion:
         possible = out.outcome is not Outcome.INVALID
@@ -280,7 +281,7 @@ def _hangs(drive: FloatArray, gravity: FloatArray | None) -> bool:
 
 
 def _acceleration(
-    drive: FloatArray, gravity: FloatArray | None, states: Sequence[FloatArray], torque: FloatArray, side: int
+    drive: FloatArray, gravity: FloatArray | None, states: FloatArray, torque: FloatArray, side: int
 ) -> FloatArray:
     """Return the acceleration of the motor (side 0) or load (1) just after `torque` begins to act; 0 at rest."""
     viscous, viscous_back, coulomb, coulomb_back = drive[4 + 4 * side : 8 + 4 * side]
