@@ -13,6 +13,7 @@ if TYPE_CHECKING:
         advice_answer,
         comparison_answer,
         estimate_answer,
+        inspection_answer,
         learned_answer,
         long_answer,
         loop_answer,
@@ -38,8 +39,10 @@ if TYPE_CHECKING:
     )
     from jointid.data.checks import check_record
     from jointid.data.columns import Column
+    from jointid.data.converting import Conversion, convert
     from jointid.data.drive import Drive
     from jointid.data.excitation import pulses, trapezoids
+    from jointid.data.inspection import Inspection, inspect
     from jointid.data.pieces import Log
     from jointid.data.reading import read
     from jointid.data.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, record_of
@@ -76,6 +79,7 @@ if TYPE_CHECKING:
     from jointid.model.joints import FlexibleJoint, RigidJoint, frequencies, rigid_sums
     from jointid.model.parameters import Parameter
     from jointid.paper.twin import Twin, twin
+    from jointid.report.channels import channels_figure
     from jointid.report.figures import residual_figure, save, torque_figure
     from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_many
     from jointid.simulation.drive_side import DriveSide
@@ -90,6 +94,7 @@ _HOMES = {
         "advice_answer",
         "comparison_answer",
         "estimate_answer",
+        "inspection_answer",
         "learned_answer",
         "long_answer",
         "loop_answer",
@@ -107,8 +112,10 @@ _HOMES = {
     "common.errors": ("ExtraError", "JointFileError", "JointidError", "MethodError", "RecordError"),
     "data.checks": ("check_record",),
     "data.columns": ("Column",),
+    "data.converting": ("Conversion", "convert"),
     "data.drive": ("Drive",),
     "data.excitation": ("pulses", "trapezoids"),
+    "data.inspection": ("Inspection", "inspect"),
     "data.pieces": ("Log",),
     "data.reading": ("read",),
     "data.writing": ("write",),
@@ -149,6 +156,7 @@ _HOMES = {
     "model.joints": ("FlexibleJoint", "RigidJoint", "frequencies", "rigid_sums"),
     "model.parameters": ("Parameter",),
     "paper.twin": ("Twin", "twin"),
+    "report.channels": ("channels_figure",),
     "report.figures": ("residual_figure", "save", "torque_figure"),
     "simulation.closed_loop": ("Initial", "Outcome", "Simulation", "simulate", "simulate_many"),
     "simulation.drive_side": ("DriveSide",),
@@ -172,6 +180,7 @@ __all__ = [
     "Column",
     "CommonEstimate",
     "Comparison",
+    "Conversion",
     "Counterbalance",
     "DigitalFilter",
     "Drift",
@@ -190,6 +199,7 @@ __all__ = [
     "Initial",
     "Injection",
     "InjectionPoint",
+    "Inspection",
     "Intervals",
     "JointFile",
     "JointFileError",
@@ -223,15 +233,19 @@ __all__ = [
     "Validation",
     "advice_answer",
     "advise",
+    "channels_figure",
     "check_loop",
     "check_record",
     "compare",
     "comparison_answer",
+    "convert",
     "estimate_answer",
     "frequencies",
     "identify",
     "identify_long",
     "identify_together",
+    "inspect",
+    "inspection_answer",
     "intervals",
     "learn_loop",
     "learned_answer",

@@ -20,7 +20,7 @@ import numpy as np
 from jointid.common.errors import RecordError
 from jointid.common.units import UnitError, unit
 from jointid.data.formats.dialect import BLANKS, Dialect, Fit, is_number, sniff
-from jointid.data.formats.table import Table
+from jointid.data.formats.table import Holds, Table
 from jointid.data.formats.textfile import Line, TextFile, is_comment, read_lines, stream_lines, text_of
 from jointid.data.record import FloatArray
 
@@ -94,6 +94,7 @@ class Csv:
 
     name: ClassVar[str] = "CSV"
     suffixes: ClassVar[tuple[str, ...]] = (".csv", ".txt", ".tsv", ".dat")
+    holds: ClassVar[Holds] = Holds.NOTHING
 
     def __post_init__(self) -> None:
         mark = self.delimiter
@@ -148,6 +149,11 @@ class Csv:
             following = list(islice(found, rows))
             yield Lines(path.name, layout, block, not following)
             block = following
+
+    def allowed(self, name: str) -> str:
+        """Return a name in one line that is no number; see `Format.allowed`."""
+        plain = "".join(c if c.isprintable() else "_" for c in name).strip() or "column"
+        return f"column {plain}" if is_number(plain) and not name.isdecimal() else plain
 
     def _table(self, text: TextFile) -> Table:
         layout = self._layout(text)
