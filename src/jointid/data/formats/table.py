@@ -26,6 +26,7 @@ class Table:
             number; the columns of one file can differ in length.
         scalars: name -> single number, where the format keeps such (a MAT file's gains, say).
         source: the file's name, for reports and errors.
+        clocks: name of a column -> that of its own time column, where the file has several clocks.
 
     Raises:
         RecordError: a column is not one-dimensional, or holds nothing.
@@ -34,6 +35,7 @@ class Table:
     columns: Mapping[str, FloatArray]
     scalars: Mapping[str, float] = field(default_factory=dict)
     source: str = ""
+    clocks: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         columns: dict[str, FloatArray] = {}
