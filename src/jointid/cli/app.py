@@ -17,6 +17,7 @@ from jointid import __version__
 from jointid.cli.advise import advise
 from jointid.cli.compare import compare
 from jointid.cli.demo import demo
+from jointid.cli.export import export
 from jointid.cli.identify import identify
 from jointid.cli.intervals import intervals
 from jointid.cli.long import long
@@ -36,7 +37,20 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (demo, loop, identify, long, together, intervals, compare, validate, advise, simulate, reproduce):
+for command in (
+    demo,
+    loop,
+    identify,
+    long,
+    together,
+    intervals,
+    compare,
+    validate,
+    advise,
+    simulate,
+    export,
+    reproduce,
+):
     app.command(command)
 
 
