@@ -110,7 +110,7 @@ def test_on_the_other_side_of_a_transmission_the_motion_is_the_same() -> None:
     assert apart(-80.0 * here[:, 0], there[:, 0]) < 1e-9
     document = json.loads(ji.export(told, "state-space").text)
     assert (document["side"], document["motor_torque_to_input"]) == ("load", -80.0)
-    with pytest.raises(ji.MethodError, match="only one side"):
+    with pytest.raises(ji.MethodError, match="no numbers of the motor side"):
         ji.state_space(model(JOINT, VISCOUS), side="motor")
 
 
