@@ -58,6 +58,13 @@ if TYPE_CHECKING:
     from jointid.estimation.identify import identify
     from jointid.estimation.idim import IDIM
     from jointid.estimation.open_loop import OpenLoopFit
+    from jointid.exports.export import Export, export, read_estimated, state_space
+    from jointid.exports.joint_toml import JointToml
+    from jointid.exports.linear import Matlab, StateSpaceJson
+    from jointid.exports.mjcf import Mjcf
+    from jointid.exports.modelica import Modelica
+    from jointid.exports.state_space import StateSpace
+    from jointid.exports.urdf import Urdf
     from jointid.jointfile import JointFile, load
     from jointid.learning.learn import learn_loop
     from jointid.learning.learned import LearnedLoop
@@ -136,6 +143,13 @@ _HOMES = {
     "together.together": ("identify_together",),
     "assessment.loopcheck": ("LoopCheck",),
     "assessment.suspects": ("LoopTests",),
+    "exports.export": ("Export", "export", "read_estimated", "state_space"),
+    "exports.joint_toml": ("JointToml",),
+    "exports.linear": ("Matlab", "StateSpaceJson"),
+    "exports.mjcf": ("Mjcf",),
+    "exports.modelica": ("Modelica",),
+    "exports.state_space": ("StateSpace",),
+    "exports.urdf": ("Urdf",),
     "jointfile": ("JointFile", "load"),
     "learning.learn": ("learn_loop",),
     "learning.learned": ("LearnedLoop",),
@@ -191,6 +205,7 @@ __all__ = [
     "DriveSideFit",
     "Estimate",
     "EstimatedParameter",
+    "Export",
     "ExtraError",
     "Filtering",
     "FirstOrder",
@@ -205,13 +220,17 @@ __all__ = [
     "Intervals",
     "JointFile",
     "JointFileError",
+    "JointToml",
     "JointidError",
     "LearnedLoop",
     "Log",
     "LongEstimate",
     "LoopCheck",
     "LoopTests",
+    "Matlab",
     "MethodError",
+    "Mjcf",
+    "Modelica",
     "MovingAverage",
     "Notch",
     "OpenLoop",
@@ -227,12 +246,15 @@ __all__ = [
     "RigidJoint",
     "SecondOrder",
     "Simulation",
+    "StateSpace",
     "StateSpaceController",
+    "StateSpaceJson",
     "SymmetricFriction",
     "Tap",
     "Timing",
     "Transmission",
     "Twin",
+    "Urdf",
     "Validation",
     "advice_answer",
     "advise",
@@ -243,6 +265,7 @@ __all__ = [
     "comparison_answer",
     "convert",
     "estimate_answer",
+    "export",
     "frequencies",
     "identify",
     "identify_long",
@@ -258,6 +281,7 @@ __all__ = [
     "prepare",
     "pulses",
     "read",
+    "read_estimated",
     "record_of",
     "residual_figure",
     "revealing",
@@ -268,6 +292,7 @@ __all__ = [
     "simulate_many",
     "simulated_record",
     "simulation_answer",
+    "state_space",
     "together_answer",
     "torque_figure",
     "trapezoids",

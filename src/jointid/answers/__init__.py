@@ -19,7 +19,7 @@ from jointid.answers.estimates import ESTIMATE_SCHEMA, TOGETHER_SCHEMA, estimate
 from jointid.answers.inspected import INSPECTION_SCHEMA, inspection_answer
 from jointid.answers.learned import LEARNED_SCHEMA, learned_answer
 from jointid.answers.long import LONG_SCHEMA, long_answer
-from jointid.answers.reading import read_friction, read_identified
+from jointid.answers.reading import read_answer, read_friction, read_identified
 from jointid.answers.simulations import SIMULATION_SCHEMA, simulation_answer
 from jointid.answers.writing import dumps, write
 
@@ -43,6 +43,7 @@ __all__ = [
     "learned_answer",
     "long_answer",
     "loop_answer",
+    "read_answer",
     "read_friction",
     "read_identified",
     "revealing_answer",

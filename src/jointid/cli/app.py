@@ -18,6 +18,7 @@ from jointid.cli.advise import advise
 from jointid.cli.compare import compare
 from jointid.cli.convert import convert
 from jointid.cli.demo import demo
+from jointid.cli.export import export
 from jointid.cli.identify import identify
 from jointid.cli.inspect import inspect
 from jointid.cli.intervals import intervals
@@ -51,6 +52,7 @@ for command in (
     validate,
     advise,
     simulate,
+    export,
     reproduce,
 ):
     app.command(command)
