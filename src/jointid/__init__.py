@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     )
     from jointid.assessment.advice import Advice, advise
     from jointid.assessment.comparison import Comparison, compare
+    from jointid.assessment.dossier import Dossier, dossier
     from jointid.assessment.intervals import Intervals, intervals
     from jointid.assessment.loop import check_loop
     from jointid.assessment.loopcheck import LoopCheck
@@ -89,6 +90,7 @@ if TYPE_CHECKING:
     from jointid.paper.twin import Twin, twin
     from jointid.report.channels import channels_figure
     from jointid.report.figures import residual_figure, save, torque_figure
+    from jointid.report.report import Report, report, report_file
     from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_many
     from jointid.simulation.drive_side import DriveSide
     from jointid.simulation.experiment import ClosedLoop, prepare
@@ -113,6 +115,7 @@ _HOMES = {
     ),
     "assessment.advice": ("Advice", "advise"),
     "assessment.comparison": ("Comparison", "compare"),
+    "assessment.dossier": ("Dossier", "dossier"),
     "assessment.intervals": ("Intervals", "intervals"),
     "assessment.loop": ("check_loop",),
     "assessment.revealing": ("Revealing", "revealing", "what_would_tell_more"),
@@ -174,6 +177,7 @@ _HOMES = {
     "paper.twin": ("Twin", "twin"),
     "report.channels": ("channels_figure",),
     "report.figures": ("residual_figure", "save", "torque_figure"),
+    "report.report": ("Report", "report", "report_file"),
     "simulation.closed_loop": ("Initial", "Outcome", "Simulation", "simulate", "simulate_many"),
     "simulation.drive_side": ("DriveSide",),
     "simulation.experiment": ("ClosedLoop", "prepare"),
@@ -199,6 +203,7 @@ __all__ = [
     "Conversion",
     "Counterbalance",
     "DigitalFilter",
+    "Dossier",
     "Drift",
     "Drive",
     "DriveSide",
@@ -241,6 +246,7 @@ __all__ = [
     "Record",
     "RecordError",
     "RecordShare",
+    "Report",
     "Resampling",
     "Revealing",
     "RigidJoint",
@@ -264,6 +270,7 @@ __all__ = [
     "compare",
     "comparison_answer",
     "convert",
+    "dossier",
     "estimate_answer",
     "export",
     "frequencies",
@@ -283,6 +290,8 @@ __all__ = [
     "read",
     "read_estimated",
     "record_of",
+    "report",
+    "report_file",
     "residual_figure",
     "revealing",
     "revealing_answer",

@@ -24,6 +24,7 @@ from jointid.cli.inspect import inspect
 from jointid.cli.intervals import intervals
 from jointid.cli.long import long
 from jointid.cli.loop import loop
+from jointid.cli.report import report
 from jointid.cli.reproduce import reproduce
 from jointid.cli.simulate import simulate
 from jointid.cli.together import together
@@ -53,6 +54,7 @@ for command in (
     advise,
     simulate,
     export,
+    report,
     reproduce,
 ):
     app.command(command)
