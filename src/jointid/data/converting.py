@@ -102,10 +102,10 @@ def _gathered(source: Path, columns: Sequence[str] | None, options: Mapping[str,
 
 def _names(names: list[str], writer: Format) -> dict[str, str]:
     """Return what every column is called in the target; no two have one name."""
-    made = {name: name for name in names if writer.allowed(name) == name}
+    made = {name: name for name in names if writer.allowed(name, names) == name}
     for name in names:
         if name not in made:
-            wanted = made[name] = writer.allowed(name)
+            wanted = made[name] = writer.allowed(name, names)
             count = 1
             while list(made.values()).count(made[name]) > 1:
                 count += 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import sqlite3
 from array import array
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -61,7 +61,7 @@ class RosBag:
             )
         bagwriting.write(path, table)
 
-    def allowed(self, name: str) -> str:
+    def allowed(self, name: str, others: Collection[str] = ()) -> str:
         """Return the name, which can be any text but none; see `Format.allowed`."""
         return name.encode("utf-8", "replace").decode("utf-8") or "_"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,7 +75,7 @@ class Tdms:
         with path.open("wb") as file, nptdms.TdmsWriter(file) as writer:
             writer.write_segment(objects)
 
-    def allowed(self, name: str) -> str:
+    def allowed(self, name: str, others: Collection[str] = ()) -> str:
         """Return a name of a channel in a group; see `Format.allowed`."""
         parts = [part for part in name.replace("\0", "_").split("/") if part] or ["_"]
         return "/".join(parts[1:] if parts[0] == _NAMELESS and len(parts) > 1 else parts)
