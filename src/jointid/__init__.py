@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from jointid.data.pieces import Log
     from jointid.data.reading import read
     from jointid.data.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, record_of
+    from jointid.data.resampling import Resampling
     from jointid.data.signals import Filtering
     from jointid.data.transmission import Transmission
     from jointid.data.writing import write
@@ -120,6 +121,7 @@ _HOMES = {
     "data.reading": ("read",),
     "data.writing": ("write",),
     "data.record": ("Channel", "Injection", "InjectionPoint", "Record", "Tap", "Timing", "record_of"),
+    "data.resampling": ("Resampling",),
     "data.signals": ("Filtering",),
     "data.transmission": ("Transmission",),
     "together.common_estimate": ("CommonEstimate", "RecordShare"),
@@ -220,6 +222,7 @@ __all__ = [
     "Record",
     "RecordError",
     "RecordShare",
+    "Resampling",
     "Revealing",
     "RigidJoint",
     "SecondOrder",

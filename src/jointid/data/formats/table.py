@@ -30,6 +30,7 @@ class Table:
         source: the file's name, for reports and errors.
         units: name -> unit of a column, as the file spells it, where the format keeps such and the file has one.
         passed: name -> why it was not read, of what looks like a column and is none.
+        clocks: name of a column -> that of its own time column, where the file has several clocks.
 
     Raises:
         RecordError: a column is not one-dimensional, or holds nothing.
@@ -40,6 +41,7 @@ class Table:
     source: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
     passed: Mapping[str, str] = field(default_factory=dict)
+    clocks: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         columns: dict[str, FloatArray] = {}
