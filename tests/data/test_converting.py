@@ -38,6 +38,7 @@ def test_every_format_becomes_every_other(name: str, suffix: str, tmp_path: Path
     assert ("no place for units" in notes) == bool(
         set(before.units) and suffix in (".csv", ".npy", ".mat", ".mcap", ".db3")
     )
+    assert ("whose time" in notes) == bool(before.clocks and suffix not in (".mcap", ".db3"))
     assert ("Renamed" in notes) == any(old != new for old, new in conversion.columns.items())
 
 

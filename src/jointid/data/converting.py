@@ -132,6 +132,10 @@ def _fitted(table: Table, writer: Format, notes: list[str]) -> Table:
         left = [f"{name} in {unit}" for name, unit in table.units.items()]
         notes.append(f"Left out, as {writer.name} has no place for units: {_listed(left)}.")
         table = replace(table, units={})
+    clocks = {name: time for name, time in table.clocks.items() if {name, time} <= table.columns.keys()}
+    if clocks and Holds.CLOCKS not in writer.holds:
+        told = [f"{name}: {time}" for name, time in clocks.items()]
+        notes.append(f"For the joint file, as {writer.name} does not say whose time a column is: {_listed(told)}.")
     notes += [f"Not read: {shown(name)} ({shown(why)})." for name, why in table.passed.items()]
     return table
 

@@ -88,6 +88,7 @@ class Holds(Flag):
     SCALARS = auto()
     UNITS = auto()
     LENGTHS = auto()  # columns that differ in length
+    CLOCKS = auto()  # which column is the time of which
 
 
 class Format(Protocol):

@@ -88,6 +88,7 @@ class _Channel(NamedTuple):
     rows: int
     channel: Nptdms
     unit: str = ""
+    clock: str = ""
     is_time: bool = False
 
     def values(self, first: int, last: int) -> FloatArray:
@@ -123,7 +124,8 @@ class _Rows:
         last = self.first + (self.rows if rows is None else min(rows, self.rows))
         with damage(path, Tdms.name, _REMEDY):
             columns = {c.name: c.values(self.first, min(last, c.rows)) for c in channels if c.rows > self.first}
-        return Table(columns, scalars, path.name, {c.name: c.unit for c in channels if c.unit})
+        units = {c.name: c.unit for c in channels if c.unit}
+        return Table(columns, scalars, path.name, units, clocks={c.name: c.clock for c in channels if c.clock})
 
 
 @contextmanager
@@ -155,11 +157,14 @@ def _channels(file: Nptdms) -> Iterator[_Channel]:
         timed = [c for c in channels if float(c.channel.properties.get(_STEP, 0.0)) > 0]
         clocks = {(c.rows, c.channel.properties[_STEP], c.channel.properties.get(_OFFSET, 0.0)) for c in timed}
         names = {channel.name for channel in group.channels()}
-        if len(clocks) == 1 and "time" not in names:
-            yield _Channel(f"{prefix}time", timed[0].rows, timed[0].channel, "s", True)
-        elif len(clocks) > 1:
-            yield from (_Channel(f"{c.name}/time", c.rows, c.channel, "s", True) for c in timed)
-        yield from channels
+        is_common = len(clocks) == 1 and "time" not in names
+        if is_common:
+            yield _Channel(f"{prefix}time", timed[0].rows, timed[0].channel, "s", is_time=True)
+        for channel in channels:
+            clock = (f"{prefix}time" if is_common else f"{channel.name}/time") if channel in timed else ""
+            yield channel._replace(clock=clock)
+            if clock and not is_common:
+                yield _Channel(clock, channel.rows, channel.channel, "s", is_time=True)
 
 
 def _scalars(file: Nptdms) -> Iterator[tuple[str, float]]:
