@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from jointid.common.errors import ExtraError, RecordError
 from jointid.data.columns import Column
 from jointid.data.formats import FORMATS, Holds, Table, format_of, read_blocks, read_table, read_tables, write_table
+from jointid.data.pieces import Log
 from jointid.data.reading import read
 from jointid.data.resampling import Resampling
 from tests.data.logged import LOGGED, POSITION, ROWS, TIME, TORQUE, Logged
@@ -60,6 +61,17 @@ def test_pieces_are_the_whole(name: str, rows: int, tmp_path: Path) -> None:
     for column, values in read_table(path).columns.items():
         pieces = np.concatenate([table.columns[column] for table in tables])
         np.testing.assert_allclose(pieces, values, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("name", ["hdf5", "mat73", "parquet", "tdms"])
+def test_a_long_record_is_read_in_pieces(name: str, tmp_path: Path) -> None:
+    time, position, torque = LOGGED[name].names
+    columns = {"torque": Column(torque, unit="N m"), "reference": Column(position, unit="rad")}
+    log = Log(made(name, tmp_path), columns, {"time": time, "kind": "revolute"})
+    pieces = list(log.pieces(80, 20))
+    assert [len(piece.record.torque) for piece in pieces if piece.record.torque] == [100, 100, 100, 60]
+    joined = [piece.record.torque.values[:80] for piece in pieces if piece.record.torque]
+    np.testing.assert_array_equal(np.concatenate(joined), TORQUE)
 
 
 @pytest.mark.parametrize("name", ["mat", "mcap", "db3"])

@@ -77,8 +77,7 @@ def convert(
     notes = [
         f'Renamed for {writer.name}: "{shown(old)}" is "{shown(new)}".' for old, new in names.items() if old != new
     ]
-    fitted = _fitted(table, writer, notes)
-    write_table(target, _renamed(fitted, names), **(writing or {}))
+    write_table(target, _fitted(_renamed(table, names), writer, notes), **(writing or {}))
     return Conversion(source.name, target.name, (format_of(source).name, writer.name), names, tuple(notes))
 
 
@@ -132,9 +131,8 @@ def _fitted(table: Table, writer: Format, notes: list[str]) -> Table:
         left = [f"{name} in {unit}" for name, unit in table.units.items()]
         notes.append(f"Left out, as {writer.name} has no place for units: {_listed(left)}.")
         table = replace(table, units={})
-    clocks = {name: time for name, time in table.clocks.items() if {name, time} <= table.columns.keys()}
-    if clocks and Holds.CLOCKS not in writer.holds:
-        told = [f"{name}: {time}" for name, time in clocks.items()]
+    if table.clocks and Holds.CLOCKS not in writer.holds:
+        told = [f"{name}: {time}" for name, time in table.clocks.items()]
         notes.append(f"For the joint file, as {writer.name} does not say whose time a column is: {_listed(told)}.")
     notes += [f"Not read: {shown(name)} ({shown(why)})." for name, why in table.passed.items()]
     return table
@@ -143,7 +141,8 @@ def _fitted(table: Table, writer: Format, notes: list[str]) -> Table:
 def _renamed(table: Table, names: Mapping[str, str]) -> Table:
     columns = {names[name]: values for name, values in table.columns.items()}
     units = {names[name]: unit for name, unit in table.units.items()}
-    return replace(table, columns=columns, units=units)
+    clocks = {names[name]: names[time] for name, time in table.clocks.items() if {name, time} <= names.keys()}
+    return replace(table, columns=columns, units=units, clocks=clocks)
 
 
 def _listed(texts: list[str]) -> str:

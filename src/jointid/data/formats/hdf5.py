@@ -52,7 +52,13 @@ class Hdf5:
         with h5py.File(path, "w", track_order=True) as file:
             for name, values in table.columns.items():
                 dataset = file.create_dataset(
-                    name, data=values, chunks=(min(values.size, _CHUNK),), compression="gzip", fletcher32=True
+                    name,
+                    data=values,
+                    chunks=(min(values.size, _CHUNK),),
+                    compression="gzip",
+                    compression_opts=1,
+                    shuffle=True,
+                    fletcher32=True,
                 )
                 if name in table.units:
                     dataset.attrs["units"] = table.units[name]
