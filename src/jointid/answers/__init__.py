@@ -16,6 +16,7 @@ from jointid.answers.assessments import (
     validation_answer,
 )
 from jointid.answers.estimates import ESTIMATE_SCHEMA, TOGETHER_SCHEMA, estimate_answer, together_answer
+from jointid.answers.inspected import INSPECTION_SCHEMA, inspection_answer
 from jointid.answers.learned import LEARNED_SCHEMA, learned_answer
 from jointid.answers.long import LONG_SCHEMA, long_answer
 from jointid.answers.reading import read_answer, read_friction, read_identified
@@ -26,6 +27,7 @@ __all__ = [
     "ADVICE_SCHEMA",
     "COMPARISON_SCHEMA",
     "ESTIMATE_SCHEMA",
+    "INSPECTION_SCHEMA",
     "LEARNED_SCHEMA",
     "LONG_SCHEMA",
     "LOOP_SCHEMA",
@@ -37,6 +39,7 @@ __all__ = [
     "comparison_answer",
     "dumps",
     "estimate_answer",
+    "inspection_answer",
     "learned_answer",
     "long_answer",
     "loop_answer",
