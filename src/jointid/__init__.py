@@ -12,10 +12,12 @@ if TYPE_CHECKING:
     from jointid.answers import (
         advice_answer,
         comparison_answer,
+        drift_answer,
         estimate_answer,
         learned_answer,
         long_answer,
         loop_answer,
+        read_report,
         revealing_answer,
         simulation_answer,
         together_answer,
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from jointid.assessment.advice import Advice, advise
     from jointid.assessment.comparison import Comparison, compare
     from jointid.assessment.dossier import Dossier, dossier
+    from jointid.assessment.drift import ReportComparison, compare_reports
     from jointid.assessment.intervals import Intervals, intervals
     from jointid.assessment.loop import check_loop
     from jointid.assessment.loopcheck import LoopCheck
@@ -78,7 +81,7 @@ if TYPE_CHECKING:
     from jointid.model.parameters import Parameter
     from jointid.paper.twin import Twin, twin
     from jointid.report.figures import residual_figure, save, torque_figure
-    from jointid.report.report import Report, report, report_file
+    from jointid.report.report import Report, report_estimate, report_file
     from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_many
     from jointid.simulation.drive_side import DriveSide
     from jointid.simulation.experiment import ClosedLoop, prepare
@@ -91,10 +94,12 @@ _HOMES = {
     "answers": (
         "advice_answer",
         "comparison_answer",
+        "drift_answer",
         "estimate_answer",
         "learned_answer",
         "long_answer",
         "loop_answer",
+        "read_report",
         "revealing_answer",
         "simulation_answer",
         "together_answer",
@@ -103,6 +108,7 @@ _HOMES = {
     "assessment.advice": ("Advice", "advise"),
     "assessment.comparison": ("Comparison", "compare"),
     "assessment.dossier": ("Dossier", "dossier"),
+    "assessment.drift": ("ReportComparison", "compare_reports"),
     "assessment.intervals": ("Intervals", "intervals"),
     "assessment.loop": ("check_loop",),
     "assessment.revealing": ("Revealing", "revealing", "what_would_tell_more"),
@@ -153,7 +159,7 @@ _HOMES = {
     "model.parameters": ("Parameter",),
     "paper.twin": ("Twin", "twin"),
     "report.figures": ("residual_figure", "save", "torque_figure"),
-    "report.report": ("Report", "report", "report_file"),
+    "report.report": ("Report", "report_estimate", "report_file"),
     "simulation.closed_loop": ("Initial", "Outcome", "Simulation", "simulate", "simulate_many"),
     "simulation.drive_side": ("DriveSide",),
     "simulation.experiment": ("ClosedLoop", "prepare"),
@@ -216,6 +222,7 @@ __all__ = [
     "RecordError",
     "RecordShare",
     "Report",
+    "ReportComparison",
     "Revealing",
     "RigidJoint",
     "SecondOrder",
@@ -232,8 +239,10 @@ __all__ = [
     "check_loop",
     "check_record",
     "compare",
+    "compare_reports",
     "comparison_answer",
     "dossier",
+    "drift_answer",
     "estimate_answer",
     "frequencies",
     "identify",
@@ -248,8 +257,9 @@ __all__ = [
     "prepare",
     "pulses",
     "read",
+    "read_report",
     "record_of",
-    "report",
+    "report_estimate",
     "report_file",
     "residual_figure",
     "revealing",

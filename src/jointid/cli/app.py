@@ -16,6 +16,7 @@ from cyclopts import App, CycloptsError
 from jointid import __version__
 from jointid.cli.advise import advise
 from jointid.cli.compare import compare
+from jointid.cli.compare_reports import compare_reports
 from jointid.cli.demo import demo
 from jointid.cli.identify import identify
 from jointid.cli.intervals import intervals
@@ -38,19 +39,9 @@ app = App(
     suppress_keyboard_interrupt=False,
 )
 for command in (
-    demo,
-    loop,
-    identify,
-    long,
-    together,
-    intervals,
-    compare,
-    validate,
-    advise,
-    simulate,
-    report,
+    demo, loop, identify, report, long, together, intervals, compare, compare_reports, validate, advise, simulate,
     reproduce,
-):
+):  # fmt: skip
     app.command(command)
 
 
