@@ -17,6 +17,7 @@ from jointid import __version__
 from jointid.cli.advise import advise
 from jointid.cli.compare import compare
 from jointid.cli.convert import convert
+from jointid.cli.compare_reports import compare_reports
 from jointid.cli.demo import demo
 from jointid.cli.export import export
 from jointid.cli.identify import identify
@@ -55,8 +56,9 @@ for command in (
     simulate,
     export,
     report,
+    demo, loop, identify, report, long, together, intervals, compare, compare_reports, validate, advise, simulate,
     reproduce,
-):
+):  # fmt: skip
     app.command(command)
 
 
