@@ -36,7 +36,8 @@ myst_heading_anchors = 4
 myst_links_external_new_tab = True
 
 nb_execution_mode = "force"
-nb_execution_timeout = 60
+nb_execution_in_temp = True
+nb_execution_timeout = 120  # on a busy machine; alone a notebook takes half a minute
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True
 nb_merge_streams = True
