@@ -20,15 +20,12 @@ version = release = __version__
 extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",
-    "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
     "mathml",
     "pages",
     "public_names",
 ]
 exclude_patterns = ["_ext", "_static", "images"]
-# Pages that one change or another brings: where none is there yet, the list is simply shorter.
-suppress_warnings = ["toc.empty_glob"]
 
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_fence_as_directive = ["math"]
@@ -37,7 +34,7 @@ myst_links_external_new_tab = True
 
 nb_execution_mode = "force"
 nb_execution_in_temp = True
-nb_execution_timeout = 120  # on a busy machine; alone a notebook takes half a minute
+nb_execution_timeout = 300  # of a cell, on a busy machine; alone a whole notebook takes half a minute
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True
 nb_merge_streams = True
@@ -47,7 +44,6 @@ autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
 autodoc_default_options = {"members": True, "undoc-members": False}
-autosummary_generate = False
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_rtype = False

@@ -5,31 +5,37 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from jointid.jointfile import json_schema
 
 _UNIT = re.compile(r"\s*\[([^\]]*)\]$")
+_CHANNELS_KEY = re.compile(r"record\.channels\.\w+\.\w+$")
 _BRANCHES = ("anyOf", "oneOf", "allOf")
 
 HEAD = """# Every key of the joint file
 
 Written from the schema by which the program checks a file; a key that is not here is a fault. What the keys do, with
-examples, is told in [the joint file](../../joint-file.md). A table has its keys below it; `<name>` is a name of your own
-choice or of a parameter, and of `[[records]]` and `torque_filters` each entry has the keys that stand here once.
+examples, is told in [the joint file](../../joint-file.md). `<channel>` stands for any of the channels, `<name>` for
+the name of a parameter or of a number; of `[[records]]` and `torque_filters` each entry has the keys that stand here once.
 """
 
 
 @dataclass(frozen=True)
 class Key:
-    """A key: its dotted place, what may stand there, in which unit, what it is if left out, and what it means."""
+    """A key: its dotted place, what may stand there, in which unit, what it is if left out, and what it means.
+
+    Attributes:
+        kind: what decides the table the key is in, where a key holds one of several: the law of a controller.
+    """
 
     place: str
     values: str
     unit: str
     default: str
     meaning: str
+    kind: str = ""
 
     @property
     def row(self) -> str:
@@ -43,9 +49,11 @@ def page() -> str:
     schema = json_schema()
     parts = [HEAD]
     for table, described in schema["properties"].items():
-        keys = list(dict.fromkeys(_keys(table, described, schema)))
+        keys = _merged(list(_keys(table, described, schema)))
+        if table == "record":
+            keys = _of_any_channel(keys)
         mark = f"[[{table}]]" if described.get("type") == "array" else f"[{table}]"
-        rows = "\n".join(key.row for key in _merged(keys))
+        rows = "\n".join(key.row for key in keys)
         said = _sentence(_unit(described["description"])[0])
         parts.append(
             f"\n## `{mark}`\n\n{said}\n\n| key | values | unit | default | meaning |\n|---|---|---|---|---|\n{rows}\n"
@@ -53,34 +61,54 @@ def page() -> str:
     return "".join(parts)
 
 
-def _keys(place: str, described: Mapping[str, Any], schema: Mapping[str, Any], depth: int = 0) -> Iterator[Key]:
-    """Yield the keys below a table, wherever they are; the same key of several laws comes once for each."""
+def _keys(place: str, described: Mapping[str, Any], schema: Mapping[str, Any], kind: str = "") -> Iterator[Key]:
+    """Yield the keys below a table, wherever they are; a key of several laws comes once for each."""
     for table in _tables(described, schema):
-        required = table.get("required", ())
-        for key, below in table.get("properties", {}).items():
-            at = f"{place}.{key}"
-            if not table_only(below, schema):
-                meaning, unit = _unit(below.get("description", ""))
-                default = "required" if key in required else _default(below)
-                yield Key(at, _values(below, schema), unit, default, meaning)
-            yield from _keys(at, below, schema, depth + 1)
+        keys = table.get("properties", {})
+        deciding = next((_choice([below["const"]]) for below in keys.values() if "const" in below), kind)
+        for key, below in keys.items():
+            meaning, unit = _unit(below.get("description", ""))
+            default = "required" if key in table.get("required", ()) else _default(below)
+            yield Key(f"{place}.{key}", _values(below, schema), unit, default, meaning, deciding)
+            yield from _keys(f"{place}.{key}", below, schema, deciding)
         extra = table.get("additionalProperties")
         if isinstance(extra, Mapping):
-            if not table_only(extra, schema):
-                yield Key(f"{place}.<name>", _values(extra, schema), "", "—", "the value that is kept, or one of them")
-            yield from _keys(f"{place}.<name>", extra, schema, depth + 1)
+            yield Key(f"{place}.<name>", _values(extra, schema), "", "—", "its value, by its name", deciding)
+            yield from _keys(f"{place}.<name>", extra, schema, deciding)
 
 
 def _merged(keys: list[Key]) -> list[Key]:
-    """Return keys with those of several laws put together: what one law says and another does not is told once."""
+    """Return keys with those of several laws in one: what all say once, and what one says by its name."""
+    places: dict[str, list[Key]] = {}
+    for key in keys:
+        places.setdefault(key.place, []).append(key)
+    kinds = {key.kind for key in keys}
+    return [_together(same, kinds) for same in places.values()]
+
+
+def _together(same: list[Key], kinds: set[str]) -> Key:
+    cells = []
+    for name in ("values", "unit", "default", "meaning"):
+        said: dict[str, list[str]] = {}
+        for key in same:
+            said.setdefault(getattr(key, name), []).append(key.kind)
+        alike = len(said) == 1 or all(text == kind for text, (kind, *_) in said.items())  # a law's name is its own
+        told = [text if alike else f"{', '.join(by)}: {text}" for text, by in said.items()]
+        cells.append((", " if alike else "; ").join(told))
+    if {key.kind for key in same} != kinds and same[0].place.count(".") == 1:  # what is below says it no more
+        cells[-1] += f" (of {', '.join(dict.fromkeys(key.kind for key in same))})"
+    return Key(same[0].place, *cells)
+
+
+def _of_any_channel(keys: list[Key]) -> list[Key]:
+    """Return keys with those that every channel has told once."""
+    names = [key.place.rpartition(".")[2] for key in keys if _CHANNELS_KEY.match(key.place)]
     found: dict[str, Key] = {}
     for key in keys:
-        old = found.get(key.place)
-        if old is None:
-            found[key.place] = key
-            continue
-        pairs = ((getattr(old, name), getattr(key, name)) for name in ("values", "unit", "default", "meaning"))
-        found[key.place] = Key(key.place, *(a if b in a.split("; ") else f"{a}; {b}" for a, b in pairs))
+        name = key.place.rpartition(".")[2]
+        shared = _CHANNELS_KEY.match(key.place) and names.count(name) > 1
+        told = replace(key, place=f"record.channels.<channel>.{name}") if shared else key
+        found.setdefault(told.place, told)
     return list(found.values())
 
 
@@ -109,11 +137,6 @@ def _tables(described: Mapping[str, Any], schema: Mapping[str, Any]) -> Iterator
             yield from _tables(leaf.get("items", {}), schema)
 
 
-def table_only(described: Mapping[str, Any], schema: Mapping[str, Any]) -> bool:
-    """Return whether a key holds nothing but a table, whose own keys then say it all."""
-    return all(leaf.get("type") == "object" and "properties" in leaf for leaf in _leaves(described, schema))
-
-
 def _values(described: Mapping[str, Any], schema: Mapping[str, Any]) -> str:
     """Return in words what may stand there."""
     kinds = [_kind(leaf, schema) for leaf in _leaves({**described, **_resolved(described, schema)}, schema)]
@@ -132,7 +155,8 @@ def _kind(leaf: Mapping[str, Any], schema: Mapping[str, Any]) -> str:
         return _choice([leaf["const"]])
     match leaf.get("type"):
         case "array":
-            return f"list of {_values(leaf.get('items', {}), schema)}"
+            items = re.sub(r"\b(number|list|table)\b", r"\1s", _values(leaf.get("items", {}), schema))
+            return f"list of {items.replace('text', 'texts')}"
         case "object":
             return "table"
         case "string":

@@ -6,6 +6,7 @@ import importlib
 import inspect
 import os
 import re
+from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,7 +32,8 @@ REPOSITORY = {
 }
 """Files of the repository that are pages, too, and what their pages are called."""
 
-_LINK = re.compile(r"(\]\()(?!https?:|#|mailto:)([^)#\s]+)((?:#[^)]*)?\))")
+_LINK = re.compile(r"\[(?P<text>[^\]\[]*)\]\((?!https?:|#|mailto:)(?P<target>[^)#\s]+)(?P<anchor>#[^)]*)?\)")
+_WANTED = re.compile(r"^\.\./\w+\*$\n", re.MULTILINE)
 
 
 def written() -> dict[str, str]:
@@ -47,11 +49,13 @@ def relinked(text: str, here: Path, there: Path) -> str:
     """Return a page whose links, true where it is, are true of the site as seen from another folder."""
 
     def moved(link: re.Match[str]) -> str:
-        target = Path(os.path.normpath(here / link[2]))
+        target = Path(os.path.normpath(here / link["target"]))
+        if target.is_dir():  # which a site does not list
+            return link["text"]
         name = REPOSITORY.get(target.relative_to(ROOT).as_posix())
         if name is not None:
             target = FOLDER / f"{name}.md"
-        return f"{link[1]}{Path(os.path.relpath(target, there)).as_posix()}{link[3]}"
+        return f"[{link['text']}]({Path(os.path.relpath(target, there)).as_posix()}{link['anchor'] or ''})"
 
     return _LINK.sub(moved, text)
 
@@ -69,12 +73,30 @@ def _api() -> dict[str, str]:
 
 
 def _api_page(room: str, said: str, names: list[str]) -> str:
-    listed = "\n".join(f"   {name}" for name in names)
-    entries = "\n".join(f"```{{eval-rst}}\n{_directive(name)}\n```\n" for name in names)
+    rows = "\n".join(f"| {{py:obj}}`{name} <jointid.{name}>` | {_first_line(name)} |" for name in names)
+    directives = [*map(_directive, names), *(f".. autoclass:: {base}" for base in _bases(room, names))]
+    entries = "\n".join(f"```{{eval-rst}}\n{directive}\n```\n" for directive in directives)
     return (
-        f"# `{room}`\n\n{said}\n\n"
-        f"```{{eval-rst}}\n.. currentmodule:: jointid\n\n.. autosummary::\n\n{listed}\n```\n\n{entries}"
+        f"# `{room}`\n\n{said}\n\n| name | what it is |\n|---|---|\n{rows}\n\n"
+        f"```{{eval-rst}}\n.. currentmodule:: jointid\n```\n\n{entries}"
     )
+
+
+def _bases(room: str, names: list[str]) -> list[str]:
+    """Return the bases that public classes of a room have there and that are no public names themselves."""
+    classes = [thing for name in names if isinstance(thing := getattr(jointid, name), type)]
+    found = {
+        f"{base.__module__}.{base.__qualname__}": None
+        for made in classes
+        for base in made.__mro__[1:]
+        if base.__module__.startswith(f"jointid.{room}.") and base.__name__ not in jointid.__all__ and base.__doc__
+    }
+    return list(found)
+
+
+def _first_line(name: str) -> str:
+    said = inspect.getdoc(getattr(jointid, name)) or ""
+    return said.split("\n\n")[0].replace("\n", " ").replace("``", "`").replace("|", "\\|")
 
 
 def _directive(name: str) -> str:
@@ -100,10 +122,16 @@ def _write(_: Sphinx) -> None:
 
 
 def _relink(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Lead the links of a page that leave the documentation to the repository's pages."""
+    """Lead links that leave the documentation to the repository's pages; leave out of a list what there is none of."""
     here = (Path(app.srcdir) / docname).parent
     if here != FOLDER:
+        source[0] = _WANTED.sub(lambda wanted: wanted[0] if any(_matching(here, wanted[0])) else "", source[0])
         source[0] = relinked(source[0], here, here)
+
+
+def _matching(here: Path, wanted: str) -> Iterator[Path]:
+    """Yield the pages of a pattern in a list of pages."""
+    return DOCS.glob(f"{wanted.strip().removeprefix('../')}.md")
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

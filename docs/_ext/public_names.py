@@ -1,10 +1,14 @@
-"""Links from a signature to the public name it means, whatever room of the package the name lives in."""
+"""Names in docstrings and signatures: what they mean, and where they lead.
+
+A type of a signature leads to the public name it is, whatever room of the package that lives in.
+"""
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any
 
-from sphinx.domains.python import PythonDomain
+from sphinx.domains.python import PyObject, PythonDomain
 
 import jointid
 
@@ -13,6 +17,15 @@ if TYPE_CHECKING:
     from sphinx.addnodes import pending_xref
     from sphinx.application import Sphinx
     from sphinx.environment import BuildEnvironment
+
+
+_SEVERAL = re.compile(r"^(\s+)((?:\w+|\.\.\.)(?:, (?:\w+|\.\.\.))+): ")
+
+
+def several(_: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
+    """Keep arguments that are told in one line, `kp, kd: ...`, together: Sphinx takes words before the last for a type."""
+    for i, line in enumerate(lines):
+        lines[i] = _SEVERAL.sub(lambda found: found[0].replace(", ", ",\u200b"), line)
 
 
 def resolved(
@@ -33,6 +46,10 @@ def resolved(
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Register the resolver."""
+    """Register both; an attribute's name in its own class's list is no reference to another class's."""
+    for field in PyObject.doc_field_types:
+        if field.name == "variable":
+            field.rolename = ""
     app.connect("missing-reference", resolved)
+    app.connect("autodoc-process-docstring", several, priority=100)  # before it is parsed
     return {"parallel_read_safe": True, "parallel_write_safe": True}
