@@ -26,13 +26,10 @@ def mathml(tex: str, *, block: bool) -> str:
 
 
 def displayed(tex: str) -> str:
-    """Return formulas that stand alone, one to a line that ends in a double backslash, each with its number."""
-    rows = []
-    for line in re.split(r"\\\\\s*\n", tex.strip()):
-        number = _TAG.search(line)
-        named = f'<span class="equation-number">({number[1]})</span>' if number else ""
-        rows.append(f'<div class="equation">{mathml(_TAG.sub("", line), block=True)}{named}</div>')
-    return "\n".join(rows)
+    """Return a formula that stands alone, with its number at the end of its line."""
+    number = _TAG.search(tex)
+    named = f'<span class="equation-number">({number[1]})</span>' if number else ""
+    return f'<div class="equation">{mathml(_TAG.sub("", tex), block=True)}{named}</div>'
 
 
 def _inline(self: HTML5Translator, node: nodes.math) -> None:
