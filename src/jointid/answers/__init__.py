@@ -16,9 +16,10 @@ from jointid.answers.assessments import (
     validation_answer,
 )
 from jointid.answers.estimates import ESTIMATE_SCHEMA, TOGETHER_SCHEMA, estimate_answer, together_answer
+from jointid.answers.inspected import INSPECTION_SCHEMA, inspection_answer
 from jointid.answers.learned import LEARNED_SCHEMA, learned_answer
 from jointid.answers.long import LONG_SCHEMA, long_answer
-from jointid.answers.reading import read_friction, read_identified
+from jointid.answers.reading import read_answer, read_friction, read_identified
 from jointid.answers.simulations import SIMULATION_SCHEMA, simulation_answer
 from jointid.answers.writing import dumps, write
 
@@ -26,6 +27,7 @@ __all__ = [
     "ADVICE_SCHEMA",
     "COMPARISON_SCHEMA",
     "ESTIMATE_SCHEMA",
+    "INSPECTION_SCHEMA",
     "LEARNED_SCHEMA",
     "LONG_SCHEMA",
     "LOOP_SCHEMA",
@@ -37,9 +39,11 @@ __all__ = [
     "comparison_answer",
     "dumps",
     "estimate_answer",
+    "inspection_answer",
     "learned_answer",
     "long_answer",
     "loop_answer",
+    "read_answer",
     "read_friction",
     "read_identified",
     "revealing_answer",

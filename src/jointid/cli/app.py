@@ -16,11 +16,15 @@ from cyclopts import App, CycloptsError
 from jointid import __version__
 from jointid.cli.advise import advise
 from jointid.cli.compare import compare
+from jointid.cli.convert import convert
 from jointid.cli.demo import demo
+from jointid.cli.export import export
 from jointid.cli.identify import identify
+from jointid.cli.inspect import inspect
 from jointid.cli.intervals import intervals
 from jointid.cli.long import long
 from jointid.cli.loop import loop
+from jointid.cli.report import report
 from jointid.cli.reproduce import reproduce
 from jointid.cli.simulate import simulate
 from jointid.cli.together import together
@@ -36,7 +40,23 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (demo, loop, identify, long, together, intervals, compare, validate, advise, simulate, reproduce):
+for command in (
+    demo,
+    inspect,
+    convert,
+    loop,
+    identify,
+    long,
+    together,
+    intervals,
+    compare,
+    validate,
+    advise,
+    simulate,
+    export,
+    report,
+    reproduce,
+):
     app.command(command)
 
 

@@ -97,7 +97,7 @@ def _joint(
 
         file.write(as_record(logged, simulation), out)
     if json is not None:
-        answers.write(answers.simulation_answer(simulation, file.joint, values, logged.name), json)
+        answers.write(answers.simulation_answer(simulation, file.joint, values, logged.name, logged.resampled), json)
 
 
 def _twin(

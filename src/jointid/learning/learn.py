@@ -154,6 +154,7 @@ def _answer(
         position_unit=record.motor_position.unit,
         record=record.name,
         table=controller_text(made, transmission),
+        resampled=record.resampled,
     )
 
 
