@@ -1,6 +1,6 @@
 """How Sphinx builds the documentation: nothing is fetched, and nothing is needed from the net to read it.
 
-    python3 -m uv run --group docs sphinx-build -W --keep-going -n docs build/site
+python3 -m uv run --group docs sphinx-build -W --keep-going -n docs build/site
 """
 
 from __future__ import annotations
@@ -50,6 +50,7 @@ napoleon_use_rtype = False
 napoleon_use_ivar = True
 default_role = "code"
 add_module_names = False
+toc_object_entries_show_parents = "hide"
 python_display_short_literal_types = True
 
 html_theme = "pydata_sphinx_theme"

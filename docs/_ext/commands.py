@@ -48,7 +48,9 @@ def written(page: str) -> str:
     for start, end in zip(starts, ends, strict=True):
         section = page[start.start() : end]
         if start[1] not in names() or not _TABLE.search(section):
-            raise ValueError(f"docs/commands.md: {start[1]} is no command, or has no table that begins with | option |.")
+            raise ValueError(
+                f"docs/commands.md: {start[1]} is no command, or has no table that begins with | option |."
+            )
         new = table(start[1])
         parts.append(_TABLE.sub(lambda _, new=new: new, section, count=1))
     return "".join(parts)

@@ -12,13 +12,15 @@ from jointid.jointfile import json_schema
 
 _UNIT = re.compile(r"\s*\[([^\]]*)\]$")
 _CHANNELS_KEY = re.compile(r"record\.channels\.\w+\.\w+$")
+_WORDS = {"object": "table", "string": "text", "boolean": "`true`, `false`"}
 _BRANCHES = ("anyOf", "oneOf", "allOf")
 
 HEAD = """# Every key of the joint file
 
 Written from the schema by which the program checks a file; a key that is not here is a fault. What the keys do, with
 examples, is told in [the joint file](../../joint-file.md). `<channel>` stands for any of the channels, `<name>` for
-the name of a parameter or of a number; of `[[records]]` and `torque_filters` each entry has the keys that stand here once.
+the name of a parameter or of a number. Of `[[records]]` and `torque_filters` each entry has the keys that stand here
+once.
 """
 
 
@@ -149,25 +151,17 @@ def _choice(values: list[object]) -> str:
 
 
 def _kind(leaf: Mapping[str, Any], schema: Mapping[str, Any]) -> str:
-    if "enum" in leaf:
-        return _choice(leaf["enum"])
-    if "const" in leaf:
-        return _choice([leaf["const"]])
-    match leaf.get("type"):
-        case "array":
-            items = re.sub(r"\b(number|list|table)\b", r"\1s", _values(leaf.get("items", {}), schema))
-            return f"list of {items.replace('text', 'texts')}"
-        case "object":
-            return "table"
-        case "string":
-            return "text"
-        case "boolean":
-            return "`true`, `false`"
-        case number:
-            word = "whole number" if number == "integer" else "number"
-            if "exclusiveMinimum" in leaf:
-                return f"positive {word}"
-            return f"{word}, {leaf['minimum']:g} or more" if "minimum" in leaf else word
+    if "enum" in leaf or "const" in leaf:
+        return _choice(leaf.get("enum", [leaf.get("const")]))
+    if leaf.get("type") == "array":
+        items = re.sub(r"\b(number|list|table|text)\b", r"\1s", _values(leaf.get("items", {}), schema))
+        return f"list of {items}"
+    if leaf.get("type") in _WORDS:
+        return _WORDS[leaf["type"]]
+    word = "whole number" if leaf.get("type") == "integer" else "number"
+    if "exclusiveMinimum" in leaf:
+        return f"positive {word}"
+    return f"{word}, {leaf['minimum']:g} or more" if "minimum" in leaf else word
 
 
 def _default(described: Mapping[str, Any]) -> str:

@@ -54,7 +54,13 @@ def test_the_page_of_keys_has_every_key_of_the_schema_with_its_meaning() -> None
         assert rows[key] == " | ".join(cells)
     assert rows["controller.ki"].startswith('number, 0 or more | `"cascade"`: 1/s; `"pid"`: controller units per m s')
     assert rows["controller.velocity_limit"].endswith('(of `"cascade"`)')
-    for key in ("record.channels.<channel>.unit", "record.channels.torque.tap", "controller.torque_filters.depth", "controller.B.position", "gravity.counterbalance.cos"):
+    for key in (
+        "record.channels.<channel>.unit",
+        "record.channels.torque.tap",
+        "controller.torque_filters.depth",
+        "controller.B.position",
+        "gravity.counterbalance.cos",
+    ):
         assert key in rows
     assert all(len(cells.split(" | ")[-1]) > 8 for cells in rows.values())
 
@@ -80,13 +86,16 @@ def test_the_examples_of_the_docstrings_hold() -> None:
 def test_links_of_a_page_that_moves_lead_where_they_did() -> None:
     here, there = ROOT / "examples" / "emps", ROOT / "docs" / "reference" / "generated"
     text = "[a](../../docs/timing.md#x) [b](https://x.org/y.md) [c](#z) [d](../../README.md) [e](..)"
-    assert generated.relinked(text, here, there) == "[a](../../timing.md#x) [b](https://x.org/y.md) [c](#z) [d](readme.md) e"
+    assert (
+        generated.relinked(text, here, there)
+        == "[a](../../timing.md#x) [b](https://x.org/y.md) [c](#z) [d](readme.md) e"
+    )
 
 
 def test_every_page_of_the_documentation_is_in_the_navigation() -> None:
     lists = "\n".join(page.read_text(encoding="utf-8") for page in pages() if page.is_relative_to(ROOT / "docs"))
     listed = {
-        line.strip().rsplit("/", 1)[-1].rstrip("*")
+        re.sub(r"^.*<|>$", "", line.strip()).rsplit("/", 1)[-1].rstrip("*")
         for block in re.findall(r"```\{toctree\}\n(.*?)```", lists, re.DOTALL)
         for line in block.splitlines()
     }

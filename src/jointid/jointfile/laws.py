@@ -64,14 +64,26 @@ class DrawnTable(LawTable):
     """What those laws have that difference the position."""
 
     reference_delay: NotNegative = Field(0.0, description="by which the law sees the reference later [s]")
-    velocity_filter: FilterTable | None = Field(None, description="filter of the velocity, the difference of the position")
+    velocity_filter: FilterTable | None = Field(
+        None, description="filter of the velocity, the difference of the position"
+    )
     torque_filters: FilterTables = Field([], description="filters of the torque, one after the other")
-    filters_at: Literal["before_limit", "after_limit"] = Field("before_limit", description="on which side of the torque's limit its filters stand")
-    acceleration_feedforward: NotNegative = Field(0.0, description="times the reference's acceleration [controller units per m/s2 or rad/s2]")
-    viscous_feedforward: NotNegative = Field(0.0, description="times the reference's velocity [controller units per m/s or rad/s]")
-    coulomb_feedforward: NotNegative = Field(0.0, description="in the direction in which the reference moves [controller units]")
+    filters_at: Literal["before_limit", "after_limit"] = Field(
+        "before_limit", description="on which side of the torque's limit its filters stand"
+    )
+    acceleration_feedforward: NotNegative = Field(
+        0.0, description="times the reference's acceleration [controller units per m/s2 or rad/s2]"
+    )
+    viscous_feedforward: NotNegative = Field(
+        0.0, description="times the reference's velocity [controller units per m/s or rad/s]"
+    )
+    coulomb_feedforward: NotNegative = Field(
+        0.0, description="in the direction in which the reference moves [controller units]"
+    )
     constant_feedforward: Number = Field(0.0, description="always added [controller units]")
-    torque_feedforward_delay: NotNegative = Field(0.0, description="by which the feed-forwards of the torque see the reference later [s]")
+    torque_feedforward_delay: NotNegative = Field(
+        0.0, description="by which the feed-forwards of the torque see the reference later [s]"
+    )
 
     def settings(self) -> dict[str, Any]:
         """Return what the law is made of."""
@@ -90,13 +102,17 @@ class CascadeTable(DrawnTable):
     ki: LoopGain = Field(0.0, description="integral gain of the velocity loop [1/s]")
     anti_windup: AntiWindup = Field("hold", description="what becomes of the integral at the limit")
     velocity_feedforward: NotNegative = Field(0.0, description="share of the reference's velocity")
-    velocity_feedforward_delay: NotNegative = Field(0.0, description="by which the velocity feed-forward sees the reference later [s]")
+    velocity_feedforward_delay: NotNegative = Field(
+        0.0, description="by which the velocity feed-forward sees the reference later [s]"
+    )
     reference_velocity: Literal["difference", "channel"] = Field(
         "difference", description="where the reference's velocity comes from"
     )
     velocity_limit: Limit | None = Field(None, description="limit of the velocity command [m/s or rad/s]")
     position_period: Positive | None = Field(None, description="period of the position loop [s]")
-    position_offset: NotNegative = Field(0.0, description="from the record's first sample to the position loop's next evaluation [s]")
+    position_offset: NotNegative = Field(
+        0.0, description="from the record's first sample to the position loop's next evaluation [s]"
+    )
 
     def controller(self) -> Cascade:
         """Return the controller."""

@@ -86,7 +86,9 @@ class FilteringTable(Table):
 class MethodTable(Table):
     """[method]: how the joint is identified; some keys are for a rigid joint only, others for a flexible one."""
 
-    name: Literal["didim", "idim", "drive_side", "open_loop"] | None = Field(None, description="by which method; didim if the record has what it needs, else idim")
+    name: Literal["didim", "idim", "drive_side", "open_loop"] | None = Field(
+        None, description="by which method; didim if the record has what it needs, else idim"
+    )
     preset: Literal["paper"] | None = Field(None, description="all settings of DIDIM at once")
     form: Literal["residual", "paper"] = Field("residual", description="what each step solves")
     start: Literal["inversion", "regular", "given"] = Field("inversion", description="where the search begins")
@@ -100,13 +102,19 @@ class MethodTable(Table):
         "least-squares", description="the way down the criterion"
     )
     frequency: Positive | None = Field(None, description="free-free, where the stiffness starts from [Hz]")
-    rigid_cutoff: Positive | None = Field(None, description="cut-off of the rigid identification that gives the start [Hz]")
+    rigid_cutoff: Positive | None = Field(
+        None, description="cut-off of the rigid identification that gives the start [Hz]"
+    )
     simulations: Count = Field(6000, description="simulations of one descent at most")
     restarts: Natural = Field(3, description="restarts of Nelder-Mead at most")
-    statistics: Literal["sensitivities", "inverse-model"] = Field("sensitivities", description="what the standard deviations are made from")
+    statistics: Literal["sensitivities", "inverse-model"] = Field(
+        "sensitivities", description="what the standard deviations are made from"
+    )
     log_delay: Number | None = Field(None, description="how late the log shows the torque, estimated if left out [s]")
     current_lag: NotNegative | Literal["estimated"] = Field(0.0, description="time constant between log and torque [s]")
-    instruments: Literal["tested", "always", "never"] = Field("tested", description="when they replace least squares on the drive side")
+    instruments: Literal["tested", "always", "never"] = Field(
+        "tested", description="when they replace least squares on the drive side"
+    )
     highpass: Positive | None = Field(None, description="below it the position of an open loop is drift [Hz]")
     estimator: Literal["ols", "weighted", "robust", "iv"] = Field("ols", description="how IDIM solves its rows")
     harmonics: Natural = Field(0, description="of the force over the motor position, for IDIM")
@@ -193,7 +201,9 @@ class TogetherTable(Table):
     """[together]: how several records are identified together."""
 
     free: Names = Field([], description="names of what surrounds the joint and is identified too")
-    weighting: Literal["spectrum", "level"] = Field("spectrum", description="what of their record's residual the rows are weighed by")
+    weighting: Literal["spectrum", "level"] = Field(
+        "spectrum", description="what of their record's residual the rows are weighed by"
+    )
 
 
 class FileTable(Table):
@@ -215,7 +225,9 @@ class FileTable(Table):
     records: Annotated[list[RunTable], Says("one [[records]] table for each record")] = Field(
         default_factory=list, description="records that are identified together"
     )
-    together: TogetherTable = Field(default_factory=TogetherTable, description="how several records are identified together")
+    together: TogetherTable = Field(
+        default_factory=TogetherTable, description="how several records are identified together"
+    )
 
 
 class _WithoutNull(GenerateJsonSchema):
