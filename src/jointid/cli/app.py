@@ -27,6 +27,7 @@ from jointid.cli.long import long
 from jointid.cli.loop import loop
 from jointid.cli.report import report
 from jointid.cli.reproduce import reproduce
+from jointid.cli.serve import serve
 from jointid.cli.simulate import simulate
 from jointid.cli.together import together
 from jointid.cli.validate import validate
@@ -59,6 +60,8 @@ for command in (
     demo, loop, identify, report, long, together, intervals, compare, compare_reports, validate, advise, simulate,
     reproduce,
 ):  # fmt: skip
+    serve,
+):
     app.command(command)
 
 
