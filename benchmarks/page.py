@@ -32,7 +32,8 @@ beside the real records and outside the project; where it is not there its row s
 This page is written by one command, from `docs/benchmarks.json`, where everything it measured is kept. What a run is
 told not to measure (`--only`) stays as it was: on another machine, measure all.
 
-```
+<!-- not run: half an hour -->
+```sh
 python3 -m uv run --group bench python -m benchmarks
 ```
 """
