@@ -12,11 +12,13 @@ if TYPE_CHECKING:
     from jointid.answers import (
         advice_answer,
         comparison_answer,
+        drift_answer,
         estimate_answer,
         inspection_answer,
         learned_answer,
         long_answer,
         loop_answer,
+        read_report,
         revealing_answer,
         simulation_answer,
         together_answer,
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
     )
     from jointid.assessment.advice import Advice, advise
     from jointid.assessment.comparison import Comparison, compare
+    from jointid.assessment.dossier import Dossier, dossier
+    from jointid.assessment.drift import ReportComparison, compare_reports
     from jointid.assessment.intervals import Intervals, intervals
     from jointid.assessment.loop import check_loop
     from jointid.assessment.loopcheck import LoopCheck
@@ -58,6 +62,13 @@ if TYPE_CHECKING:
     from jointid.estimation.identify import identify
     from jointid.estimation.idim import IDIM
     from jointid.estimation.open_loop import OpenLoopFit
+    from jointid.exports.export import Export, export, read_estimated, state_space
+    from jointid.exports.joint_toml import JointToml
+    from jointid.exports.linear import Matlab, StateSpaceJson
+    from jointid.exports.mjcf import Mjcf
+    from jointid.exports.modelica import Modelica
+    from jointid.exports.state_space import StateSpace
+    from jointid.exports.urdf import Urdf
     from jointid.jointfile import JointFile, load
     from jointid.learning.learn import learn_loop
     from jointid.learning.learned import LearnedLoop
@@ -82,6 +93,7 @@ if TYPE_CHECKING:
     from jointid.paper.twin import Twin, twin
     from jointid.report.channels import channels_figure
     from jointid.report.figures import residual_figure, save, torque_figure
+    from jointid.report.report import Report, report_estimate, report_file
     from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_many
     from jointid.simulation.drive_side import DriveSide
     from jointid.simulation.experiment import ClosedLoop, prepare
@@ -94,11 +106,13 @@ _HOMES = {
     "answers": (
         "advice_answer",
         "comparison_answer",
+        "drift_answer",
         "estimate_answer",
         "inspection_answer",
         "learned_answer",
         "long_answer",
         "loop_answer",
+        "read_report",
         "revealing_answer",
         "simulation_answer",
         "together_answer",
@@ -106,6 +120,8 @@ _HOMES = {
     ),
     "assessment.advice": ("Advice", "advise"),
     "assessment.comparison": ("Comparison", "compare"),
+    "assessment.dossier": ("Dossier", "dossier"),
+    "assessment.drift": ("ReportComparison", "compare_reports"),
     "assessment.intervals": ("Intervals", "intervals"),
     "assessment.loop": ("check_loop",),
     "assessment.revealing": ("Revealing", "revealing", "what_would_tell_more"),
@@ -136,6 +152,13 @@ _HOMES = {
     "together.together": ("identify_together",),
     "assessment.loopcheck": ("LoopCheck",),
     "assessment.suspects": ("LoopTests",),
+    "exports.export": ("Export", "export", "read_estimated", "state_space"),
+    "exports.joint_toml": ("JointToml",),
+    "exports.linear": ("Matlab", "StateSpaceJson"),
+    "exports.mjcf": ("Mjcf",),
+    "exports.modelica": ("Modelica",),
+    "exports.state_space": ("StateSpace",),
+    "exports.urdf": ("Urdf",),
     "jointfile": ("JointFile", "load"),
     "learning.learn": ("learn_loop",),
     "learning.learned": ("LearnedLoop",),
@@ -160,6 +183,7 @@ _HOMES = {
     "paper.twin": ("Twin", "twin"),
     "report.channels": ("channels_figure",),
     "report.figures": ("residual_figure", "save", "torque_figure"),
+    "report.report": ("Report", "report_estimate", "report_file"),
     "simulation.closed_loop": ("Initial", "Outcome", "Simulation", "simulate", "simulate_many"),
     "simulation.drive_side": ("DriveSide",),
     "simulation.experiment": ("ClosedLoop", "prepare"),
@@ -185,12 +209,14 @@ __all__ = [
     "Conversion",
     "Counterbalance",
     "DigitalFilter",
+    "Dossier",
     "Drift",
     "Drive",
     "DriveSide",
     "DriveSideFit",
     "Estimate",
     "EstimatedParameter",
+    "Export",
     "ExtraError",
     "Filtering",
     "FirstOrder",
@@ -205,13 +231,17 @@ __all__ = [
     "Intervals",
     "JointFile",
     "JointFileError",
+    "JointToml",
     "JointidError",
     "LearnedLoop",
     "Log",
     "LongEstimate",
     "LoopCheck",
     "LoopTests",
+    "Matlab",
     "MethodError",
+    "Mjcf",
+    "Modelica",
     "MovingAverage",
     "Notch",
     "OpenLoop",
@@ -222,17 +252,22 @@ __all__ = [
     "Record",
     "RecordError",
     "RecordShare",
+    "Report",
+    "ReportComparison",
     "Resampling",
     "Revealing",
     "RigidJoint",
     "SecondOrder",
     "Simulation",
+    "StateSpace",
     "StateSpaceController",
+    "StateSpaceJson",
     "SymmetricFriction",
     "Tap",
     "Timing",
     "Transmission",
     "Twin",
+    "Urdf",
     "Validation",
     "advice_answer",
     "advise",
@@ -240,9 +275,13 @@ __all__ = [
     "check_loop",
     "check_record",
     "compare",
+    "compare_reports",
     "comparison_answer",
     "convert",
+    "dossier",
+    "drift_answer",
     "estimate_answer",
+    "export",
     "frequencies",
     "identify",
     "identify_long",
@@ -258,7 +297,11 @@ __all__ = [
     "prepare",
     "pulses",
     "read",
+    "read_estimated",
+    "read_report",
     "record_of",
+    "report_estimate",
+    "report_file",
     "residual_figure",
     "revealing",
     "revealing_answer",
@@ -268,6 +311,7 @@ __all__ = [
     "simulate_many",
     "simulated_record",
     "simulation_answer",
+    "state_space",
     "together_answer",
     "torque_figure",
     "trapezoids",

@@ -8,7 +8,7 @@ import numpy as np
 
 from jointid.common.text import shown
 from jointid.data.inspection import InspectedChannel, Inspection
-from jointid.report.figures import MEASURED
+from jointid.report.charts import MEASURED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
