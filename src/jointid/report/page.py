@@ -102,9 +102,8 @@ def _environment() -> Environment:
 
 
 def _clauses(text: str) -> list[str]:
-    """Return a verdict's clauses, which semicolons separate but for those in brackets; each begins a line."""
-    found = re.split(r"; (?![^(]*\))", text)
-    return [f"{clause[:1].upper()}{clause[1:]}" for clause in found]
+    """Return a verdict's clauses, which semicolons separate but for those in brackets."""
+    return re.split(r"; (?![^(]*\))", text)
 
 
 def _hash(text: str) -> str:

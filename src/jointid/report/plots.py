@@ -75,7 +75,7 @@ def _extent(chart: Chart, group: str) -> tuple[float, float]:
 
 
 def _figure(panel: Panel, x_range: Any, columns: int, sources: _Sources) -> figure:
-    from bokeh.models import Legend, WheelZoomTool
+    from bokeh.models import Legend, PrintfTickFormatter, WheelZoomTool
     from bokeh.plotting import figure
 
     cells = [item for item in panel.items if isinstance(item, Cells)]
@@ -107,6 +107,10 @@ def _figure(panel: Panel, x_range: Any, columns: int, sources: _Sources) -> figu
     made.toolbar.active_drag = None if cells else made.toolbar.tools[1]
     if columns > 2 and not cells and not panel.log_x:
         made.xaxis[0].ticker.desired_num_ticks = _FEW_TICKS
+    if not cells and not panel.log_x:
+        made.xaxis[0].formatter = PrintfTickFormatter(format="%.6g")
+    if not cells and not panel.log_y:
+        made.yaxis[0].formatter = PrintfTickFormatter(format="%.6g")
     legend = []
     for item in panel.items:
         drawn = _item(made, item, sources)
