@@ -14,6 +14,7 @@ if TYPE_CHECKING:
         comparison_answer,
         drift_answer,
         estimate_answer,
+        inspection_answer,
         learned_answer,
         long_answer,
         loop_answer,
@@ -42,11 +43,14 @@ if TYPE_CHECKING:
     )
     from jointid.data.checks import check_record
     from jointid.data.columns import Column
+    from jointid.data.converting import Conversion, convert
     from jointid.data.drive import Drive
     from jointid.data.excitation import pulses, trapezoids
+    from jointid.data.inspection import Inspection, inspect
     from jointid.data.pieces import Log
     from jointid.data.reading import read
     from jointid.data.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, record_of
+    from jointid.data.resampling import Resampling
     from jointid.data.signals import Filtering
     from jointid.data.transmission import Transmission
     from jointid.data.writing import write
@@ -58,6 +62,13 @@ if TYPE_CHECKING:
     from jointid.estimation.identify import identify
     from jointid.estimation.idim import IDIM
     from jointid.estimation.open_loop import OpenLoopFit
+    from jointid.exports.export import Export, export, read_estimated, state_space
+    from jointid.exports.joint_toml import JointToml
+    from jointid.exports.linear import Matlab, StateSpaceJson
+    from jointid.exports.mjcf import Mjcf
+    from jointid.exports.modelica import Modelica
+    from jointid.exports.state_space import StateSpace
+    from jointid.exports.urdf import Urdf
     from jointid.jointfile import JointFile, load
     from jointid.learning.learn import learn_loop
     from jointid.learning.learned import LearnedLoop
@@ -80,6 +91,7 @@ if TYPE_CHECKING:
     from jointid.model.joints import FlexibleJoint, RigidJoint, frequencies, rigid_sums
     from jointid.model.parameters import Parameter
     from jointid.paper.twin import Twin, twin
+    from jointid.report.channels import channels_figure
     from jointid.report.figures import residual_figure, save, torque_figure
     from jointid.report.report import Report, report_estimate, report_file
     from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_many
@@ -96,6 +108,7 @@ _HOMES = {
         "comparison_answer",
         "drift_answer",
         "estimate_answer",
+        "inspection_answer",
         "learned_answer",
         "long_answer",
         "loop_answer",
@@ -116,12 +129,15 @@ _HOMES = {
     "common.errors": ("ExtraError", "JointFileError", "JointidError", "MethodError", "RecordError"),
     "data.checks": ("check_record",),
     "data.columns": ("Column",),
+    "data.converting": ("Conversion", "convert"),
     "data.drive": ("Drive",),
     "data.excitation": ("pulses", "trapezoids"),
+    "data.inspection": ("Inspection", "inspect"),
     "data.pieces": ("Log",),
     "data.reading": ("read",),
     "data.writing": ("write",),
     "data.record": ("Channel", "Injection", "InjectionPoint", "Record", "Tap", "Timing", "record_of"),
+    "data.resampling": ("Resampling",),
     "data.signals": ("Filtering",),
     "data.transmission": ("Transmission",),
     "together.common_estimate": ("CommonEstimate", "RecordShare"),
@@ -136,6 +152,13 @@ _HOMES = {
     "together.together": ("identify_together",),
     "assessment.loopcheck": ("LoopCheck",),
     "assessment.suspects": ("LoopTests",),
+    "exports.export": ("Export", "export", "read_estimated", "state_space"),
+    "exports.joint_toml": ("JointToml",),
+    "exports.linear": ("Matlab", "StateSpaceJson"),
+    "exports.mjcf": ("Mjcf",),
+    "exports.modelica": ("Modelica",),
+    "exports.state_space": ("StateSpace",),
+    "exports.urdf": ("Urdf",),
     "jointfile": ("JointFile", "load"),
     "learning.learn": ("learn_loop",),
     "learning.learned": ("LearnedLoop",),
@@ -158,6 +181,7 @@ _HOMES = {
     "model.joints": ("FlexibleJoint", "RigidJoint", "frequencies", "rigid_sums"),
     "model.parameters": ("Parameter",),
     "paper.twin": ("Twin", "twin"),
+    "report.channels": ("channels_figure",),
     "report.figures": ("residual_figure", "save", "torque_figure"),
     "report.report": ("Report", "report_estimate", "report_file"),
     "simulation.closed_loop": ("Initial", "Outcome", "Simulation", "simulate", "simulate_many"),
@@ -182,6 +206,7 @@ __all__ = [
     "Column",
     "CommonEstimate",
     "Comparison",
+    "Conversion",
     "Counterbalance",
     "DigitalFilter",
     "Dossier",
@@ -191,6 +216,7 @@ __all__ = [
     "DriveSideFit",
     "Estimate",
     "EstimatedParameter",
+    "Export",
     "ExtraError",
     "Filtering",
     "FirstOrder",
@@ -201,16 +227,21 @@ __all__ = [
     "Initial",
     "Injection",
     "InjectionPoint",
+    "Inspection",
     "Intervals",
     "JointFile",
     "JointFileError",
+    "JointToml",
     "JointidError",
     "LearnedLoop",
     "Log",
     "LongEstimate",
     "LoopCheck",
     "LoopTests",
+    "Matlab",
     "MethodError",
+    "Mjcf",
+    "Modelica",
     "MovingAverage",
     "Notch",
     "OpenLoop",
@@ -223,31 +254,40 @@ __all__ = [
     "RecordShare",
     "Report",
     "ReportComparison",
+    "Resampling",
     "Revealing",
     "RigidJoint",
     "SecondOrder",
     "Simulation",
+    "StateSpace",
     "StateSpaceController",
+    "StateSpaceJson",
     "SymmetricFriction",
     "Tap",
     "Timing",
     "Transmission",
     "Twin",
+    "Urdf",
     "Validation",
     "advice_answer",
     "advise",
+    "channels_figure",
     "check_loop",
     "check_record",
     "compare",
     "compare_reports",
     "comparison_answer",
+    "convert",
     "dossier",
     "drift_answer",
     "estimate_answer",
+    "export",
     "frequencies",
     "identify",
     "identify_long",
     "identify_together",
+    "inspect",
+    "inspection_answer",
     "intervals",
     "learn_loop",
     "learned_answer",
@@ -257,6 +297,7 @@ __all__ = [
     "prepare",
     "pulses",
     "read",
+    "read_estimated",
     "read_report",
     "record_of",
     "report_estimate",
@@ -270,6 +311,7 @@ __all__ = [
     "simulate_many",
     "simulated_record",
     "simulation_answer",
+    "state_space",
     "together_answer",
     "torque_figure",
     "trapezoids",

@@ -16,9 +16,10 @@ from jointid.answers.assessments import (
     validation_answer,
 )
 from jointid.answers.estimates import ESTIMATE_SCHEMA, TOGETHER_SCHEMA, estimate_answer, together_answer
+from jointid.answers.inspected import INSPECTION_SCHEMA, inspection_answer
 from jointid.answers.learned import LEARNED_SCHEMA, learned_answer
 from jointid.answers.long import LONG_SCHEMA, long_answer
-from jointid.answers.reading import read_friction, read_identified
+from jointid.answers.reading import read_answer, read_friction, read_identified
 from jointid.answers.reported import DRIFT_SCHEMA, drift_answer, read_report
 from jointid.answers.reports import REPORT_SCHEMA, report_answer
 from jointid.answers.simulations import SIMULATION_SCHEMA, simulation_answer
@@ -29,6 +30,7 @@ __all__ = [
     "COMPARISON_SCHEMA",
     "DRIFT_SCHEMA",
     "ESTIMATE_SCHEMA",
+    "INSPECTION_SCHEMA",
     "LEARNED_SCHEMA",
     "LONG_SCHEMA",
     "LOOP_SCHEMA",
@@ -42,9 +44,11 @@ __all__ = [
     "drift_answer",
     "dumps",
     "estimate_answer",
+    "inspection_answer",
     "learned_answer",
     "long_answer",
     "loop_answer",
+    "read_answer",
     "read_friction",
     "read_identified",
     "read_report",

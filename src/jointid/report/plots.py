@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jointid.common.errors import ExtraError
+from jointid.common.extras import extra
 from jointid.data.record import FloatArray
 from jointid.report.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, said
 
 if TYPE_CHECKING:
     from bokeh.plotting import figure
+
+PURPOSE = "A report as a page (Markdown and figures do without)"
+"""What the extra is needed for."""
 
 _FONT = "system-ui, sans-serif"
 _GREY = "#555555"
@@ -26,19 +29,8 @@ def script() -> str:
     Raises:
         ExtraError: bokeh is not installed.
     """
-    try:
-        from bokeh.resources import Resources
-    except ImportError:
-        raise missing("bokeh") from None
-    return str(Resources(mode="inline", components=["bokeh"], minified=True).js_raw[0])
-
-
-def missing(package: str) -> ExtraError:
-    """Return the error that says which extra brings a package of the report."""
-    return ExtraError(
-        f'The report as a page needs {package}, which is not installed; install it with pip install "jointid[report]", '
-        "or write the report as Markdown and figures, which need neither."
-    )
+    found = extra("bokeh.resources", "report", PURPOSE).Resources(mode="inline", components=["bokeh"], minified=True)
+    return str(found.js_raw[0])
 
 
 def plot(chart: Chart) -> str:
@@ -47,12 +39,10 @@ def plot(chart: Chart) -> str:
     Raises:
         ExtraError: bokeh is not installed.
     """
-    try:
-        from bokeh.embed import json_item
-        from bokeh.layouts import gridplot
-        from bokeh.models import Range1d
-    except ImportError:
-        raise missing("bokeh") from None
+    json_item = extra("bokeh.embed", "report", PURPOSE).json_item
+    from bokeh.layouts import gridplot
+    from bokeh.models import Range1d
+
     ranges: dict[str, Any] = {}
     figures = []
     sources = _Sources()
