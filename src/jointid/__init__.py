@@ -12,11 +12,13 @@ if TYPE_CHECKING:
     from jointid.answers import (
         advice_answer,
         comparison_answer,
+        drift_answer,
         estimate_answer,
         inspection_answer,
         learned_answer,
         long_answer,
         loop_answer,
+        read_report,
         revealing_answer,
         simulation_answer,
         together_answer,
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from jointid.assessment.advice import Advice, advise
     from jointid.assessment.comparison import Comparison, compare
     from jointid.assessment.dossier import Dossier, dossier
+    from jointid.assessment.drift import ReportComparison, compare_reports
     from jointid.assessment.intervals import Intervals, intervals
     from jointid.assessment.loop import check_loop
     from jointid.assessment.loopcheck import LoopCheck
@@ -90,7 +93,7 @@ if TYPE_CHECKING:
     from jointid.paper.twin import Twin, twin
     from jointid.report.channels import channels_figure
     from jointid.report.figures import residual_figure, save, torque_figure
-    from jointid.report.report import Report, report, report_file
+    from jointid.report.report import Report, report_estimate, report_file
     from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_many
     from jointid.simulation.drive_side import DriveSide
     from jointid.simulation.experiment import ClosedLoop, prepare
@@ -103,11 +106,13 @@ _HOMES = {
     "answers": (
         "advice_answer",
         "comparison_answer",
+        "drift_answer",
         "estimate_answer",
         "inspection_answer",
         "learned_answer",
         "long_answer",
         "loop_answer",
+        "read_report",
         "revealing_answer",
         "simulation_answer",
         "together_answer",
@@ -116,6 +121,7 @@ _HOMES = {
     "assessment.advice": ("Advice", "advise"),
     "assessment.comparison": ("Comparison", "compare"),
     "assessment.dossier": ("Dossier", "dossier"),
+    "assessment.drift": ("ReportComparison", "compare_reports"),
     "assessment.intervals": ("Intervals", "intervals"),
     "assessment.loop": ("check_loop",),
     "assessment.revealing": ("Revealing", "revealing", "what_would_tell_more"),
@@ -177,7 +183,7 @@ _HOMES = {
     "paper.twin": ("Twin", "twin"),
     "report.channels": ("channels_figure",),
     "report.figures": ("residual_figure", "save", "torque_figure"),
-    "report.report": ("Report", "report", "report_file"),
+    "report.report": ("Report", "report_estimate", "report_file"),
     "simulation.closed_loop": ("Initial", "Outcome", "Simulation", "simulate", "simulate_many"),
     "simulation.drive_side": ("DriveSide",),
     "simulation.experiment": ("ClosedLoop", "prepare"),
@@ -248,6 +254,7 @@ __all__ = [
     "RecordShare",
     "Report",
     "Resampling",
+    "ReportComparison",
     "Revealing",
     "RigidJoint",
     "SecondOrder",
@@ -268,9 +275,11 @@ __all__ = [
     "check_loop",
     "check_record",
     "compare",
+    "compare_reports",
     "comparison_answer",
     "convert",
     "dossier",
+    "drift_answer",
     "estimate_answer",
     "export",
     "frequencies",
@@ -289,8 +298,9 @@ __all__ = [
     "pulses",
     "read",
     "read_estimated",
+    "read_report",
     "record_of",
-    "report",
+    "report_estimate",
     "report_file",
     "residual_figure",
     "revealing",

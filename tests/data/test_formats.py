@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 from jointid.common.errors import ExtraError, RecordError
 from jointid.data.columns import Column
 from jointid.data.formats import FORMATS, Holds, Table, format_of, read_blocks, read_table, read_tables, write_table
+from jointid.data.pieces import Log
 from jointid.data.reading import read
+from jointid.data.resampling import Resampling
 from tests.data.logged import LOGGED, POSITION, ROWS, TIME, TORQUE, Logged
 from tests.data.spoiled import spoiled
 
@@ -42,8 +44,9 @@ def test_what_the_formats_own_library_writes_is_read(name: str, tmp_path: Path) 
 @pytest.mark.parametrize("name", LOGGED)
 def test_a_record_is_made_of_any_of_them(name: str, tmp_path: Path) -> None:
     time, position, torque = LOGGED[name].names
+    own_clock = name in ("mcap", "db3", "tdms")
     columns = {"torque": Column(torque, unit="N m"), "reference": Column(position, unit="rad")}
-    record = read(made(name, tmp_path), columns, time=time, kind="revolute")
+    record = read(made(name, tmp_path), columns, time=None if own_clock else time, kind="revolute")
     assert record.torque is not None and record.reference is not None
     np.testing.assert_array_equal(record.torque.values, TORQUE)
     assert record.reference.sample_time == pytest.approx(1e-3, abs=1e-15)
@@ -60,6 +63,17 @@ def test_pieces_are_the_whole(name: str, rows: int, tmp_path: Path) -> None:
         np.testing.assert_allclose(pieces, values, rtol=0, atol=0)
 
 
+@pytest.mark.parametrize("name", ["hdf5", "mat73", "parquet", "tdms"])
+def test_a_long_record_is_read_in_pieces(name: str, tmp_path: Path) -> None:
+    time, position, torque = LOGGED[name].names
+    columns = {"torque": Column(torque, unit="N m"), "reference": Column(position, unit="rad")}
+    log = Log(made(name, tmp_path), columns, {"time": time, "kind": "revolute"})
+    pieces = list(log.pieces(80, 20))
+    assert [len(piece.record.torque) for piece in pieces if piece.record.torque] == [100, 100, 100, 60]
+    joined = [piece.record.torque.values[:80] for piece in pieces if piece.record.torque]
+    np.testing.assert_array_equal(np.concatenate(joined), TORQUE)
+
+
 @pytest.mark.parametrize("name", ["mat", "mcap", "db3"])
 def test_what_has_no_rows_one_after_the_other_is_read_whole(name: str, tmp_path: Path) -> None:
     path = made(name, tmp_path)
@@ -67,6 +81,17 @@ def test_what_has_no_rows_one_after_the_other_is_read_whole(name: str, tmp_path:
         next(iter(read_blocks(path, 10)))
     (table,) = read_tables(path, 10)
     assert table.columns.keys() == read_table(path).columns.keys()
+
+
+def test_topics_of_different_clocks_make_one_record_where_it_is_asked_for(tmp_path: Path) -> None:
+    columns = {"torque": Column("/joint_states/elbow/effort", unit="N m"), "reference": Column("/goal", unit="rad")}
+    path = made("mcap", tmp_path)
+    with pytest.raises(RecordError, match=r"reference begins 0\.0005 s after torque"):
+        read(path, columns, kind="revolute")
+    record = read(path, columns, kind="revolute", resample=Resampling(1e-3, "linear"))
+    assert record.torque is not None and record.reference is not None
+    assert record.torque.sample_time == record.reference.sample_time == 1e-3
+    np.testing.assert_allclose(np.diff(record.reference.values), 1.0, atol=1e-6)  # 10 in ten samples
 
 
 # What is written comes back

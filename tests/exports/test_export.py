@@ -69,7 +69,7 @@ def test_the_joint_file_keeps_its_text_and_gives_the_values_back(
     assert all(found[name].free for name in TABLE_2 if name != "offset")
     assert not found["offset"].free  # as it was
     assert found["load_inertia"].upper == 60.0
-    assert "# ZZ1 motor_inertia = 70.200 kg (+- 0.020, 2 sigma)" in text
+    assert "# ZZ1 motor_inertia: 70.200 kg (+- 0.020, 2 sigma)" in text
     assert "# record run" in text
     plain = ji.load(folder / "joint.toml")
     assert replace(file, parameters={}, path=plain.path).tables() == replace(plain, parameters={}).tables()
@@ -109,7 +109,8 @@ def test_what_a_joint_file_cannot_have_is_left_out_and_said(folder: Path) -> Non
     file = ji.load(folder / "joint.toml")
     values: dict[str, float | None] = {**TABLE_2, "stiffness": None, "motor_viscous": -4.0}
     made = ji.export(model(file.joint, values), ji.JointToml(file))
-    assert "stiffness, refused: the record does not tell it" in made.lost
+    assert "what the record does not tell: stiffness" in made.lost
+    assert "# K12 stiffness: refused: the record does not tell it" in made.text
     assert any("motor_viscous, which is outside its bounds: -4.0000 N s/m" in one for one in made.lost)
     again = loads(made.text)
     assert set(again.parameters) == {*TABLE_2} - {"stiffness", "motor_viscous"}
@@ -165,6 +166,8 @@ def test_mistakes_are_told_in_a_sentence(folder: Path, capsys: pytest.CaptureFix
     assert "there are no numbers of the motor side" in capsys.readouterr().err
     assert exported(folder, "nowhere/a.mo") == 2
     assert "there is no folder" in capsys.readouterr().err
+    assert exported(folder, "out.json") == 2
+    assert "is the estimate itself" in capsys.readouterr().err
     assert exported(folder, "any", "--format", "urdf") == 0
     assert "lost in urdf: the spring of 800000 N/m" in capsys.readouterr().out
 

@@ -54,6 +54,8 @@ def mjcf_torque(
     told = model(joint, values)
     gear = told.on("load").gear if told.side is not None else 1.0
     plant = Plant(ji.export(told, exporter).text, float(reference[0]) / gear)
+    if joint.model == "flexible":
+        plant.data.qpos[1] = joint.start(values, float(reference[0]), 0.0)[2] / gear  # where the load hangs
     return servo(law, reference, 1e-3, lambda torque: gear * plant(torque))
 
 
@@ -122,6 +124,21 @@ def test_uneven_coulomb_friction_is_an_even_one_and_a_force() -> None:
     assert not any("viscous" in one for one in ji.export(model(joint, values), "mjcf").lost)
     uneven = values | {"viscous_backwards": 230.0}
     assert any("viscous" in one for one in ji.export(model(joint, uneven), "mjcf").lost)
+
+
+def test_a_vertical_axis_with_uneven_friction_on_both_sides_loses_nothing_but_sticking() -> None:
+    law = CONTROLLERS["L19"]
+    weighing = ji.FlexibleJoint(gravity=ji.Gravity("constant", ji.Counterbalance(rate=40.0)))
+    values = TABLE_2 | {"offset": 0.0, "gravity_constant": 35.0, "counterbalance_rate": 40.0}
+    ours = simulated(weighing, law, REFERENCE, values)
+    assert apart(mjcf_torque(weighing, values, law, REFERENCE, ji.Mjcf(timestep=1e-4)), ours) < 0.003
+    uneven = ji.FlexibleJoint(friction=ji.AsymmetricFriction())
+    values = {name: TABLE_2[name] for name in ("motor_inertia", "stiffness", "damping", "load_inertia")}
+    values |= {f"{side}_viscous_{way}": 100.0 for side in ("motor", "load") for way in ("forwards", "backwards")}
+    values |= {"motor_coulomb_forwards": 14.0, "motor_coulomb_backwards": 8.0, "offset": 0.0}
+    values |= {"load_coulomb_forwards": 6.0, "load_coulomb_backwards": 15.0}
+    ours = simulated(uneven, law, REFERENCE, values)
+    assert apart(mjcf_torque(uneven, values, law, REFERENCE, ji.Mjcf(timestep=1e-4)), ours) < 0.003
 
 
 def test_a_rigid_urdf_gives_our_torque_but_for_what_it_says_it_lost() -> None:

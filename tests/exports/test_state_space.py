@@ -14,6 +14,7 @@ from scipy.signal import dlsim, lsim
 
 import jointid as ji
 from jointid.data.record import Timing
+from jointid.exports.joint_model import joint_model
 from jointid.model.joints import Joint
 from jointid.paper.twin import CONTROLLERS, TABLE_2
 from jointid.simulation.open_loop import simulate_open_loop
@@ -132,6 +133,14 @@ def test_the_file_says_what_is_lost_and_where_its_numbers_come_from() -> None:
     assert any("constant load" in one for one in ji.export(model(weighing, values), "state-space").lost)
 
 
+def test_the_delay_is_that_of_the_estimate_unless_another_is_asked_for() -> None:
+    told = joint_model(answer(JOINT, VISCOUS) | {"delay": 1.5e-3}, JOINT)
+    for exporter, delay in ((ji.StateSpaceJson(), 1.5e-3), (ji.StateSpaceJson(delay=0.0), 0.0)):
+        found = json.loads(ji.export(told, exporter).text)["sampled"]
+        assert found["delay"] == delay
+        np.testing.assert_array_equal(found["A"], ji.state_space(told).sampled(T, delay).A)
+
+
 def test_what_cannot_be_sampled_is_refused() -> None:
     system = ji.state_space(model(JOINT, VISCOUS))
     for period, delay in ((0.0, 0.0), (float("inf"), 0.0), (T, -T), (T, 2.0), (float("nan"), 0.0)):
@@ -145,8 +154,6 @@ def test_what_cannot_be_sampled_is_refused() -> None:
         "schema": "jointid.together/1",
         "records": [{"name": n, "sample_time": t, "torque_sha256": ""} for n, t in (("a", 1e-3), ("b", 2e-3))],
     }
-    from jointid.exports.joint_model import joint_model
-
     told = joint_model(several, JOINT)
     with pytest.raises(ji.MethodError, match="give the period"):
         ji.export(told, "state-space")

@@ -17,6 +17,7 @@ from jointid import __version__
 from jointid.cli.advise import advise
 from jointid.cli.compare import compare
 from jointid.cli.convert import convert
+from jointid.cli.compare_reports import compare_reports
 from jointid.cli.demo import demo
 from jointid.cli.export import export
 from jointid.cli.identify import identify
@@ -26,6 +27,7 @@ from jointid.cli.long import long
 from jointid.cli.loop import loop
 from jointid.cli.report import report
 from jointid.cli.reproduce import reproduce
+from jointid.cli.serve import serve
 from jointid.cli.simulate import simulate
 from jointid.cli.together import together
 from jointid.cli.validate import validate
@@ -55,7 +57,10 @@ for command in (
     simulate,
     export,
     report,
+    demo, loop, identify, report, long, together, intervals, compare, compare_reports, validate, advise, simulate,
     reproduce,
+):  # fmt: skip
+    serve,
 ):
     app.command(command)
 

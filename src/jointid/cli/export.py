@@ -42,12 +42,15 @@ def export(
     """
     from jointid import answers
     from jointid.cli.console import check_outputs, show
+    from jointid.common.errors import RecordError
     from jointid.exports.export import export as run
     from jointid.exports.export import exporter_named, exporter_of, read_estimated
     from jointid.exports.joint_toml import JointToml
     from jointid.jointfile import load
 
     check_outputs(None, out)
+    if out.exists() and out.samefile(estimate):
+        raise RecordError(f"{out} is the estimate itself, which would be replaced; name another file.")
     given = {"values": "fixed" if fixed else None, "period": period, "delay": delay, "timestep": timestep}
     settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     exporter = exporter_of(out, **settings) if format is None else exporter_named(format, **settings)

@@ -77,8 +77,7 @@ def convert(
     notes = [
         f'Renamed for {writer.name}: "{shown(old)}" is "{shown(new)}".' for old, new in names.items() if old != new
     ]
-    fitted = _fitted(table, writer, notes)
-    write_table(target, _renamed(fitted, names), **(writing or {}))
+    write_table(target, _fitted(_renamed(table, names), writer, notes), **(writing or {}))
     return Conversion(source.name, target.name, (format_of(source).name, writer.name), names, tuple(notes))
 
 
@@ -102,10 +101,10 @@ def _gathered(source: Path, columns: Sequence[str] | None, options: Mapping[str,
 
 def _names(names: list[str], writer: Format) -> dict[str, str]:
     """Return what every column is called in the target; no two have one name."""
-    made = {name: name for name in names if writer.allowed(name) == name}
+    made = {name: name for name in names if writer.allowed(name, names) == name}
     for name in names:
         if name not in made:
-            wanted = made[name] = writer.allowed(name)
+            wanted = made[name] = writer.allowed(name, names)
             count = 1
             while list(made.values()).count(made[name]) > 1:
                 count += 1
@@ -132,6 +131,9 @@ def _fitted(table: Table, writer: Format, notes: list[str]) -> Table:
         left = [f"{name} in {unit}" for name, unit in table.units.items()]
         notes.append(f"Left out, as {writer.name} has no place for units: {_listed(left)}.")
         table = replace(table, units={})
+    if table.clocks and Holds.CLOCKS not in writer.holds:
+        told = [f"{name}: {time}" for name, time in table.clocks.items()]
+        notes.append(f"For the joint file, as {writer.name} does not say whose time a column is: {_listed(told)}.")
     notes += [f"Not read: {shown(name)} ({shown(why)})." for name, why in table.passed.items()]
     return table
 
@@ -139,7 +141,8 @@ def _fitted(table: Table, writer: Format, notes: list[str]) -> Table:
 def _renamed(table: Table, names: Mapping[str, str]) -> Table:
     columns = {names[name]: values for name, values in table.columns.items()}
     units = {names[name]: unit for name, unit in table.units.items()}
-    return replace(table, columns=columns, units=units)
+    clocks = {names[name]: names[time] for name, time in table.clocks.items() if {name, time} <= names.keys()}
+    return replace(table, columns=columns, units=units, clocks=clocks)
 
 
 def _listed(texts: list[str]) -> str:

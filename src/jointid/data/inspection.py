@@ -99,8 +99,9 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
     """Return what is in a file of any format.
 
     A clock is a column whose name ends in t, time, timestamp or stamp, whose unit is one of time, and whose numbers
-    only rise. A column belongs to the clock of its length whose name has the longest beginning, up to a "/" or ".", in
-    common with it. Where the format allows it, the file is read in pieces, and memory does not grow with it.
+    only rise. A column belongs to the clock that its format gives it, or else to that of its length whose name has the
+    longest beginning, up to a "/" or ".", in common with it. Where the format allows it, the file is read in pieces,
+    and memory does not grow with it.
 
     Args:
         path: the file, or the folder of a ROS 2 bag.
@@ -111,19 +112,21 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
     """
     path = Path(path)
     outlining: dict[str, Outlining] = {}
-    stated: dict[str, str] = {}
+    stated, told = dict[str, str](), dict[str, str]()
     scalars, passed = dict[str, float](), dict[str, str]()
     for table in read_tables(path, _ROWS, **options):
         for name, values in table.columns.items():
             outlining.setdefault(name, Outlining()).take(values)
         stated.update(table.units)
+        told.update(table.clocks)
         scalars, passed = dict(table.scalars), dict(table.passed)
     outlines = {name: made.outline() for name, made in outlining.items()}
     known = units.units_of("time")
     channels = []
     clocks = {name: o for name, o in outlines.items() if _is_clock(name, o, _unit(name, stated))}
     for name, outline in outlines.items():
-        clock = name if name in clocks else _clock_of(name, outline, clocks)
+        clock = name if name in clocks else told.get(name) or _clock_of(name, outline, clocks)
+        clock = clock if clock in clocks else None
         seconds = math.nan if clock is None else _seconds(_unit(clock, stated), known)
         if clock is None:
             channels.append(InspectedChannel(name, _unit(name, stated), outline))

@@ -78,9 +78,10 @@ class Outlining:
         self.missing += int(np.count_nonzero(np.isnan(values)))
         while self.rows + values.size > _STRETCHES * self.length:
             self._halve()
-        places = (self.rows + np.arange(values.size)) // self.length
-        np.fmin.at(self.low, places, values)
-        np.fmax.at(self.high, places, values)
+        stretches = np.arange(self.rows // self.length, (self.rows + values.size - 1) // self.length + 1)
+        starts = np.maximum(stretches * self.length - self.rows, 0)
+        self.low[stretches] = np.fmin(self.low[stretches], np.fmin.reduceat(values, starts))
+        self.high[stretches] = np.fmax(self.high[stretches], np.fmax.reduceat(values, starts))
         self.rows += values.size
         self.last = float(values[-1])
 

@@ -9,6 +9,7 @@ from typing import ClassVar, Literal
 
 from jointid.common.errors import JointFileError, MethodError
 from jointid.data.transmission import Side
+from jointid.estimation.estimated import EstimatedParameter
 from jointid.exports.joint_model import JointModel
 from jointid.exports.naming import number
 from jointid.exports.provenance import effects_left_out, interval, remarks
@@ -50,7 +51,11 @@ class JointToml:
 
     def lost(self, model: JointModel) -> tuple[str, ...]:
         """Return a sentence for each value that the text does not have."""
-        return (*(sentence for _, sentence in self._left_out(model)), *effects_left_out(model))
+        refused = [p.name for p in self._left_out(model) if p.value is None]
+        outside = [p for p in self._left_out(model) if p.value is not None]
+        lost = [f"what the record does not tell: {', '.join(refused)}"] if refused else []
+        lost += [f"{p.name}, which is outside its bounds: {interval(p)}" for p in outside]
+        return (*lost, *effects_left_out(model))
 
     def text(self, model: JointModel) -> str:
         """Return the file's text.
@@ -86,7 +91,7 @@ class JointToml:
 
     def _parameters(self, model: JointModel) -> Iterator[tuple[str, Parameter]]:
         """Yield the parameters that the file says something of; what was fixed in it stays as it is."""
-        file, without = self._file(model), {name for name, _ in self._left_out(model)}
+        file, without = self._file(model), {p.name for p in self._left_out(model)}
         for declared, found in zip(file.joint.parameters, model.parameters, strict=True):
             known = file.parameters.get(declared.name, declared)
             if known.free and declared.name not in without:
@@ -95,17 +100,14 @@ class JointToml:
             elif declared.name in file.parameters:
                 yield declared.name, known
 
-    def _left_out(self, model: JointModel) -> Iterator[tuple[str, str]]:
-        """Yield the names of the values that a joint file cannot have, and why."""
+    def _left_out(self, model: JointModel) -> Iterator[EstimatedParameter]:
+        """Yield what a joint file cannot have: values that are refused, or outside their bounds."""
         file = self._file(model)
         for declared, found in zip(file.joint.parameters, model.parameters, strict=True):
             known = file.parameters.get(declared.name, declared)
-            if not known.free:
-                continue
-            if found.value is None:
-                yield declared.name, f"{declared.name}, {interval(found)}"
-            elif not known.lower <= found.value <= known.upper:
-                yield declared.name, f"{declared.name}, which is outside its bounds: {interval(found)}"
+            told = found.value is not None and known.lower <= found.value <= known.upper
+            if known.free and not told:
+                yield found
 
 
 def _filled(file: JointFile, filled: JointFile, written: str) -> str:

@@ -74,7 +74,7 @@ class Modelica:
 
 def _declared(p: EstimatedParameter) -> str:
     assert p.value is not None
-    return f'  parameter Real {p.name}(unit="{_unit(p.unit)}") = {number(p.value)} "{p.symbol} = {interval(p)}";'
+    return f'  parameter Real {p.name}(unit="{_unit(p.unit)}") = {number(p.value)} "{p.symbol}: {interval(p)}";'
 
 
 def _unit(unit: str) -> str:

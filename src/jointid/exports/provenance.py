@@ -23,7 +23,7 @@ def remarks(model: JointModel, lost: Sequence[str]) -> list[str]:
         f"{model.name}: a {model.kind} {model.joint.model} joint, written by jointid {__version__}",
         *_origin(model.origin),
         *_side(model),
-        *(f"{' '.join(dict.fromkeys((p.symbol, p.name)))} = {interval(p)}" for p in model.parameters),
+        *(f"{' '.join(dict.fromkeys((p.symbol, p.name)))}: {interval(p)}" for p in model.parameters),
         *(f"Lost: {sentence}" for sentence in lost),
     ]
     return [one_line(line) for line in lines]

@@ -12,14 +12,12 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jointid.answers.reports import REPORT_ELEMENT
 from jointid.report.document import MARKS, Document, Heading, Picture, written
 from jointid.report.plots import missing, script
 
 if TYPE_CHECKING:
     from jinja2 import Environment
-
-ANSWER = "jointid-answer"
-"""The id of the element that carries the answer."""
 
 _FEW = 4  # headings: a shorter page needs no list of contents
 
@@ -52,6 +50,7 @@ def page(document: Document) -> str:
         scripts=scripts,
         policy=" ".join(map(_hash, scripts)) or "'none'",
         answer=document.answer,
+        element=REPORT_ELEMENT,
         marks=MARKS,
     )  # fmt: skip
 
@@ -67,9 +66,11 @@ def save(document: Document, folder: str | Path, name: str) -> tuple[Path, ...]:
     return written(folder, texts | document.pictures)
 
 
-def require_extra() -> None:
-    """Raise an `ExtraError` if no page can be written, before anything runs."""
+def require_extra(*, plots: bool) -> None:
+    """Raise an `ExtraError` if no page, with or without plots, can be written: before anything runs."""
     _environment()
+    if plots:
+        script()
 
 
 def inert(json: str) -> str:

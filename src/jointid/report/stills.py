@@ -6,7 +6,7 @@ import io
 import re
 from typing import TYPE_CHECKING
 
-from jointid.report.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, thinned
+from jointid.report.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, said, thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,6 +41,8 @@ def drawn(chart: Chart) -> Figure:
         elif panel.group:
             groups[panel.group] = axes
         _panel(axes, panel)
+        if chart.columns > 2 and not panel.log_x:
+            axes.locator_params(axis="x", nbins=4)
     return figure
 
 
@@ -138,6 +140,4 @@ def _cells(axes: Axes, cells: Cells) -> None:
         for column in at:
             value = float(cells.values[row, column])
             dark = abs(value) > 0.6
-            axes.text(
-                column, row, f"{value:.2f}", ha="center", va="center", fontsize=7, color="white" if dark else "0.15"
-            )
+            axes.text(column, row, said(value), ha="center", va="center", fontsize=7, color="white" if dark else "0.15")

@@ -93,7 +93,7 @@ def profiles_table(given: Dossier) -> Table | None:
     """Return the profiles' intervals; None where there are none."""
     if not given.profiles:
         return None
-    rows = tuple(
+    rows: tuple[tuple[str, ...], ...] = tuple(
         (
             one.formula,
             number(one.estimate),
@@ -104,12 +104,10 @@ def profiles_table(given: Dossier) -> Table | None:
         for one in given.profiles
     )
     level = 100 * given.profiles[0].level
-    return Table(
-        ("quantity", "estimate", "from", "to", "unit", "note"),
-        rows,
-        f"Profile intervals, {level:.4g} %",
-        words=(0, 4, 5),
-    )
+    header: tuple[str, ...] = ("quantity", "estimate", "from", "to", "unit", "note")
+    if not any(row[-1] for row in rows):
+        header, rows = header[:-1], tuple(row[:-1] for row in rows)
+    return Table(header, rows, f"Profile intervals, {level:.4g} %", words=(0, 4, 5))
 
 
 def suspects_table(given: Dossier) -> Table | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
@@ -156,7 +156,7 @@ class Csv:
             yield Lines(path.name, layout, block, not following)
             block = following
 
-    def allowed(self, name: str) -> str:
+    def allowed(self, name: str, others: Collection[str] = ()) -> str:
         """Return a name in one line that is no number; see `Format.allowed`."""
         plain = "".join(c if c.isprintable() else "_" for c in name).strip() or "column"
         return f"column {plain}" if is_number(plain) and not name.isdecimal() else plain

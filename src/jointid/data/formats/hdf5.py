@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -40,7 +40,7 @@ class Hdf5:
         """Write a compressed dataset with a checksum for each column, its unit as its attribute "units"."""
         names = [*table.columns, *table.scalars]
         for name in names:
-            if name != self.allowed(name) or any(name.startswith(f"{other}/") for other in names):
+            if name != self.allowed(name, names):
                 raise RecordError(
                     f'{name!r} cannot name a dataset of HDF5: a name is a path, such as "group/dataset", without '
                     "empty parts, and no other name begins with it; rename the column."
@@ -52,17 +52,27 @@ class Hdf5:
         with h5py.File(path, "w", track_order=True) as file:
             for name, values in table.columns.items():
                 dataset = file.create_dataset(
-                    name, data=values, chunks=(min(values.size, _CHUNK),), compression="gzip", fletcher32=True
+                    name,
+                    data=values,
+                    chunks=(min(values.size, _CHUNK),),
+                    compression="gzip",
+                    compression_opts=1,
+                    shuffle=True,
+                    fletcher32=True,
                 )
                 if name in table.units:
                     dataset.attrs["units"] = table.units[name]
             for name, value in table.scalars.items():
                 file[name] = value
 
-    def allowed(self, name: str) -> str:
-        """Return a name as a path; see `Format.allowed`."""
-        parts = (part.replace("\0", "_") for part in name.split("/"))
-        return "/".join(part for part in parts if part not in ("", ".", "..")) or "_"
+    def allowed(self, name: str, others: Collection[str] = ()) -> str:
+        """Return a name as a path, which no other goes on from; see `Format.allowed`."""
+        paths = [
+            "/".join(part.replace("\0", "_") for part in each.split("/") if part not in ("", ".", "..")) or "_"
+            for each in (name, *others)
+        ]
+        is_group = any(other.startswith(f"{paths[0]}/") for other in paths[1:])
+        return f"{paths[0]}/value" if is_group else paths[0]
 
 
 def _scan(file: h5.Member) -> h5.Contents:

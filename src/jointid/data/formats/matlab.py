@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -86,7 +86,7 @@ class Matlab:
             )
         yield from matlab73.blocks(path, rows)
 
-    def allowed(self, name: str) -> str:
+    def allowed(self, name: str, others: Collection[str] = ()) -> str:
         """Return a name as that of a variable; see `Format.allowed`."""
         plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "column"
         plain = plain if plain[0].isalpha() and not _KEYWORD.fullmatch(plain) else f"x{plain}"

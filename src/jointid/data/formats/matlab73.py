@@ -87,7 +87,11 @@ def write(path: Path, table: Table) -> None:
     with h5py.File(path, "w", userblock_size=HEADER) as file:
         for name, values in variables.items():
             matrix = np.asarray(values, dtype=np.float64).reshape(1, -1)  # n x 1, stored the other way round
-            packed = {"compression": "gzip", "fletcher32": True} if matrix.size > 1 else {}
+            packed = (
+                {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
+                if matrix.size > 1
+                else {}
+            )
             dataset = file.create_dataset(name, data=matrix, **packed)
             dataset.attrs["MATLAB_class"] = np.bytes_("double")
     text = b"MATLAB 7.3 MAT-file, written by jointid, HDF5 schema 1.00 ."

@@ -20,7 +20,7 @@ _NUMBERS = {
     "bool": "u1", "byte": "u1", "char": "u1", "uint8": "u1", "int8": "i1", "uint16": "u2", "int16": "i2",
     "uint32": "u4", "int32": "i4", "uint64": "u8", "int64": "i8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
-_FIELD = re.compile(r"([\w/]+)(?:<=\d+)?(\[(?:<=)?\d*\])?\s+([A-Za-z]\w*)(?!\s*=)")
+_FIELD = re.compile(r"([\w/]+)(?:<=\d+)?(\[(?:<=)?\d*\])?\s+([A-Za-z]\w*)\b(?!\s*=)")
 _SEPARATOR = re.compile(r"^={20,}\s*$", re.MULTILINE)
 _TIME = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
 _NAMING = ("name", "names", "joint_names", "interface_names")
@@ -189,7 +189,7 @@ def numbers_of(message: Mapping[str, Value], path: str, names: list[str] | None 
     """Yield the numbers of a message by their paths.
 
     Of an array that is as long as the list of names beside or above it every number goes by its name,
-    "path/name/field"; of others by its place, "path/field[0]". Bytes, long arrays and text are passed over.
+    "path/joint/field"; of others by its place, "path/field[0]". Bytes, long arrays and text are passed over.
 
     Args:
         message: the fields.

@@ -5,7 +5,7 @@ Nothing else is read as fast, or as easily in pieces: a row is at a known place 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from tokenize import TokenError
@@ -49,7 +49,7 @@ class Npy:
         with path.open("wb") as file:
             np.save(file, array, allow_pickle=False)
 
-    def allowed(self, name: str) -> str:
+    def allowed(self, name: str, others: Collection[str] = ()) -> str:
         """Return the name, which can be any but none; see `Format.allowed`."""
         return name or "_"
 

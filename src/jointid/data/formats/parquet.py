@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -94,7 +94,7 @@ class Parquet:
                 made, file, row_group_size=_GROUP, write_page_checksum=True, use_dictionary=False, compression="zstd"
             )
 
-    def allowed(self, name: str) -> str:
+    def allowed(self, name: str, others: Collection[str] = ()) -> str:
         """Return the name as text; see `Format.allowed`."""
         return name.encode("utf-8", "replace").decode("utf-8") or "_"
 

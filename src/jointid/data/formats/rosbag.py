@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import sqlite3
 from array import array
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -42,7 +42,7 @@ class RosBag:
 
     name: ClassVar[str] = "ROS 2 bag"
     suffixes: ClassVar[tuple[str, ...]] = (".mcap", ".db3")
-    holds: ClassVar[Holds] = Holds.LENGTHS
+    holds: ClassVar[Holds] = Holds.LENGTHS | Holds.CLOCKS
 
     def read(self, path: Path) -> Table:
         """Read every topic of numbers; see `Format.read`."""
@@ -61,7 +61,7 @@ class RosBag:
             )
         bagwriting.write(path, table)
 
-    def allowed(self, name: str) -> str:
+    def allowed(self, name: str, others: Collection[str] = ()) -> str:
         """Return the name, which can be any text but none; see `Format.allowed`."""
         return name.encode("utf-8", "replace").decode("utf-8") or "_"
 
@@ -190,10 +190,11 @@ class _Reading:
             said = f" ({passed})" if passed else ""
             raise RecordError(f"{self.path.name} holds no topic of numbers{said}; record a topic of joint states.")
         dates = [int(stamps.min()) for stamps, _ in found.values() if stamps.min() >= _DATE]
-        pairs, units = list[tuple[str, FloatArray]](), {}
+        pairs, units, clocks = list[tuple[str, FloatArray]](), dict[str, str](), dict[str, str]()
         for name, (stamps, columns) in found.items():
             zero = min(dates) if stamps.min() >= _DATE else 0
             pairs += [(f"{name}/time", (stamps - zero) / 1e9), *columns.items()]
             units[f"{name}/time"] = "s"
+            clocks |= dict.fromkeys(columns, f"{name}/time")
         require_single(self.path, [name for name, _ in pairs])
-        return Table(dict(pairs), {}, self.path.name, units, self.passed)
+        return Table(dict(pairs), {}, self.path.name, units, self.passed, clocks)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import Field, dataclass, field, replace
 from enum import Flag, auto
 from pathlib import Path
@@ -88,6 +88,7 @@ class Holds(Flag):
     SCALARS = auto()
     UNITS = auto()
     LENGTHS = auto()  # columns that differ in length
+    CLOCKS = auto()  # which column is the time of which
 
 
 class Format(Protocol):
@@ -122,8 +123,13 @@ class Format(Protocol):
         """
         ...
 
-    def allowed(self, name: str) -> str:
-        """Return the name of a column as a file of this format can hold it: itself, or one that is like it."""
+    def allowed(self, name: str, others: Collection[str] = ()) -> str:
+        """Return the name of a column as a file of this format can hold it: itself, or one that is like it.
+
+        Args:
+            name: of the column.
+            others: names that stand beside it.
+        """
         ...
 
 

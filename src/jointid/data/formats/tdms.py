@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
@@ -21,6 +21,8 @@ _NAMELESS = "Untitled"  # what LabVIEW calls a group that has no name
 _UNITS = ("unit_string", "unit", "units", "Unit")
 _STEP, _OFFSET = "wf_increment", "wf_start_offset"
 _REMEDY = "log or copy it again"
+_SEGMENT = 65536  # rows that are written together
+_SLAB = 2**22  # numbers of all channels that are held: the library reads a segment anew for every part of it
 
 Nptdms: TypeAlias = Any
 """An object of npTDMS, which has no types."""
@@ -67,15 +69,19 @@ class Tdms:
         if refused:
             raise RecordError(f"{refused[0]!r} cannot name a property of a TDMS file; rename the scalar.")
         nptdms = extra("nptdms", "logs", "Writing TDMS")
-        objects = [nptdms.RootObject(properties=dict(table.scalars))]
-        for name, values in table.columns.items():
-            group, _, channel = name.rpartition("/")
-            properties = {"unit_string": table.units[name]} if name in table.units else {}
-            objects.append(nptdms.ChannelObject(group or _NAMELESS, channel, values, properties=properties))
         with path.open("wb") as file, nptdms.TdmsWriter(file) as writer:
-            writer.write_segment(objects)
+            writer.write_segment([nptdms.RootObject(properties=dict(table.scalars))])
+            for first in range(0, max(values.size for values in table.columns.values()), _SEGMENT):
+                objects = []
+                for name, values in table.columns.items():
+                    group, _, channel = name.rpartition("/")
+                    properties = {"unit_string": table.units[name]} if name in table.units else {}
+                    part = values[first : first + _SEGMENT]
+                    if part.size:
+                        objects.append(nptdms.ChannelObject(group or _NAMELESS, channel, part, properties=properties))
+                writer.write_segment(objects)
 
-    def allowed(self, name: str) -> str:
+    def allowed(self, name: str, others: Collection[str] = ()) -> str:
         """Return a name of a channel in a group; see `Format.allowed`."""
         parts = [part for part in name.replace("\0", "_").split("/") if part] or ["_"]
         return "/".join(parts[1:] if parts[0] == _NAMELESS and len(parts) > 1 else parts)
@@ -88,9 +94,11 @@ class _Channel(NamedTuple):
     rows: int
     channel: Nptdms
     unit: str = ""
+    clock: str = ""
     is_time: bool = False
 
     def values(self, first: int, last: int) -> FloatArray:
+        """Return the rows from the first up to the last."""
         if self.is_time:
             step, offset = (float(self.channel.properties.get(key, 0.0)) for key in (_STEP, _OFFSET))
             return np.asarray(offset + np.arange(first, last) * step)
@@ -103,10 +111,22 @@ class _Channel(NamedTuple):
         return np.asarray(values, dtype=np.float64)
 
 
-class _Contents(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class _Contents:
+    """An open file: its columns and single numbers, and the rows of columns that were read last."""
+
     path: Path
     channels: list[_Channel]
     scalars: dict[str, float]
+    slabs: dict[str, tuple[int, FloatArray]] = field(default_factory=dict)
+
+    def values(self, channel: _Channel, first: int, last: int) -> FloatArray:
+        """Return rows of a column, and hold some that follow."""
+        begin, held = self.slabs.get(channel.name, (0, np.empty(0)))
+        if not begin <= first <= last <= begin + held.size:
+            end = min(channel.rows, max(last, first + _SLAB // len(self.channels)))
+            begin, held = self.slabs[channel.name] = first, channel.values(first, end)
+        return held[first - begin : last - begin]
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,11 +139,14 @@ class _Rows:
 
     def table(self, rows: int | None = None) -> Table:
         """Read all, or the first so many."""
-        path, channels, scalars = self.contents
+        contents = self.contents
+        path, channels = contents.path, contents.channels
         last = self.first + (self.rows if rows is None else min(rows, self.rows))
         with damage(path, Tdms.name, _REMEDY):
-            columns = {c.name: c.values(self.first, min(last, c.rows)) for c in channels if c.rows > self.first}
-        return Table(columns, scalars, path.name, {c.name: c.unit for c in channels if c.unit})
+            there = [c for c in channels if c.rows > self.first]
+            columns = {c.name: contents.values(c, self.first, min(last, c.rows)) for c in there}
+        units = {c.name: c.unit for c in channels if c.unit}
+        return Table(columns, contents.scalars, path.name, units, clocks={c.name: c.clock for c in channels if c.clock})
 
 
 @contextmanager
@@ -155,11 +178,14 @@ def _channels(file: Nptdms) -> Iterator[_Channel]:
         timed = [c for c in channels if float(c.channel.properties.get(_STEP, 0.0)) > 0]
         clocks = {(c.rows, c.channel.properties[_STEP], c.channel.properties.get(_OFFSET, 0.0)) for c in timed}
         names = {channel.name for channel in group.channels()}
-        if len(clocks) == 1 and "time" not in names:
-            yield _Channel(f"{prefix}time", timed[0].rows, timed[0].channel, "s", True)
-        elif len(clocks) > 1:
-            yield from (_Channel(f"{c.name}/time", c.rows, c.channel, "s", True) for c in timed)
-        yield from channels
+        is_common = len(clocks) == 1 and "time" not in names
+        if is_common:
+            yield _Channel(f"{prefix}time", timed[0].rows, timed[0].channel, "s", is_time=True)
+        for channel in channels:
+            clock = (f"{prefix}time" if is_common else f"{channel.name}/time") if channel in timed else ""
+            yield channel._replace(clock=clock)
+            if clock and not is_common:
+                yield _Channel(clock, channel.rows, channel.channel, "s", is_time=True)
 
 
 def _scalars(file: Nptdms) -> Iterator[tuple[str, float]]:
