@@ -20,7 +20,6 @@ from jointid.answers.inspected import INSPECTION_SCHEMA, inspection_answer
 from jointid.answers.learned import LEARNED_SCHEMA, learned_answer
 from jointid.answers.long import LONG_SCHEMA, long_answer
 from jointid.answers.reading import read_answer, read_friction, read_identified
-from jointid.answers.reading import read_friction, read_identified
 from jointid.answers.reported import DRIFT_SCHEMA, drift_answer, read_report
 from jointid.answers.reports import REPORT_SCHEMA, report_answer
 from jointid.answers.simulations import SIMULATION_SCHEMA, simulation_answer

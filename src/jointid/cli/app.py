@@ -16,8 +16,8 @@ from cyclopts import App, CycloptsError
 from jointid import __version__
 from jointid.cli.advise import advise
 from jointid.cli.compare import compare
-from jointid.cli.convert import convert
 from jointid.cli.compare_reports import compare_reports
+from jointid.cli.convert import convert
 from jointid.cli.demo import demo
 from jointid.cli.export import export
 from jointid.cli.identify import identify
@@ -43,25 +43,9 @@ app = App(
     suppress_keyboard_interrupt=False,
 )
 for command in (
-    demo,
-    inspect,
-    convert,
-    loop,
-    identify,
-    long,
-    together,
-    intervals,
-    compare,
-    validate,
-    advise,
-    simulate,
-    export,
-    report,
-    demo, loop, identify, report, long, together, intervals, compare, compare_reports, validate, advise, simulate,
-    reproduce,
+    demo, inspect, convert, loop, identify, report, long, together, intervals, compare, compare_reports, validate,
+    advise, simulate, export, serve, reproduce,
 ):  # fmt: skip
-    serve,
-):
     app.command(command)
 
 

@@ -95,10 +95,10 @@ def identify(folder: Path) -> None:
 def _report(folder: Path, work: dict[str, Any], file: JointFile, record: Record, estimate: Estimate) -> None:
     """Write the report that `jointid report joint.toml` writes of the downloaded files."""
     from jointid.report.repetition import repetition
-    from jointid.report.report import report
+    from jointid.report.report import report_estimate
 
     _tell("writing the report")
-    told = report(estimate, record, name=file.name or "", loop=False, progress=_tell)
+    told = report_estimate(estimate, record, name=file.name or "", loop=False, progress=_tell)
     again = repetition(folder / "joint.toml", folder / work["file"], {})
     again = replace(again, record_name=work["name"], command="jointid report joint.toml --html report.html")
     _write(folder / "report.html", replace(told, repetition=again).html())
