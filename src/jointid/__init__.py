@@ -19,10 +19,12 @@ if TYPE_CHECKING:
         revealing_answer,
         simulation_answer,
         together_answer,
+        tuning_answer,
         validation_answer,
     )
     from jointid.assessment.advice import Advice, advise
     from jointid.assessment.comparison import Comparison, compare
+    from jointid.assessment.detectable import Detectable, detectable
     from jointid.assessment.intervals import Intervals, intervals
     from jointid.assessment.loop import check_loop
     from jointid.assessment.loopcheck import LoopCheck
@@ -77,6 +79,7 @@ if TYPE_CHECKING:
     from jointid.model.parameters import Parameter
     from jointid.paper.twin import Twin, twin
     from jointid.report.figures import residual_figure, save, torque_figure
+    from jointid.report.tuning_figure import tuning_figure
     from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_many
     from jointid.simulation.drive_side import DriveSide
     from jointid.simulation.experiment import ClosedLoop, prepare
@@ -84,6 +87,10 @@ if TYPE_CHECKING:
     from jointid.simulation.synthesis import simulated_record
     from jointid.together.common_estimate import CommonEstimate, RecordShare
     from jointid.together.together import identify_together
+    from jointid.tuning.plant import frequency_response
+    from jointid.tuning.settings import Tuning
+    from jointid.tuning.tune import tune
+    from jointid.tuning.tuned import Tuned
 
 _HOMES = {
     "answers": (
@@ -96,10 +103,12 @@ _HOMES = {
         "revealing_answer",
         "simulation_answer",
         "together_answer",
+        "tuning_answer",
         "validation_answer",
     ),
     "assessment.advice": ("Advice", "advise"),
     "assessment.comparison": ("Comparison", "compare"),
+    "assessment.detectable": ("Detectable", "detectable"),
     "assessment.intervals": ("Intervals", "intervals"),
     "assessment.loop": ("check_loop",),
     "assessment.revealing": ("Revealing", "revealing", "what_would_tell_more"),
@@ -150,11 +159,16 @@ _HOMES = {
     "model.parameters": ("Parameter",),
     "paper.twin": ("Twin", "twin"),
     "report.figures": ("residual_figure", "save", "torque_figure"),
+    "report.tuning_figure": ("tuning_figure",),
     "simulation.closed_loop": ("Initial", "Outcome", "Simulation", "simulate", "simulate_many"),
     "simulation.drive_side": ("DriveSide",),
     "simulation.experiment": ("ClosedLoop", "prepare"),
     "simulation.open_loop": ("OpenLoop",),
     "simulation.synthesis": ("simulated_record",),
+    "tuning.plant": ("frequency_response",),
+    "tuning.settings": ("Tuning",),
+    "tuning.tune": ("tune",),
+    "tuning.tuned": ("Tuned",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
@@ -173,6 +187,7 @@ __all__ = [
     "CommonEstimate",
     "Comparison",
     "Counterbalance",
+    "Detectable",
     "DigitalFilter",
     "Drift",
     "Drive",
@@ -219,6 +234,8 @@ __all__ = [
     "Tap",
     "Timing",
     "Transmission",
+    "Tuned",
+    "Tuning",
     "Twin",
     "Validation",
     "advice_answer",
@@ -227,8 +244,10 @@ __all__ = [
     "check_record",
     "compare",
     "comparison_answer",
+    "detectable",
     "estimate_answer",
     "frequencies",
+    "frequency_response",
     "identify",
     "identify_long",
     "identify_together",
@@ -254,6 +273,9 @@ __all__ = [
     "together_answer",
     "torque_figure",
     "trapezoids",
+    "tune",
+    "tuning_answer",
+    "tuning_figure",
     "twin",
     "validate",
     "validation_answer",

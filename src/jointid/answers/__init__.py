@@ -20,6 +20,7 @@ from jointid.answers.learned import LEARNED_SCHEMA, learned_answer
 from jointid.answers.long import LONG_SCHEMA, long_answer
 from jointid.answers.reading import read_friction, read_identified
 from jointid.answers.simulations import SIMULATION_SCHEMA, simulation_answer
+from jointid.answers.tuning import TUNING_SCHEMA, detectable_answer, tuning_answer
 from jointid.answers.writing import dumps, write
 
 __all__ = [
@@ -32,9 +33,11 @@ __all__ = [
     "REVEALING_SCHEMA",
     "SIMULATION_SCHEMA",
     "TOGETHER_SCHEMA",
+    "TUNING_SCHEMA",
     "VALIDATION_SCHEMA",
     "advice_answer",
     "comparison_answer",
+    "detectable_answer",
     "dumps",
     "estimate_answer",
     "learned_answer",
@@ -45,6 +48,7 @@ __all__ = [
     "revealing_answer",
     "simulation_answer",
     "together_answer",
+    "tuning_answer",
     "validation_answer",
     "write",
 ]

@@ -24,6 +24,7 @@ from jointid.cli.loop import loop
 from jointid.cli.reproduce import reproduce
 from jointid.cli.simulate import simulate
 from jointid.cli.together import together
+from jointid.cli.tune import tune
 from jointid.cli.validate import validate
 from jointid.common.errors import JointidError
 
@@ -36,7 +37,10 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (demo, loop, identify, long, together, intervals, compare, validate, advise, simulate, reproduce):
+_COMMANDS = (
+    demo, loop, identify, long, together, intervals, compare, validate, advise, tune, simulate, reproduce,
+)  # fmt: skip
+for command in _COMMANDS:
     app.command(command)
 
 
