@@ -23,6 +23,7 @@ from jointid.data.columns import Column, known_units
 from jointid.data.drive import Drive
 from jointid.data.profiles import profile_names
 from jointid.data.record import InjectionPoint, Tap, Timing
+from jointid.data.resampling import Resampling
 from jointid.data.signals import Filtering
 from jointid.data.transmission import SIDES, Transmission
 from jointid.estimation.didim import DIDIM
@@ -213,6 +214,7 @@ def test_all_of_a_file() -> None:
         time_unit = "ms"
         sample_time = 0.001
         clock_tolerance = 0.1
+        resample = { sample_time = 0.001, method = "cubic", longest_gap = 0 }
         delimiter = ";"
         decimal = ","
         header = true
@@ -286,7 +288,15 @@ def test_all_of_a_file() -> None:
             "motor_inertia": dataclasses.replace(known["motor_inertia"].fixed(0.1), upper=1.0),
             "load_inertia": known["load_inertia"],
         },
-        source=Source("runs/run1.csv", "stamp", "ms", 0.001, 0.1, {"delimiter": ";", "decimal": ",", "header": True}),
+        source=Source(
+            "runs/run1.csv",
+            "stamp",
+            "ms",
+            0.001,
+            0.1,
+            {"delimiter": ";", "decimal": ",", "header": True},
+            Resampling(1e-3, "cubic", longest_gap=0),
+        ),
         name="axis 3",
     )
     assert file.path == Path("here/joint.toml")
@@ -558,12 +568,13 @@ FAULTS = [
     ),
     (
         SMALLEST + "velocity_filter = {}",
-        "controller.velocity_filter.numerator is missing; expected a list of one or more numbers (b0, b1, ...): "
-        "add it.",
+        "controller.velocity_filter.numerator is missing; expected a list of one or more numbers (of digital: b0, b1, "
+        "... in powers of 1/z): add it.",
     ),
     (
         SMALLEST + 'torque_filters = [[0.5, 0.5], { kind = "notch", frequency = 80 }]',
-        "controller.torque_filters.1.bandwidth is missing; expected a positive number (of a notch [Hz]): add it.",
+        "controller.torque_filters.1.bandwidth is missing; expected a positive number (of notch: its width [Hz]): "
+        "add it.",
     ),
     (
         SMALLEST + 'torque_filters = [{ kind = "first_order", time_constant = 0.001, frequency = 80 }]',
@@ -654,7 +665,7 @@ FAULTS = [
     (
         SMALLEST.replace('"i"', '"i", at = "after_limit"'),
         "record.channels.torque.at is not a known key; expected one of column, unit, gain, sign, timing, "
-        "sample_time, side, wrap, update_time, optional, tap: leave it out.",
+        "sample_time, time, side, wrap, update_time, optional, tap: leave it out.",
     ),
     (
         SMALLEST.replace('{ column = "i" }', '"i"'),
@@ -676,11 +687,11 @@ FAULTS = [
     (
         "[record]\nfile = 'run.xyz'\n" + SMALLEST,
         'record.file: run.xyz has the suffix ".xyz", which names no known format (CSV: .csv, .txt, .tsv, .dat; '
-        "MAT: .mat; NPY: .npy).",
+        "MAT: .mat; NPY: .npy; HDF5: .h5, .hdf5, .hdf; Parquet: .parquet, .pq; TDMS: .tdms; ROS 2 bag: .mcap, .db3).",
     ),
     (
         "[record]\nfile = 'run.mat'\ndecimal = ','\n" + SMALLEST,
-        "record.file: Reading MAT has no option decimal; it has: none.",
+        "record.file: Reading MAT has no option decimal; it has: version.",
     ),
     (
         SMALLEST + "[filtering]\nborders = [1, 2, 3]",
@@ -767,7 +778,7 @@ FAULTS = [
     # the drive
     (
         SMALLEST + '[drive]\nprofile = "abc"',
-        'drive.profile: No drive profile is called "abc"; there are cia402, generic, kuka, sinamics, twincat.',
+        'drive.profile: No drive profile is called "abc"; there are cia402, generic, kuka, sinamics, twincat, ur-rtde.',
     ),
     (
         SMALLEST + "[drive]\naxis = 0",

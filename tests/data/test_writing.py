@@ -56,7 +56,8 @@ def test_a_profile_reads_back_what_is_written_for_it(
     record = made(tap)
     record = record if tap is Tap.COMMAND else record.without("injected")
     said: dict[str, Any] = {"drive": drive, "kind": "revolute", "transmission": transmission}
-    columns = {"torque": Column(unit="N m")} if profile == "generic" and tap is Tap.MEASURED else {}  # else in ampere
+    in_ampere = (profile == "generic" and tap is Tap.MEASURED) or profile == "ur-rtde"
+    columns = {"torque": Column(unit="N m")} if in_ampere else {}
     write(record, tmp_path / "run.csv", columns, **said)
     found = read(tmp_path / "run.csv", columns, **said)
     known = tuple(name for name in record.channels if drive.traces is not None and name in drive.traces.channels)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from jointid.assessment.intervals import intervals
+from jointid.assessment.intervals import intervals, require_quantities
 from jointid.common.errors import MethodError
 from jointid.data.record import Record
 from jointid.estimation.didim import DIDIM
@@ -66,3 +66,13 @@ def test_what_cannot_be_followed_is_said(estimate, emps: Record) -> None:  # typ
         intervals(estimate, twin(noise="white", seed=5).record, ["stiffness"])
     with pytest.raises(MethodError, match="Profiles and bootstraps are of DIDIM"):
         intervals(identify(AXIS.record, AXIS.loop, IDIM()), AXIS.record, ["stiffness"])
+
+
+def test_what_no_estimate_can_have_is_refused_before_one_is_made() -> None:
+    require_quantities(["stiffness", "compliance", "motor_viscous - load_viscous", "kp", "log_delay"], AXIS.loop)
+    with pytest.raises(MethodError, match=r'"stifness" is no quantity of this estimate; .*, or compliance'):
+        require_quantities(["stiffness", "stifness"], AXIS.loop)
+    with pytest.raises(MethodError, match='"" is no quantity'):
+        require_quantities([""], AXIS.loop)
+    with pytest.raises(MethodError, match=r'"compliance" is no quantity .* sum or difference of some\.'):
+        require_quantities(["compliance"], ClosedLoop(RigidJoint(), CONTROLLER))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from jointid.answers.estimates import estimate_answer
-from jointid.answers.parts import Json, initial_answer, transmission_answer
+from jointid.answers.parts import Json, initial_answer, resampled_answer, transmission_answer
 from jointid.assessment.advice import Advice, Prediction
 from jointid.assessment.comparison import Comparison
 from jointid.assessment.loopcheck import LoopCheck, Suspect
@@ -28,6 +28,7 @@ def validation_answer(validation: Validation) -> Json:
         "method": validation.method,
         "transmission": transmission_answer(validation.transmission),
         "record": validation.record,
+        "resampled": resampled_answer(validation.resampled),
         "identified_from": validation.identified_from,
         "channels": list(validation.channels),
         "relative_error_percent": 100 * validation.relative_error,

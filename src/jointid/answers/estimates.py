@@ -12,6 +12,7 @@ from jointid.answers.parts import (
     initial_answer,
     other_side_answer,
     parameter_answer,
+    resampled_answer,
     transmission_answer,
 )
 from jointid.estimation.estimate import Estimate, Iteration, law_fingerprint
@@ -43,6 +44,7 @@ def estimate_answer(estimate: Estimate) -> Json:
             "sample_time": estimate.sample_time,
             "torque_unit": estimate.torque_unit,
             "torque_sha256": estimate.fingerprint,
+            "resampled": resampled_answer(estimate.resampled),
         },
         "channels": list(estimate.channels),
         "parameters": {p.name: parameter_answer(p) for p in estimate.parameters},
@@ -191,6 +193,7 @@ def _share(record: RecordShare) -> Json:
         "samples": int(record.measured.size),
         "sample_time": record.sample_time,
         "torque_sha256": record.fingerprint,
+        "resampled": resampled_answer(record.resampled),
         "channels": list(record.channels),
         "added_inertia": record.added_inertia,
         "parameters": {p.name: parameter_answer(p) for p in record.parameters},

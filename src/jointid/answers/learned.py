@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from jointid.answers.parts import Json
+from jointid.answers.parts import Json, resampled_answer
 from jointid.learning.learned import Alternative, LearnedLoop
 from jointid.model.controllers import Controller, numbers_of
 
@@ -16,6 +16,7 @@ def learned_answer(learned: LearnedLoop) -> Json:
     return {
         "schema": LEARNED_SCHEMA,
         "record": learned.record,
+        "resampled": resampled_answer(learned.resampled),
         "structure": learned.words,
         "law": _law(learned.controller),
         "numbers": [asdict(one) for one in learned.numbers],

@@ -9,6 +9,7 @@ from typing import Any
 from jointid.common.errors import MethodError
 from jointid.data.signals import Filtering
 from jointid.data.transmission import Transmission
+from jointid.data.uniformity import Resampled
 from jointid.estimation.estimated import EstimatedParameter, on_other_side
 from jointid.model.effects import Drift, Effect, PositionHarmonics
 from jointid.model.joints import Joint
@@ -53,6 +54,20 @@ def other_side_answer(parameters: Sequence[EstimatedParameter], side: OtherSide 
         return None
     there = on_other_side(parameters, side)
     return {"side": side.side, "parameters": {p.name: parameter_answer(p) for p in there}}
+
+
+def resampled_answer(resampled: Resampled | None) -> Json | None:
+    """Return how a record was brought to a uniform clock as it is written to JSON; null where it was logged so."""
+    if resampled is None:
+        return None
+    return {
+        "sample_time": resampled.sample_time,
+        "longest_gap": resampled.longest_gap,
+        "channels": {
+            name: {"method": method, "time": resampled.channels[name]} for name, method in resampled.methods.items()
+        },
+        "clocks": {name: asdict(clock) for name, clock in resampled.clocks.items()},
+    }
 
 
 def filtering_answer(filtering: Filtering) -> Json:

@@ -11,6 +11,8 @@ from jointid.assessment.dossier import Dossier
 from jointid.inference.profile import Profile
 
 REPORT_SCHEMA = "jointid.report/1"
+REPORT_ELEMENT = "jointid-answer"
+"""The id of the element of a page that carries the answer."""
 
 
 class Repeated(Protocol):

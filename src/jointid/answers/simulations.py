@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from jointid.answers.parts import Json, transmission_answer
+from jointid.answers.parts import Json, resampled_answer, transmission_answer
+from jointid.data.uniformity import Resampled
 from jointid.model.joints import Joint
 from jointid.simulation.closed_loop import Simulation
 
 SIMULATION_SCHEMA = "jointid.simulation/1"
 
 
-def simulation_answer(simulation: Simulation, joint: Joint, values: dict[str, float], record: str) -> Json:
+def simulation_answer(
+    simulation: Simulation, joint: Joint, values: dict[str, float], record: str, resampled: Resampled | None = None
+) -> Json:
     """Return what a simulation was and how it ended as it is written to JSON; the signals go into a record."""
     units = {p.name: joint.unit(p) for p in joint.parameters}
     return {
@@ -17,6 +20,7 @@ def simulation_answer(simulation: Simulation, joint: Joint, values: dict[str, fl
         "model": joint.model,
         "transmission": transmission_answer(joint.transmission),
         "record": record,
+        "resampled": resampled_answer(resampled),
         "parameters": {
             p.name: {"symbol": p.symbol, "value": values[p.name], "unit": units[p.name]} for p in joint.parameters
         },

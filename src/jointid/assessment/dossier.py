@@ -7,7 +7,7 @@ a sentence says why.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias, TypeVar
 
 import numpy as np
@@ -108,9 +108,10 @@ def dossier(
             return None
 
     check = None
-    if loop and not any(v.subject == "loop" for v in estimate.verdicts):
+    if loop:
         progress("checking loop and log")
-        estimate, check = looked_at(estimate, record)
+        said = [v for v in estimate.verdicts if v.subject != "loop"]  # it is said once
+        estimate, check = looked_at(replace(estimate, verdicts=tuple(said)), record)
     validation = part("validation", "simulating the direct test", lambda: validate(estimate, record))
     motion, seen = _motion(estimate, record, validation)
     found = spectra_of(estimate)

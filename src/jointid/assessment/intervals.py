@@ -7,7 +7,7 @@ records of the same axis might have said. Both start from an estimate and the re
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,12 +18,14 @@ from jointid.data.record import FloatArray, Record
 from jointid.data.transmission import Transmission, transmission_lines
 from jointid.estimation.estimate import Estimate, fingerprint
 from jointid.estimation.problem import Problem, torque_problem
+from jointid.estimation.surroundings import surrounding
 from jointid.inference.bootstrap import Bootstrap, Bootstrapping, cell_bootstrap, refitted, time_bootstrap
 from jointid.inference.combination import ByCompliance, Combination
 from jointid.inference.criterion import Criterion
 from jointid.inference.profile import Profile, Profiling, profile
 from jointid.inference.repeatable import uncertainty
 from jointid.inference.uncertainty import Covariance, covariance_of
+from jointid.simulation.experiment import ClosedLoop
 
 _LEAST = 1e-4  # of the compliance: less is as good as none
 
@@ -97,6 +99,25 @@ def intervals(
     return Intervals(tuple(profiles), over_time, over_place, estimate.joint.transmission)
 
 
+def require_quantities(quantities: Sequence[str], loop: ClosedLoop) -> None:
+    """Raise a `MethodError` for a quantity that no estimate of this loop can have; which are free only a fit tells.
+
+    Args:
+        quantities: see `intervals`.
+        loop: joint and controller.
+    """
+    known = [p.name for p in loop.joint.parameters]
+    for quantity in quantities:
+        if quantity == "compliance" and "stiffness" in known:
+            continue
+        for name in _weights(quantity):
+            if name not in known:
+                try:
+                    surrounding(name, loop.controller)
+                except MethodError:
+                    raise MethodError(_unknown(quantity, known)) from None
+
+
 def solved(estimate: Estimate, record: Record) -> tuple[Problem, FloatArray]:
     """Return the problem an estimate by DIDIM solved, and its free parameters.
 
@@ -145,18 +166,29 @@ def _profiled(
 
 def _combination(problem: Problem, quantity: str) -> Combination:
     """Return the sum that a text such as ``a + b - c`` names."""
-    terms = quantity.replace("-", "+-").split("+")
-    weights = {term.strip().removeprefix("-").strip(): -1.0 if "-" in term else 1.0 for term in terms if term.strip()}
+    weights = _weights(quantity)
     free = {p.name: p for p in problem.free}
-    unknown = [name for name in weights if name not in free]
-    if unknown or not weights:
-        raise MethodError(
-            f'"{quantity}" is no quantity of this estimate; name a free parameter ({", ".join(free)}), a sum or '
-            "difference of some, or compliance."
-        )
+    if not weights.keys() <= free.keys():
+        raise MethodError(_unknown(quantity, free))
     units = {problem.units[name] for name in weights}
     if len(units) > 1:
         raise MethodError(f'"{quantity}" adds {" and ".join(sorted(units))}; only what has one unit can be added.')
     signed = [("- " if weight < 0 else "+ ") + free[name].symbol for name, weight in weights.items()]
     formula = " ".join(signed).removeprefix("+ ")
     return Combination(quantity, formula, units.pop(), weights)
+
+
+def _weights(quantity: str) -> dict[str, float]:
+    """Return what a text such as ``a + b - c`` adds, by name."""
+    terms = quantity.replace("-", "+-").split("+")
+    found = {term.strip().removeprefix("-").strip(): -1.0 if "-" in term else 1.0 for term in terms if term.strip()}
+    return found or {quantity: 1.0}
+
+
+def _unknown(quantity: str, names: Collection[str]) -> str:
+    """Return why a text is no quantity of an estimate with these parameters."""
+    compliance = ", or compliance" if "stiffness" in names else ""
+    return (
+        f'"{quantity}" is no quantity of this estimate; name a free parameter ({", ".join(names)}), or a sum or '
+        f"difference of some{compliance}."
+    )

@@ -15,6 +15,7 @@ from jointid.common.errors import MethodError
 from jointid.data.checks import check_record
 from jointid.data.record import FloatArray, Record
 from jointid.data.transmission import Transmission, transmission_lines
+from jointid.data.uniformity import Resampled, resampled_lines
 from jointid.estimation.estimate import (
     Estimate,
     IdentifiedJoint,
@@ -62,6 +63,7 @@ class Validation:
         motor: motion the error is plotted against: simulated for DIDIM, measured for IDIM.
         transmission: on whose `side` torque and motion are.
         warnings: what the reader must know, one sentence each.
+        resampled: how the record's samples were brought to a uniform clock, None where they were logged so.
     """
 
     test: Literal["direct", "cross"]
@@ -85,6 +87,7 @@ class Validation:
     motor: Motion
     transmission: Transmission | None = None
     warnings: tuple[str, ...] = ()
+    resampled: Resampled | None = None
 
     @property
     def white_band(self) -> float:
@@ -103,6 +106,7 @@ class Validation:
         lines = [
             f"{self.test.capitalize()} test on {self.record}, of the joint identified from {self.identified_from}; "
             f"torque {how}",
+            *resampled_lines(self.resampled),
             *transmission_lines(self.transmission),
             f"torque error    {100 * self.relative_error:.4f} % raw ({left_out}), "
             f"{100 * self.filtered_error:.4f} % filtered",
@@ -158,6 +162,7 @@ def _inverse(identified: IdentifiedJoint, record: Record) -> Validation:
         method=identified.method,
         record=record.name,
         identified_from=identified.record,
+        resampled=record.resampled,
         channels=(*idim_channels(joint.model), *(("injected",) if record.injected is not None else ())),
         sample_time=sample_time,
         torque_unit=record.torque.unit,
@@ -196,6 +201,7 @@ def _simulated(identified: IdentifiedJoint, record: Record) -> Validation:
         method=identified.method,
         record=record.name,
         identified_from=identified.record,
+        resampled=record.resampled,
         channels=(*loop.channels, *(("injected",) if record.injected is not None else ())),
         sample_time=experiment.sample_time,
         torque_unit=record.torque.unit,

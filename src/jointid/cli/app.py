@@ -16,8 +16,12 @@ from cyclopts import App, CycloptsError
 from jointid import __version__
 from jointid.cli.advise import advise
 from jointid.cli.compare import compare
+from jointid.cli.compare_reports import compare_reports
+from jointid.cli.convert import convert
 from jointid.cli.demo import demo
+from jointid.cli.export import export
 from jointid.cli.identify import identify
+from jointid.cli.inspect import inspect
 from jointid.cli.intervals import intervals
 from jointid.cli.long import long
 from jointid.cli.loop import loop
@@ -26,6 +30,7 @@ from jointid.cli.reproduce import reproduce
 from jointid.cli.serve import serve
 from jointid.cli.simulate import simulate
 from jointid.cli.together import together
+from jointid.cli.tune import tune
 from jointid.cli.validate import validate
 from jointid.common.errors import JointidError
 
@@ -39,20 +44,9 @@ app = App(
     suppress_keyboard_interrupt=False,
 )
 for command in (
-    demo,
-    loop,
-    identify,
-    long,
-    together,
-    intervals,
-    compare,
-    validate,
-    advise,
-    simulate,
-    report,
-    reproduce,
-    serve,
-):
+    demo, inspect, convert, loop, identify, report, long, together, intervals, compare, compare_reports, validate,
+    advise, tune, simulate, export, serve, reproduce,
+):  # fmt: skip
     app.command(command)
 
 

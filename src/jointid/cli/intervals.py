@@ -29,6 +29,7 @@ def intervals(
         quiet: say nothing of the progress.
     """
     from jointid.assessment.intervals import intervals as run
+    from jointid.assessment.intervals import require_quantities
     from jointid.cli.console import identified, progress, show
     from jointid.common.errors import MethodError
     from jointid.jointfile import load
@@ -37,5 +38,7 @@ def intervals(
         raise MethodError("There is nothing to do without --of or --bootstrap; give --of stiffness, say.")
     listener = progress(quiet)
     file = load(joint).overridden(method="didim")
+    if file.loop is not None:
+        require_quantities(of or (), file.loop)
     logged, estimate = identified(file, record, listener)
     show(run(estimate, logged, of or (), bootstrap=bootstrap or refit, refit=refit, progress=listener))

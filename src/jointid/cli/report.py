@@ -19,7 +19,7 @@ def report(
     method: Literal["didim", "idim", "drive_side", "open_loop"] | None = None,
     filtering: Literal["default", "published", "as-printed"] | None = None,
     friction: Literal["symmetric", "asymmetric"] | None = None,
-    profiles: Annotated[bool, Parameter(negative="--no-profiles")] = True,
+    no_profiles: Annotated[bool, Parameter(negative=())] = False,
     json: Path | None = None,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
 ) -> None:
@@ -34,12 +34,13 @@ def report(
         method: as for identify.
         filtering: as for identify.
         friction: as for identify.
-        profiles: follow the criterion along every parameter, which takes a few seconds.
+        no_profiles: do not follow the criterion along every parameter, which takes a few seconds.
         json: also write the estimate as JSON to this file, as identify does.
         quiet: say nothing of the progress.
     """
     from jointid.cli.console import check_outputs, progress, ready, show
     from jointid.jointfile import load
+    from jointid.report.page import require_extra
     from jointid.report.repetition import repetition
     from jointid.report.report import report_file, require_page
 
@@ -47,13 +48,14 @@ def report(
     check_outputs(None, page, json)
     if page is not None:
         require_page(page)
+        require_extra(plots=True)
     listener = progress(quiet)
     file = load(joint).overridden(method=method, filtering=filtering, friction=friction)
     source = Path(file.record_path(record))
     options = {"method": method, "filtering": filtering, "friction": friction}
     again = repetition(joint, source, options, "report.html" if page is None else page.name)
     ready(listener)
-    told = report_file(file, source, repetition=again, profiles=None if profiles else (), progress=listener)
+    told = report_file(file, source, repetition=again, profiles=() if no_profiles else None, progress=listener)
     written = [] if page is None else [told.save(page)]
     written += [] if markdown is None else [told.save_markdown(markdown)[0]]
     written += [] if figures is None else [*told.save_figures(figures)]

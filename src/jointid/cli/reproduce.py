@@ -26,7 +26,7 @@ def reproduce(
     from jointid.report.page import require_extra, save
     from jointid.report.reproduction import reproduction_document
 
-    require_extra()
+    require_extra(plots=False)
     make_folder(out)
     listener = progress(quiet)
     ready(listener)

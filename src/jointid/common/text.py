@@ -27,3 +27,8 @@ def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequenc
         for row in table
     ]
     return "\n".join([lines[0], "-" * max(len(line) for line in lines), *lines[1:]])
+
+
+def shown(name: str) -> str:
+    """Return a name from a file as it can be printed: what would steer a terminal, or turn the text round, escaped."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape", "backslashreplace").decode() for c in name)

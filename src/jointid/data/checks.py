@@ -138,8 +138,8 @@ def clock_faults(stamps: FloatArray, tolerance: float = CLOCK_TOLERANCE) -> list
         faults.append(
             f"The time jitters by up to {jitter.max():.1%} of the sample time of {sample_time:g} s "
             f"({np.sqrt(np.mean(jitter**2)):.1%} rms), first beyond {tolerance:.1%} after sample {first}"
-            f"{_at(stamps, first)}; resample the record, or give sample_time without time if only the stamps "
-            "jitter."
+            f"{_at(stamps, first)}; give resample = {{ sample_time, method }}, or sample_time without time if only "
+            "the stamps jitter."
         )
     return faults
 

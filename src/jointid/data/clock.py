@@ -1,17 +1,19 @@
-"""The clock of a table: the time between its samples, from stamps, from what is given, or from both."""
+"""The clocks of a table: the time between samples, from stamps, from what is given, or from both."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from jointid.common import units
-from jointid.data.checks import clock_faults
-from jointid.data.columns import period_faults, unit_fault, unit_in_name
+from jointid.data.checks import clock_faults, finite_faults
+from jointid.data.columns import Column, period_faults, unit_fault, unit_in_name
 from jointid.data.formats import Table
 from jointid.data.record import FloatArray
+from jointid.data.uniformity import irregularity
 
 RATE_TOLERANCE = 1e-3
 """How far a given sample time may be from that of the time stamps, as a share of it.
@@ -24,14 +26,37 @@ _TIME = re.compile(r"(?:t|time)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """The time between samples [s] and the time stamps [s], as far as they are known."""
+    """The time between samples [s] and the time stamps [s], as far as they are known, and their column."""
 
     sample_time: float | None = None
     stamps: FloatArray | None = None
+    column: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Clocks:
+    """The record's clock, and those of columns that have a time column of their own.
+
+    Attributes:
+        common: of all others.
+        own: by time column.
+        columns: name of a column -> that of its time column.
+    """
+
+    common: Clock
+    own: Mapping[str, Clock] = field(default_factory=dict)
+    columns: Mapping[str, str] = field(default_factory=dict)
+
+    def of(self, column: Column) -> Clock:
+        """Return the clock of a channel's column; one with a sample time of its own needs no stamps."""
+        if column.sample_time is not None:
+            return Clock(column.sample_time)
+        time = column.time or self.columns.get(column.column)
+        return self.common if time is None else self.own.get(time, Clock())
 
 
 def clock_of(
-    table: Table, time: str | None, time_unit: str | None, sample_time: float | None, tolerance: float
+    table: Table, time: str | None, time_unit: str | None, sample_time: float | None, tolerance: float | None
 ) -> tuple[Clock, list[str]]:
     """Return a table's clock, from the stamps, from the sample time, or from both, and what is wrong with it.
 
@@ -40,7 +65,7 @@ def clock_of(
         time: name of the time column; None takes the only one that is called t or time.
         time_unit: of it; None takes the one in its name, or else s.
         sample_time: seconds, if it is given; without `time` it is all that counts.
-        tolerance: largest jitter, as a share of the sample time.
+        tolerance: largest jitter, as a share of the sample time; None for stamps that are resampled.
     """
     wrong = period_faults("sample time", sample_time)
     if wrong or (sample_time is not None and time is None):
@@ -55,20 +80,50 @@ def clock_of(
             f'The time column "{column}" names its unit, and time_unit is "{time_unit}"; leave time_unit out, or '
             "rename the column."
         ]
-    unit = time_unit or named or "s"
+    unit = time_unit or named or units.spelled(table.units.get(column, "")) or "s"
     if unit not in known:
         return Clock(), [unit_fault(f'time (column "{column}")', unit, known)]
     stamps = table.columns[column] * units.unit(unit).factor
-    wrong = clock_faults(stamps, tolerance)
+    wrong = _stamp_faults(column, stamps) if tolerance is None else clock_faults(stamps, tolerance)
     if wrong:
         return Clock(), wrong
-    period = _period(stamps)
+    period = irregularity(stamps).sample_time if tolerance is None else _period(stamps)
     if sample_time is not None and abs(sample_time / period - 1) > RATE_TOLERANCE:
         wrong = [
             f'The sample time is given as {sample_time:g} s, and column "{column}" has {period:g} s; '
             "mend one, or leave sample_time or time out."
         ]
-    return Clock(sample_time or period, stamps), wrong
+    return Clock(sample_time or period, stamps, column), wrong
+
+
+def apart_faults(clocks: Mapping[str, Clock], tolerance: float) -> list[str]:
+    """Return the fault of channels that begin at different instants, by their own stamps.
+
+    Args:
+        clocks: by channel.
+        tolerance: how far, as a share of the shorter sample time.
+    """
+    stamped = {name: clock for name, clock in clocks.items() if clock.stamps is not None and clock.sample_time}
+    firsts = {name: float(clock.stamps[0]) for name, clock in stamped.items() if clock.stamps is not None}
+    if not firsts:
+        return []
+    late, early = max(firsts, key=firsts.__getitem__), min(firsts, key=firsts.__getitem__)
+    apart, shortest = firsts[late] - firsts[early], min(clock.sample_time or 0.0 for clock in stamped.values())
+    if apart <= tolerance * shortest:
+        return []
+    return [
+        f"{late} begins {apart:g} s after {early}, by their own time columns; give resample, which takes what all "
+        "channels cover, or cut them to one beginning."
+    ]
+
+
+def _stamp_faults(column: str, stamps: FloatArray) -> list[str]:
+    """Return the faults of stamps that not even resampling can use."""
+    if faults := finite_faults(f'The time column "{column}"', stamps):
+        return faults
+    if stamps.size < 2 or not np.median(np.diff(stamps)) > 0:
+        return [f'The time column "{column}" does not run forward; name another one, or give sample_time without time.']
+    return []
 
 
 def _time_column(table: Table, time: str | None) -> tuple[str, list[str]]:

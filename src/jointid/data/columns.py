@@ -37,10 +37,11 @@ class Column:
         update_time: time between refreshes [s] of a column that is logged more often than that; it becomes a
             channel of that sample time, from the first refresh on.
         optional: whether a file without this column is read without this channel.
+        time: name of this channel's own time column, where it has one.
 
     Raises:
-        RecordError: gain, sample_time, wrap or update_time is not positive and finite, sign is not 1 or -1, or there is
-            no such side.
+        RecordError: gain, sample_time, wrap or update_time is not positive and finite, sign is not 1 or -1, there is
+            no such side, or there are a sample time and a time column.
     """
 
     column: str = ""
@@ -56,6 +57,7 @@ class Column:
     wrap: float | None = None
     update_time: float | None = None
     optional: bool = False
+    time: str | None = None
 
     def __post_init__(self) -> None:
         faults = []
@@ -65,6 +67,10 @@ class Column:
         if self.sign not in (1, -1):
             faults.append(f'The sign of column "{self.column}" is 1 or -1; got {self.sign}: use gain to scale it.')
         faults += period_faults(f'sample time of column "{self.column}"', self.sample_time)
+        if self.sample_time is not None and self.time is not None:
+            faults.append(
+                f'Column "{self.column}" has a sample_time and a time column of its own; leave one of them out.'
+            )
         faults += period_faults(f'update time of column "{self.column}"', self.update_time)
         if self.wrap is not None and not (math.isfinite(self.wrap) and self.wrap > 0):
             faults.append(

@@ -74,12 +74,12 @@ class Log:
     """A record in a file, read when it is asked for.
 
     Attributes:
-        path: the file, of a format that has rows one after the other: delimited text or NPY.
+        path: the file, of a format that has rows one after the other; MAT files of version 7 and ROS 2 bags have not.
         columns, settings: see `jointid.data.reading.read`, whose arguments they are. All channels have one sample time.
         options: of the format's reader.
 
     Raises:
-        RecordError: a column has a sample time or an update time of its own.
+        RecordError: a column has a sample time, an update time or a time column of its own, or is to be resampled.
 
     Example:
         >>> import jointid as ji
@@ -94,10 +94,15 @@ class Log:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if self.settings.get("resample") is not None:
+            raise RecordError(
+                "A record that is read in pieces is not resampled, because its pieces would not fit together; log it "
+                "at uniform instants, or leave resample out."
+            )
         for name, column in self.columns.items():
-            if isinstance(column, Column) and (column.sample_time or column.update_time):
+            if isinstance(column, Column) and (column.sample_time or column.update_time or column.time):
                 raise RecordError(
-                    f"A record that is read in pieces has one sample time, and {name} has one of its own; log all "
+                    f"A record that is read in pieces has one clock, and {name} has one of its own; log all "
                     "channels at one rate."
                 )
 
@@ -207,5 +212,9 @@ def _changed(record: Record, change: Callable[[Channel], Channel], begin: float)
 
 
 def _joined(first: Table, more: Table) -> Table:
-    columns = {name: np.concatenate([values, more.columns[name]]) for name, values in first.columns.items()}
-    return Table(columns, first.scalars, first.source)
+    following = more.columns
+    columns = {
+        name: np.concatenate([values, following[name]]) if name in following else values  # shorter than others
+        for name, values in first.columns.items()
+    }
+    return replace(first, columns=columns)

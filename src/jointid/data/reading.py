@@ -13,7 +13,7 @@ from jointid.common import units
 from jointid.common.errors import RecordError
 from jointid.data.axes import other_axes
 from jointid.data.checks import CLOCK_TOLERANCE, finite_faults, scale_faults
-from jointid.data.clock import Clock, clock_of
+from jointid.data.clock import Clock, Clocks, apart_faults, clock_of
 from jointid.data.columns import Column, known_units, unit_fault, unit_of_column
 from jointid.data.conditioning import unwrapped, wrap_faults
 from jointid.data.drive import Drive
@@ -21,6 +21,7 @@ from jointid.data.formats import Table, read_table
 from jointid.data.profiles import side_of
 from jointid.data.record import CHANNELS, Channel, Injection, Record, Tap, Timing
 from jointid.data.refreshing import Refreshed, begun_together
+from jointid.data.resampling import Resampling, Stamped, resampled_together
 from jointid.data.transmission import Transmission
 
 _MOVES = 0.01  # of this axis's travel: an axis that moves less is held
@@ -38,13 +39,17 @@ def read(
     transmission: Transmission | None = None,
     name: str | None = None,
     clock_tolerance: float = CLOCK_TOLERANCE,
+    resample: Resampling | None = None,
     **options: object,
 ) -> Record:
     """Read a record from a file; everything that is wrong with it is reported at once.
 
     The time between samples is `sample_time`, or else that of the time column: the one that `time` names, or
     else the one called t or time ("Time [ms]" is one). Where a channel has a rate of its own, columns end at
-    their last number; elsewhere a column that ends early is a fault.
+    their last number; elsewhere a column that ends early is a fault. A clock that jitters is a fault unless `resample`
+    says what is to be done about it.
+
+    A unit that the file states for a column counts where neither `columns` nor the column's name states one.
 
     Args:
         path: the file; its suffix tells the format.
@@ -58,6 +63,7 @@ def read(
         transmission: between motor and load; it then says both kinds, and every channel is referred to its `side`.
         name: what reports call the record; None takes the file's name without its suffix.
         clock_tolerance: largest jitter of the time stamps, as a share of the sample time.
+        resample: to which uniform clock all channels are brought, and how; every channel then needs stamps.
         options: options of the format's reader; see `jointid.data.formats.Csv`.
 
     Raises:
@@ -65,7 +71,16 @@ def read(
             sentence for each missing column, wrong unit, gap, jump of the clock and impossible scale.
     """
     how = Wanted(
-        columns or {}, drive or Drive(), time, time_unit, sample_time, kind, transmission, name, clock_tolerance
+        columns or {},
+        drive or Drive(),
+        time,
+        time_unit,
+        sample_time,
+        kind,
+        transmission,
+        name,
+        clock_tolerance,
+        resample,
     )
     return how.record(read_table(path, **options), Path(path).stem)
 
@@ -87,6 +102,7 @@ class Wanted:
     transmission: Transmission | None = None
     name: str | None = None
     clock_tolerance: float = CLOCK_TOLERANCE
+    resample: Resampling | None = None
 
     def __post_init__(self) -> None:
         unknown = [channel for channel in self.columns if channel not in CHANNELS]
@@ -103,30 +119,54 @@ class Wanted:
         """
         columns = self.columns
         wanted = {n: Column(c) if isinstance(c := columns[n], str) else c for n in CHANNELS if n in columns}
-        if any(column.sample_time for column in wanted.values()):
+        if any(column.sample_time or column.time for column in wanted.values()):
             table = _without_tails(table)
         reading = _Reading(table, self.kind, self.transmission, self.drive, [])
-        found = reading.found(reading.profiled(wanted))
-        clock, time = Clock(self.sample_time), self.time
-        if time is None and self.sample_time is None and self.drive.traces is not None:
-            time = self.drive.traces.time_column(table.columns)
-        if time is not None or any(column.sample_time is None for column in found.values()):
-            clock, wrong = clock_of(table, time, self.time_unit, self.sample_time, self.clock_tolerance)
-            reading.faults.extend(wrong)
-        read_in = {channel: reading.channel(channel, found, clock) for channel in found}
+        found = reading.in_files_units(wanted, reading.found(reading.profiled(wanted)))
+        clocks = self._clocks(table, found, reading.faults)
+        read_in = {channel: reading.channel(channel, found, clocks) for channel in found}
+        if self.resample is None:
+            reading.faults.extend(apart_faults({n: clocks.of(c) for n, c in found.items()}, self.clock_tolerance))
         if reading.faults:
             raise RecordError(reading.faults)
-        logged = {n: Refreshed(c, found[n].update_time) for n, c in read_in.items() if c is not None}
-        others = {n: Refreshed(c) for n, c in reading.others(found, clock).items()}
-        channels, begin, faults = begun_together({**logged, **others})
+        logged = {n: c for n, c in read_in.items() if c is not None}
+        others = reading.others(found, clocks)
+        done = None
+        if self.resample is None:
+            updates = {n: column.update_time for n, column in found.items()}
+            together = {n: Refreshed(c, updates.get(n)) for n, c in {**logged, **others}.items()}
+            channels, begin, faults = begun_together(together)
+        else:
+            stamped, faults = _stamped(logged, others, found, clocks)
+            if not faults:
+                channels, done, begin, faults = resampled_together(stamped, self.resample)
         if faults:
             raise RecordError(faults)
         apart = {n: channels.pop(n) for n in others}
-        record = replace(_record(channels, found, self.name or name), other_axes=apart, begin=begin)
+        record = replace(_record(channels, found, self.name or name), other_axes=apart, begin=begin, resampled=done)
         faults = scale_faults(record)
         if faults:
             raise RecordError(faults)
         return record
+
+    def _clocks(self, table: Table, found: Mapping[str, Column], faults: list[str]) -> Clocks:
+        """Return the clocks of the columns that were found; what is wrong with them goes to the faults."""
+        time = self.time
+        if time is None and self.sample_time is None and self.drive.traces is not None:
+            time = self.drive.traces.time_column(table.columns)
+        # A sample time that is given alone is all that counts, unless a channel names its own column.
+        told = {} if time is None and self.sample_time is not None else table.clocks
+        named = {c.time or told.get(c.column) for c in found.values() if c.sample_time is None}
+        tolerance = None if self.resample else self.clock_tolerance
+        common = Clock(self.sample_time)
+        if time is not None or None in named:
+            common, wrong = clock_of(table, time, self.time_unit, self.sample_time, tolerance)
+            faults.extend(wrong)
+        own = {}
+        for name in sorted(filter(None, named)):
+            own[name], wrong = clock_of(table, name, self.time_unit, None, tolerance)
+            faults.extend(f'"{name}": {fault}' if tolerance else fault for fault in wrong)
+        return Clocks(common, own, told)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,22 +186,38 @@ class _Reading:
             kinds = {channel: self.kind_of(channel, wanted.get(channel)) for channel in CHANNELS}
             found, faults = profile.found(wanted, self.table.columns, self.drive.axis, kinds, self.table.source)
             self.faults.extend(faults)
-            self.faults.extend(self.uncertain(wanted, found))
+            self.faults.extend(self.uncertain(wanted, found, f'profile "{profile.name}"'))
             return found
         unnamed = [channel for channel, column in wanted.items() if not column.column]
         if unnamed:
             self.faults.append(f"{' and '.join(unnamed)} has no column; name it, or give the drive a profile.")
         return {channel: column for channel, column in wanted.items() if column.column}
 
-    def uncertain(self, wanted: Mapping[str, Column], found: Mapping[str, Column]) -> list[str]:
-        """Return the fault of a current that only the profile takes for the torque: nobody asked for results in A."""
+    def in_files_units(self, wanted: Mapping[str, Column], found: Mapping[str, Column]) -> dict[str, Column]:
+        """Return the columns, in the units of the file where neither the joint file nor a name states one."""
+        made = dict(found)
+        for channel, column in found.items():
+            declared = replace(wanted.get(channel, column), column=column.column)
+            unit = units.spelled(self.table.units.get(column.column, ""))
+            known = known_units(channel, self.kind_of(channel, column))
+            if unit and declared.gain == 1 and declared.stated_unit(known) is None and unit != column.unit:
+                made[channel] = replace(column, unit=unit)
+                torque = {channel: made[channel]}
+                self.faults.extend(self.uncertain(wanted, torque, "the file") if channel == "torque" else [])
+        return made
+
+    def uncertain(self, wanted: Mapping[str, Column], found: Mapping[str, Column], said: str) -> list[str]:
+        """Return the fault of a current that nobody but the profile or the file takes for the torque.
+
+        Nobody asked for results in A.
+        """
         torque = found.get("torque")
         if torque is None or torque.unit != "A" or self.drive.torque_constant is not None:
             return []
         if "torque" in wanted and wanted["torque"].unit == "A":
             return []
         return [
-            f'torque (column "{torque.column}") is in A by profile "{self.drive.profile}"; give the drive\'s '
+            f'torque (column "{torque.column}") is in A by {said}; give the drive\'s '
             f'torque_constant, or unit = "A" with the column to identify per ampere.'
         ]
 
@@ -171,7 +227,12 @@ class _Reading:
         needed = [f'"{column.column}" (for {n})' for n, column in missing.items() if not column.optional]
         if needed:
             listed = self.table.listed(" ".join(column.column for column in missing.values()))
-            self.faults.append(f"{self.table.source} has no column {' and no '.join(needed)}; it has {listed}.")
+            why = "".join(
+                f" ({self.table.passed[column.column]})"
+                for column in missing.values()
+                if column.column in self.table.passed and not column.optional
+            )
+            self.faults.append(f"{self.table.source} has no column {' and no '.join(needed)}{why}; it has {listed}.")
         return {n: column for n, column in wanted.items() if n not in missing}
 
     def kind_of(self, channel: str, column: Column | None) -> str:
@@ -192,12 +253,13 @@ class _Reading:
         self.faults.append(unit_fault(what, name, known))
         return None
 
-    def channel(self, name: str, found: Mapping[str, Column], clock: Clock) -> Channel | None:
+    def channel(self, name: str, found: Mapping[str, Column], clocks: Clocks) -> Channel | None:
         """Return a channel in SI, None if its unit or its rate is at fault."""
         column = found[name]
         what, values = f'{name} (column "{column.column}")', self.table.columns[column.column]
-        period, stamps = column.sample_time or clock.sample_time, clock.stamps
-        if column.sample_time is not None or stamps is None:
+        clock = clocks.of(column)
+        period, stamps = clock.sample_time, clock.stamps
+        if stamps is None:
             stamps = None if period is None else Channel(values, "", period).time
         elif stamps.size != values.size:
             lengths = f"{values.size} samples, the time {stamps.size}"
@@ -230,10 +292,10 @@ class _Reading:
             gear.referred(name, channel, side_of(name, column, self.drive.traces, self.drive.axis)) if gear else channel
         )
 
-    def others(self, found: Mapping[str, Column], clock: Clock) -> dict[str, Channel]:
+    def others(self, found: Mapping[str, Column], clocks: Clocks) -> dict[str, Channel]:
         """Return the positions of other axes that moved, by their columns; one that cannot be read is left out."""
         position = next((channel for channel in ("motor_position", "reference") if channel in found), None)
-        own = position and replace(self, faults=[]).channel(position, found, clock)
+        own = position and replace(self, faults=[]).channel(position, found, clocks)
         made: dict[str, Channel] = {}
         if not (position and own):
             return made
@@ -242,7 +304,7 @@ class _Reading:
         alike = replace(found[position], side=None if self.transmission is None else side)
         for name in other_axes({channel: column.column for channel, column in found.items()}, self.table.columns):
             apart = replace(self, faults=[])
-            other = apart.channel(position, {**found, position: replace(alike, column=name)}, clock)
+            other = apart.channel(position, {**found, position: replace(alike, column=name)}, clocks)
             if other and not apart.faults and np.ptp(other.values) > _MOVES * np.ptp(own.values):
                 made[name] = other
         return made
@@ -254,7 +316,26 @@ def _without_tails(table: Table) -> Table:
     for name, values in table.columns.items():
         filled = np.flatnonzero(~np.isnan(values))
         cut[name] = values[: filled[-1] + 1] if filled.size else values
-    return Table(cut, table.scalars, table.source)
+    return replace(table, columns=cut)
+
+
+def _stamped(
+    logged: Mapping[str, Channel], others: Mapping[str, Channel], found: Mapping[str, Column], clocks: Clocks
+) -> tuple[dict[str, Stamped], list[str]]:
+    """Return the channels with their instants; what has none, or is picked by its refreshes, is a fault."""
+    faults = []
+    made = {}
+    position = next((name for name in ("motor_position", "reference") if name in found), "")
+    for name, channel in {**logged, **others}.items():
+        column = found[name] if name in found else replace(found[position], column=name)
+        clock = clocks.of(column)
+        if column.update_time is not None:
+            faults.append(f"{name} has an update_time, and is to be resampled; leave one of the two out.")
+        elif clock.stamps is None:
+            faults.append(f"{name} has no time stamps to be resampled by; name its time column, or leave resample out.")
+        else:
+            made[name] = Stamped(channel, clock.stamps, clock.column)
+    return made, faults
 
 
 def _record(channels: Mapping[str, Channel], found: Mapping[str, Column], name: str) -> Record:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jointid.common.errors import RecordError
+from jointid.data.uniformity import Resampled
 
 FloatArray: TypeAlias = NDArray[np.float64]
 
@@ -130,6 +131,7 @@ class Record:
         other_axes: positions of other axes that were logged too and moved, by their columns; no joint's model reads
             them, and the coupling that they bring is not in it.
         begin: seconds from the first sample of the file to that of this record, which begins at its first refresh.
+        resampled: how its samples were brought to a uniform clock, None where they were logged so.
 
     Raises:
         RecordError: channels at one rate have unequal lengths, or durations differ by more than a sample.
@@ -145,6 +147,7 @@ class Record:
     name: str = "record"
     other_axes: Mapping[str, Channel] = field(default_factory=dict)
     begin: float = 0.0
+    resampled: Resampled | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tap", Tap(self.tap))
@@ -213,7 +216,7 @@ def record_of(
         )
         for key, array in values.items()
     }
-    allowed = {each.name for each in fields(Record)} - {"tap", "injected", "name", "other_axes", "begin"}
+    allowed = {each.name for each in fields(Record)} - {"tap", "injected", "name", "other_axes", "begin", "resampled"}
     unknown = set(made) - allowed
     if unknown:
         raise RecordError(f"No channel is called {', '.join(sorted(unknown))}; there are {', '.join(sorted(allowed))}.")

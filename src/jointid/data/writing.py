@@ -73,6 +73,9 @@ def write(
                 f'{" and ".join(both) if len(both) > 1 else name} would share the column "{column}" with something '
                 "else; give each channel, and the time, a column of its own."
             )
+    for named_column in named.values():
+        if named_column.time is not None:
+            table.setdefault(named_column.time, _stamps(next(iter(channels.values())), named_column.time, time_unit))
     by_number = all(name.isdecimal() for name in table)
     write_table(path, Table({n: table[n] for n in (sorted(table, key=int) if by_number else table)}), **options)
 
@@ -95,8 +98,13 @@ def _clock(
     if sample_time is not None and time is None:
         return {}
     name = time or "t"
+    return {name: _stamps(first, name, time_unit)}
+
+
+def _stamps(channel: Channel, name: str, time_unit: str | None) -> FloatArray:
+    """Return a channel's instants in the unit of the time column of that name."""
     unit = units.unit(time_unit or unit_in_name(name, units.units_of("time")) or "s")
-    return {name: first.time / unit.factor}
+    return channel.time / unit.factor
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from jointid.common.text import aligned
 from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
 from jointid.data.transmission import transmission_lines
+from jointid.data.uniformity import Resampled, resampled_lines
 from jointid.estimation.estimated import EstimatedParameter, OnBothSides, known_on_other_side
 from jointid.estimation.printed import bound_line, known_line, parameter_row, shown
 from jointid.estimation.regression import Conditioning
@@ -118,6 +119,7 @@ class Estimate(OnBothSides):
         verdicts: on the solver, the fit, what remains, and what the record tells, one question each.
         known: which parameters and combinations the record tells, and how well.
         residuals: what the model leaves of the torque.
+        resampled: how the record's samples were brought to a uniform clock, None where they were logged so.
         bounds: how soft the spring may be where its stiffness is refused, by the load's share of the inertia.
         effects: what the torque holds beside the joint's own model; their parameters follow the joint's.
         compared: "torque", or "position" where an open loop is compared by it: then measured, predicted and the errors
@@ -156,6 +158,7 @@ class Estimate(OnBothSides):
     known: Identifiability | None = None
     residuals: ResidualReport | None = None
     bounds: tuple[StiffnessBound, ...] = ()
+    resampled: Resampled | None = None
     effects: tuple[Effect, ...] = ()
     compared: Literal["torque", "position"] = "torque"
 
@@ -214,6 +217,7 @@ class Estimate(OnBothSides):
         lines = [
             f"{self.joint.model.capitalize()} joint, {self.variant}, of {self.record}",
             f"read: {', '.join(self.channels)}",
+            *resampled_lines(self.resampled),
             *transmission_lines(self.joint.transmission),
             "",
             self._table(),

@@ -86,7 +86,7 @@ def identify(
         estimate = _identified(record, joint, loop, chosen, filtering or Filtering(), wanted, progress)
         simulations += estimate.simulations
     warnings = (*bounds, *estimate.warnings, *record_warnings(record, estimate))
-    return replace(estimate, simulations=simulations, warnings=warnings)
+    return replace(estimate, simulations=simulations, warnings=warnings, resampled=record.resampled)
 
 
 def _beyond(record: Record, estimate: Estimate, wanted: tuple[Parameter, ...]) -> tuple[float, Parameter] | None:

@@ -15,6 +15,7 @@ from jointid.data.drive import Drive
 from jointid.data.pieces import Log
 from jointid.data.reading import read
 from jointid.data.record import Record
+from jointid.data.resampling import Resampling
 from jointid.data.signals import Filtering
 from jointid.data.writing import write
 from jointid.estimation.identify import Method
@@ -41,6 +42,7 @@ class Source:
         sample_time: seconds between samples.
         clock_tolerance: largest jitter of the time stamps, as a share of the sample time.
         options: of the format's reader.
+        resample: to which uniform clock all channels are brought, and how.
     """
 
     file: str | None = None
@@ -49,12 +51,14 @@ class Source:
     sample_time: float | None = None
     clock_tolerance: float = CLOCK_TOLERANCE
     options: Mapping[str, Any] = field(default_factory=dict)
+    resample: Resampling | None = None
 
     @classmethod
     def of(cls, table: RecordTable) -> Self:
         """Return what [record] says of the file."""
         options = table.options()
-        return cls(**table.given("channels", *options), options=options)
+        resample = None if table.resample is None else table.resample.resampling()
+        return cls(**table.given("channels", "resample", *options), resample=resample, options=options)
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +185,8 @@ class JointFile:
         """
         path = self.record_path(path)
         columns = self._columns
-        record = read(path, columns, clock_tolerance=self.source.clock_tolerance, **self._reading)
+        source = self.source
+        record = read(path, columns, clock_tolerance=source.clock_tolerance, resample=source.resample, **self._reading)
         controller, torque = self.controller, record.torque
         limit = controller.law(torque.sample_time).limit if controller is not None and torque is not None else None
         gear = self.joint.transmission
@@ -194,7 +199,8 @@ class JointFile:
         Raises:
             RecordError: a channel has a sample time of its own, or no record is named.
         """
-        reading = {"clock_tolerance": self.source.clock_tolerance, **self._reading}
+        source = self.source
+        reading = {"clock_tolerance": source.clock_tolerance, "resample": source.resample, **self._reading}
         settings = {key: value for key, value in reading.items() if key not in self.source.options}
         return Log(self.record_path(path), self._columns, settings, self.source.options)
 

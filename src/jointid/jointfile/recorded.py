@@ -15,9 +15,10 @@ from jointid.data.drive import Drive
 from jointid.data.formats import Csv, format_of
 from jointid.data.profiles import profile_named, profile_names
 from jointid.data.record import Channel, Injection
+from jointid.data.resampling import Resampling
 from jointid.data.transmission import Side
 from jointid.jointfile.table import Table, accepted, refusal
-from jointid.jointfile.values import ColumnGain, Count, Flag, NotNegative, Positive, Sign, Text, TimeUnit
+from jointid.jointfile.values import ColumnGain, Count, Flag, Natural, NotNegative, Positive, Sign, Text, TimeUnit
 
 OPTIONS = ("delimiter", "decimal", "header")
 """The keys of [record] that are options of the format's reader."""
@@ -35,10 +36,16 @@ class ChannelTable(Table):
     sign: Sign = Field(1, description="-1 turns the channel round")
     timing: Literal["sampled", "held", "averaged"] | None = Field(None, description="what one value stands for")
     sample_time: Positive | None = Field(None, description="own time between samples [s]")
+    time: Text | None = Field(None, description="name of its own time column")
     side: Side | None = Field(None, description="of the transmission, on which it is measured")
     wrap: Positive | None = Field(None, description="where the column wraps round, in its own numbers")
     update_time: Positive | None = Field(None, description="time between refreshes, if longer [s]")
     optional: Flag = Field(False, description="whether a record may lack this column")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield a clock that is told twice."""
+        if self.time is not None and self.sample_time is not None:
+            yield "time", f' is "{self.time}" beside sample_time = {self.sample_time:g}; keep one of them.'
 
     def declared(self) -> Column:
         """Return the column that is declared."""
@@ -59,6 +66,7 @@ class InjectedTable(ChannelTable):
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield that no such injection exists."""
+        yield from super().faults()
         any_signal = Channel(np.zeros(1), "N", 1.0)
         if refused := refusal(lambda: Injection(any_signal, self.declared().at, self.in_torque)):
             yield "in_torque", refused
@@ -75,6 +83,19 @@ class ChannelsTable(Table):
     injected: InjectedTable | None = Field(None, description="known signal added to the controller's output")
 
 
+class ResampleTable(Table):
+    """record.resample: to which uniform clock all channels are brought, and how."""
+
+    sample_time: Positive = Field(description="time between samples of the record [s]")
+    method: Literal["hold", "linear", "cubic"] = Field(description="how sampled channels are taken between samples")
+    held: Literal["hold", "linear", "cubic"] = Field("hold", description="how held channels are")
+    longest_gap: Natural = Field(3, description="samples that may be missing in a row")
+
+    def resampling(self) -> Resampling:
+        """Return how channels are resampled."""
+        return Resampling(**self.given())
+
+
 class RecordTable(Table):
     """[record]: the file of the record, and how it is read."""
 
@@ -83,6 +104,7 @@ class RecordTable(Table):
     time_unit: TimeUnit | None = Field(None, description="unit of the time column")
     sample_time: Positive | None = Field(None, description="time between samples [s]")
     clock_tolerance: NotNegative = Field(CLOCK_TOLERANCE, description="largest jitter, as a share of the sample time")
+    resample: ResampleTable | None = Field(None, description="what is done about a clock that is not uniform")
     delimiter: Delimiter | None = Field(None, description="character between the cells of a text file")
     decimal: Literal[".", ","] | None = Field(None, description="decimal mark of a text file")
     header: Flag | None = Field(None, description="whether a text file names its columns")
@@ -102,16 +124,22 @@ class DriveTable(Table):
     """[drive]: whose traces the record is made of, and the numbers behind the drive's own units."""
 
     profile: Annotated[Text, accepted(profile_named)] | None = Field(
-        None, description="of the traces", json_schema_extra={"enum": list(profile_names())}
+        None,
+        description="whose names, units, timing and tap the channels have",
+        json_schema_extra={"enum": list(profile_names())},
     )
-    axis: Count | None = Field(None, description="which one, where a trace has several")
-    rated_torque: Positive | None = Field(None, description="what per mille are of [N m or N]")
-    rated_current: Positive | None = Field(None, description="likewise, as a current [A]")
+    axis: Count | None = Field(None, description="which axis, where a trace has several")
+    rated_torque: Positive | None = Field(None, description="what per mille and per cent of a torque are of [N m or N]")
+    rated_current: Positive | None = Field(None, description="the same as a current, beside the torque constant [A]")
     torque_constant: Positive | None = Field(None, description="torque per current [N m/A or N/A]")
-    counts_per_turn: Positive | None = Field(None, description="of the encoder, revolute")
-    counts_per_metre: Positive | None = Field(None, description="of the encoder, prismatic")
-    load_counts_per_turn: Positive | None = Field(None, description="of the load's encoder, if another, revolute")
-    load_counts_per_metre: Positive | None = Field(None, description="of the load's encoder, if another, prismatic")
+    counts_per_turn: Positive | None = Field(None, description="of a revolute joint's encoder [counts]")
+    counts_per_metre: Positive | None = Field(None, description="of a prismatic joint's encoder [counts]")
+    load_counts_per_turn: Positive | None = Field(
+        None, description="of the load's encoder, if it is another one [counts]"
+    )
+    load_counts_per_metre: Positive | None = Field(
+        None, description="of the load's encoder, if it is another one that moves straight [counts]"
+    )
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield that the numbers contradict each other."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from jointid.common.errors import JointFileError
+from jointid.data.resampling import Resampling
 from jointid.data.signals import Filtering
 from jointid.data.transmission import SIDES, Transmission
 from jointid.estimation.identify import Method
@@ -134,8 +135,9 @@ def _plain(value: Any) -> Any:
     """Return a value as TOML has it."""
     if isinstance(value, DigitalFilter):  # without its denominator it would be read as a mere numerator
         return {"numerator": list(value.numerator), "denominator": list(value.denominator)}
-    if type(value) in _KINDS:
-        return {"kind": _KINDS[type(value)], **settings(value)}
+    if isinstance(value, Resampling) or type(value) in _KINDS:
+        kind = _KINDS.get(type(value))
+        return {**({} if kind is None else {"kind": kind}), **settings(value)}
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple | np.ndarray):

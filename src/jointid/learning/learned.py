@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from jointid.common.text import aligned, number
 from jointid.data.record import FloatArray
+from jointid.data.uniformity import Resampled, resampled_lines
 from jointid.model.controllers import Controller
 
 
@@ -63,6 +64,7 @@ class LearnedLoop:
         torque_unit, position_unit: of the record.
         record: name of it.
         table: [controller] as TOML.
+        resampled: how the record's samples were brought to a uniform clock, None where they were logged so.
     """
 
     controller: Controller
@@ -82,6 +84,7 @@ class LearnedLoop:
     position_unit: str
     record: str
     table: str
+    resampled: Resampled | None = None
 
     def __getitem__(self, name: str) -> LearnedNumber:
         """Return a number by its name."""
@@ -99,6 +102,7 @@ class LearnedLoop:
         """Return the tables, and what the record cannot tell."""
         rows = [(n.name, number(n.value, 6), number(2 * n.std, 2), _percent(n)) for n in self.numbers]
         lines = [f"{self.record}: {self.words}"]
+        lines += resampled_lines(self.resampled)
         if self.equivalent:
             lines.append(f"the same law: {'; '.join(self.equivalent)}")
         lines += ["", aligned(("number", "value", "2 sigma", "%"), rows, (False, True, True, True)), ""]

@@ -129,6 +129,11 @@ class Chart:
     columns: int = 1
 
 
+def said(correlation: float) -> str:
+    """Return a number between -1 and 1 with two decimals; of 0 there is no negative."""
+    return f"{round(correlation, 2) + 0.0:.2f}"
+
+
 def thinned(x: FloatArray, *signals: FloatArray, most: int) -> tuple[FloatArray, ...]:
     """Return signals with no more than about `most` points: of each stretch the least and the largest of each signal.
 

@@ -7,16 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jointid.common.errors import ExtraError
+from jointid.common.extras import extra
 from jointid.data.record import FloatArray
-from jointid.report.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel
+from jointid.report.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, said
 
 if TYPE_CHECKING:
     from bokeh.plotting import figure
 
+PURPOSE = "A report as a page (Markdown and figures do without)"
+"""What the extra is needed for."""
+
 _FONT = "system-ui, sans-serif"
 _GREY = "#555555"
 _WIDTH = 900
+_FEW_TICKS = 3  # of a narrow panel: large numbers would run into each other
 
 
 def script() -> str:
@@ -25,19 +29,8 @@ def script() -> str:
     Raises:
         ExtraError: bokeh is not installed.
     """
-    try:
-        from bokeh.resources import Resources
-    except ImportError:
-        raise missing("bokeh") from None
-    return str(Resources(mode="inline", components=["bokeh"], minified=True).js_raw[0])
-
-
-def missing(package: str) -> ExtraError:
-    """Return the error that says which extra brings a package of the report."""
-    return ExtraError(
-        f'The report as a page needs {package}, which is not installed; install it with pip install "jointid[report]", '
-        "or write the report as Markdown and figures, which need neither."
-    )
+    found = extra("bokeh.resources", "report", PURPOSE).Resources(mode="inline", components=["bokeh"], minified=True)
+    return str(found.js_raw[0])
 
 
 def plot(chart: Chart) -> str:
@@ -46,12 +39,10 @@ def plot(chart: Chart) -> str:
     Raises:
         ExtraError: bokeh is not installed.
     """
-    try:
-        from bokeh.embed import json_item
-        from bokeh.layouts import gridplot
-        from bokeh.models import Range1d
-    except ImportError:
-        raise missing("bokeh") from None
+    json_item = extra("bokeh.embed", "report", PURPOSE).json_item
+    from bokeh.layouts import gridplot
+    from bokeh.models import Range1d
+
     ranges: dict[str, Any] = {}
     figures = []
     sources = _Sources()
@@ -74,7 +65,7 @@ def _extent(chart: Chart, group: str) -> tuple[float, float]:
 
 
 def _figure(panel: Panel, x_range: Any, columns: int, sources: _Sources) -> figure:
-    from bokeh.models import Legend, WheelZoomTool
+    from bokeh.models import Legend, PrintfTickFormatter, WheelZoomTool
     from bokeh.plotting import figure
 
     cells = [item for item in panel.items if isinstance(item, Cells)]
@@ -104,6 +95,12 @@ def _figure(panel: Panel, x_range: Any, columns: int, sources: _Sources) -> figu
     ):  # a page must scroll under the pointer: the wheel zooms when asked
         tool.visible = True
     made.toolbar.active_drag = None if cells else made.toolbar.tools[1]
+    if columns > 2 and not cells and not panel.log_x:
+        made.xaxis[0].ticker.desired_num_ticks = _FEW_TICKS
+    if not cells and not panel.log_x:
+        made.xaxis[0].formatter = PrintfTickFormatter(format="%.6g")
+    if not cells and not panel.log_y:
+        made.yaxis[0].formatter = PrintfTickFormatter(format="%.6g")
     legend = []
     for item in panel.items:
         drawn = _item(made, item, sources)
@@ -167,7 +164,7 @@ def _rule(made: figure, item: Mark | Level) -> None:
     else:
         label = Label(x=6, y=at, x_units="screen", y_offset=2, text=item.label)
     label.text_font_size, label.text_font, label.text_color = "12px", _FONT, "#333333"
-    label.background_fill_color, label.background_fill_alpha = "white", 0.7
+    label.background_fill_color, label.background_fill_alpha = "white", 0.85
     made.add_layout(label)
 
 
@@ -182,7 +179,7 @@ def _cells(made: figure, cells: Cells) -> None:
     x, y = [names[i] for i in columns], [names[i] for i in rows]
     made.rect(x, y, 1, 1, color=[to_hex(shades(0.5 + 0.5 * float(v))) for v in values], line_color="white")
     made.text(
-        x, y, text=[f"{v:.2f}" for v in values], text_align="center", text_baseline="middle", text_font_size="11px",
+        x, y, text=[said(float(v)) for v in values], text_align="center", text_baseline="middle", text_font_size="11px",
         text_font={"value": _FONT}, text_color=["white" if abs(v) > 0.6 else "#222222" for v in values],
     )  # fmt: skip
     made.grid.visible = False

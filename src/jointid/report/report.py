@@ -109,7 +109,7 @@ class Report:
         return Document(title(self.estimate, self.name), told, self.answer() if interactive else "")
 
 
-def report(
+def report_estimate(
     estimate: Estimate,
     record: Record,
     checks: Sequence[Validation] = (),
@@ -128,7 +128,7 @@ def report(
         name: of the joint, for the title.
         profiles: quantities whose criterion is followed, as `intervals` takes them; every free parameter of the joint
             when None, none when empty. Of DIDIM only.
-        loop: whether loop and log are checked, unless the estimate says so already.
+        loop: whether loop and log are checked; see `jointid.assessment.dossier.dossier`.
         progress: is told each step.
 
     Example:
@@ -136,9 +136,11 @@ def report(
         >>> axis = ji.twin(noise="white")
         >>> record = axis.record.without("motor_position", "load_position")
         >>> estimate = ji.identify(record, axis.loop, ji.FlexibleDIDIM(frequency=30.0))
-        >>> told = ji.report(estimate, record, profiles=["stiffness"])
+        >>> told = ji.report_estimate(estimate, record, profiles=["stiffness"])
         >>> "## Verdicts" in told.markdown()
         True
+
+    It is not called `report`, which is the room it lives in.
     """
     return Report(dossier(estimate, record, checks, profiles=profiles, loop=loop, progress=progress), name)
 
@@ -157,7 +159,7 @@ def report_file(
         file: a loaded joint file.
         record: path of the record, instead of the one the file names.
         repetition: what it takes to do it again, where the files are known; see `repetition`.
-        profiles: see `report`.
+        profiles: see `report_estimate`.
         progress: is told each step.
 
     Raises:

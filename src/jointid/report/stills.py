@@ -6,7 +6,7 @@ import io
 import re
 from typing import TYPE_CHECKING
 
-from jointid.report.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, thinned
+from jointid.report.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, said, thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,6 +41,8 @@ def drawn(chart: Chart) -> Figure:
         elif panel.group:
             groups[panel.group] = axes
         _panel(axes, panel)
+        if chart.columns > 2 and not panel.log_x:
+            axes.locator_params(axis="x", nbins=4)
     return figure
 
 
@@ -115,6 +117,7 @@ def _item(axes: Axes, item: Item) -> None:
         axes.annotate(
             item.label, (item.x, 0.0), xycoords=("data", "axes fraction"), xytext=(3, 4 + 10 * item.row),
             textcoords="offset points", fontsize=7.5, color="0.2",
+            bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
         )  # fmt: skip
     elif isinstance(item, Level):
         axes.axhline(item.y, color="0.35", linewidth=0.8, linestyle=_DASHES[item.dash])
@@ -138,6 +141,4 @@ def _cells(axes: Axes, cells: Cells) -> None:
         for column in at:
             value = float(cells.values[row, column])
             dark = abs(value) > 0.6
-            axes.text(
-                column, row, f"{value:.2f}", ha="center", va="center", fontsize=7, color="white" if dark else "0.15"
-            )
+            axes.text(column, row, said(value), ha="center", va="center", fontsize=7, color="white" if dark else "0.15")

@@ -38,10 +38,8 @@ def sums_table(estimate: Estimate) -> Table | None:
         header = (*header, f"on the {estimate.other.side} side")
         told = [f"{number(one.value)} {one.combination.unit}" for one in there]
         rows = [(*row, told[i] if i < len(told) else "-") for i, row in enumerate(rows)]
-    return Table(
-        header, tuple(rows), "What is known together: sums and differences, then the best known combinations",
-        words=(0, 3, 4, 5),
-    )  # fmt: skip
+    caption = f"What is known together: {'sums and differences, then ' if physical else ''}the best known combinations"
+    return Table(header, tuple(rows), caption, words=(0, 3, 4, 5))
 
 
 def bounds_table(estimate: Estimate) -> Table | None:
@@ -93,7 +91,7 @@ def profiles_table(given: Dossier) -> Table | None:
     """Return the profiles' intervals; None where there are none."""
     if not given.profiles:
         return None
-    rows = tuple(
+    rows: tuple[tuple[str, ...], ...] = tuple(
         (
             one.formula,
             number(one.estimate),
@@ -104,12 +102,10 @@ def profiles_table(given: Dossier) -> Table | None:
         for one in given.profiles
     )
     level = 100 * given.profiles[0].level
-    return Table(
-        ("quantity", "estimate", "from", "to", "unit", "note"),
-        rows,
-        f"Profile intervals, {level:.4g} %",
-        words=(0, 4, 5),
-    )
+    header: tuple[str, ...] = ("quantity", "estimate", "from", "to", "unit", "note")
+    if not any(row[-1] for row in rows):
+        header, rows = header[:-1], tuple(row[:-1] for row in rows)
+    return Table(header, rows, f"Profile intervals, {level:.4g} %", words=(0, 4, 5))
 
 
 def suspects_table(given: Dossier) -> Table | None:

@@ -9,6 +9,7 @@ from jointid.common.text import aligned, number
 from jointid.data.record import FloatArray
 from jointid.data.signals import Filtering
 from jointid.data.transmission import transmission_lines
+from jointid.data.uniformity import Resampled, resampled_lines
 from jointid.estimation.estimated import EstimatedParameter, OnBothSides
 from jointid.estimation.printed import shown
 from jointid.inference.repeatable import Repeatable
@@ -37,6 +38,7 @@ class RecordShare:
         repeatable: what of the residual it leaves by itself repeats with the motion.
         sample_time, filtering, rows: of its torque; how it was filtered; how many rows it gave.
         measured, predicted: (samples,) raw torque, and that of the common model.
+        resampled: how its samples were brought to a uniform clock, None where they were logged so.
         relative_error, filtered_error: norm of the error of the common model over that of the torque, raw with the
             borders left out, and filtered; alone_error: the filtered one of the record by itself.
     """
@@ -60,6 +62,7 @@ class RecordShare:
     relative_error: float
     filtered_error: float
     alone_error: float
+    resampled: Resampled | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,6 +120,7 @@ class CommonEstimate(OnBothSides):
             unit = next(p.unit for p in self.parameters + record.parameters if p.name.endswith("inertia"))
             more = f", {number(record.added_inertia)} {unit} added to the load" if record.added_inertia else ""
             lines.append(f"record {k}: {record.name}{more}; read: {', '.join(record.channels)}")
+            lines += resampled_lines(record.resampled)
         own = [(k, p) for k, record in enumerate(self.records, 1) for p in record.parameters]
         lines += ["", self._shared(), ""]
         lines += [_own(own), ""] if own else []

@@ -163,6 +163,7 @@ class _Ended:
         return RecordShare(
             name=record.name,
             fingerprint=fingerprint(record.torque.values),
+            resampled=record.resampled,
             loop=problem.loop,
             channels=(*problem.loop.channels, *(("injected",) if record.injected is not None else ())),
             added_inertia=sum(self.arranged.added[number].values()),

@@ -64,7 +64,7 @@ def identify(folder: Path) -> None:
     from jointid.estimation.identify import identify as identified
     from jointid.jointfile import load
     from jointid.report.repetition import repetition
-    from jointid.report.report import report
+    from jointid.report.report import report_estimate
     from jointid.simulation import sensitivities
 
     work = _work(folder)
@@ -86,7 +86,7 @@ def identify(folder: Path) -> None:
     )
     # The paper's search need not end where least squares would, and its loop would be blamed for that.
     loop = not isinstance(file.method, FlexibleDIDIM) or file.method.minimiser == "least-squares"
-    told = report(estimate, record, name=file.name or "", loop=loop, progress=_tell)
+    told = report_estimate(estimate, record, name=file.name or "", loop=loop, progress=_tell)
     again = repetition(folder / "joint.toml", folder / work["file"], {})
     again = replace(again, record_name=work["name"], command="jointid report joint.toml --html report.html")
     _write(folder / "report.html", replace(told, repetition=again).html())

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
@@ -20,8 +20,9 @@ import numpy as np
 from jointid.common.errors import RecordError
 from jointid.common.units import UnitError, unit
 from jointid.data.formats.dialect import BLANKS, Dialect, Fit, is_number, sniff
-from jointid.data.formats.table import Table
-from jointid.data.formats.textfile import Line, TextFile, is_comment, read_lines, stream_lines, text_of
+from jointid.data.formats.scope import scope_of, scope_table
+from jointid.data.formats.table import Holds, Table
+from jointid.data.formats.textfile import Line, TextFile, is_comment, read_lines, short, stream_lines, text_of
 from jointid.data.record import FloatArray
 
 _BRACKETED = re.compile(r"\[(.*)\]|\((.*)\)")
@@ -76,7 +77,7 @@ class Csv:
 
     The line above the first row of numbers names the columns, be it a comment; a line of units between them
     is joined to the names ("torque [N m]"). A column without a name is called by its number, from "1".
-    Empty cells are NaN.
+    Empty cells are NaN. An export of TwinCAT Scope is known by its header; see `jointid.data.formats.scope`.
 
     Attributes:
         delimiter: one character, " " for any run of blanks; None finds it.
@@ -94,6 +95,7 @@ class Csv:
 
     name: ClassVar[str] = "CSV"
     suffixes: ClassVar[tuple[str, ...]] = (".csv", ".txt", ".tsv", ".dat")
+    holds: ClassVar[Holds] = Holds.NOTHING
 
     def __post_init__(self) -> None:
         mark = self.delimiter
@@ -139,6 +141,11 @@ class Csv:
             lines = stream_lines(path)
             head = list(islice(lines, _BEGINNING))
             text = text_of(path.name, head)
+            if scope_of(text) is not None:
+                raise RecordError(
+                    f"{path.name} is an export of TwinCAT Scope, whose rows are no instants: it cannot be read in "
+                    "pieces; convert it to NPY."
+                )
             layout = self._layout(text)
         except csv.Error as error:
             raise RecordError(f"{path.name} cannot be split into cells ({error}); is it delimited text?") from error
@@ -149,7 +156,15 @@ class Csv:
             yield Lines(path.name, layout, block, not following)
             block = following
 
+    def allowed(self, name: str, others: Collection[str] = ()) -> str:
+        """Return a name in one line that is no number; see `Format.allowed`."""
+        plain = "".join(c if c.isprintable() else "_" for c in name).strip() or "column"
+        return f"column {plain}" if is_number(plain) and not name.isdecimal() else plain
+
     def _table(self, text: TextFile) -> Table:
+        scope = None if self.header is False else scope_of(text)
+        if scope is not None:
+            return scope_table(text, scope, self.decimal)
         layout = self._layout(text)
         return Lines(text.name, layout, text.lines[layout.start :]).table()
 
@@ -210,7 +225,7 @@ class Csv:
                 return None  # a remark in a comment
             if numbers:
                 raise RecordError(
-                    f'{text.name}: line {above.number} ("{_short(above.text)}") stands above the first row '
+                    f'{text.name}: line {above.number} ("{short(above.text)}") stands above the first row '
                     f'and holds the number "{numbers[0]}"; mend it if it is a row, give header = true if it '
                     "holds names, header = false if it is a remark."
                 )
@@ -278,7 +293,7 @@ def _row(file: str, line: Line, last: bool, dialect: Dialect, names: Sequence[st
             values.append(dialect.number(cell))
         except ValueError:
             raise RecordError(
-                f'{file}: line {line.number}, column "{name}" holds "{_short(cell)}", which is not a number; '
+                f'{file}: line {line.number}, column "{name}" holds "{short(cell)}", which is not a number; '
                 "mend it or leave the cell empty."
             ) from None
     return values
@@ -300,10 +315,6 @@ def _header(table: Table, delimiter: str) -> list[str]:
             "printable, is no number and does not begin or end with a blank; rename the column."
         )
     return [line]
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= 40 else f"{text[:37]}..."
 
 
 def _count(number: int, noun: str) -> str:

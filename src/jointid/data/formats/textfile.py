@@ -101,3 +101,9 @@ def stream_lines(path: Path) -> Iterator[Line]:
 
 def _filled(line: str) -> bool:
     return bool(line) and not line.isspace()
+
+
+def short(text: str) -> str:
+    """Return a piece of a file as a sentence can quote it: not too long, and nothing in it that a terminal obeys."""
+    shown = "".join(mark if mark.isprintable() else ascii(mark)[1:-1] for mark in text[:41])
+    return shown if len(text) <= 40 else f"{shown[:37]}..."
