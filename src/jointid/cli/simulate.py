@@ -32,8 +32,7 @@ def simulate(
         joint: the joint file (TOML).
         record: the record whose reference (and injected signal) drives the loop.
         estimate: what identify --json wrote; its parameters are used.
-        out: write torque, reference and positions to this file, of any format, as the joint file reads them.
-        out: write torque, reference and positions to this file, in the format of its suffix, under the names and in the
+        out: write torque, reference and positions to this file, of any format, under the names and in the
             units in which the joint file, or its drive's profile, reads them, each on its own side of a transmission.
         json: also write a summary as JSON to this file.
         twin: the paper's digital twin instead, under this loop.

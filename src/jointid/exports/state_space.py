@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from jointid.common.errors import ExtraError, MethodError
+from jointid.common.errors import MethodError
+from jointid.common.extras import extra
 from jointid.common.text import number
 from jointid.data.record import FloatArray
 from jointid.exports.joint_model import JointModel
@@ -119,10 +120,7 @@ class StateSpace:
         Raises:
             ExtraError: python-control is not there.
         """
-        try:
-            import control
-        except ImportError:
-            raise ExtraError('python-control is not installed; it comes with pip install "jointid[models]".') from None
+        control = extra("control", "models", "A state space for python-control")
         dt = 0 if self.period is None else self.period
         names = {"states": list(self.states), "inputs": list(self.inputs), "outputs": list(self.outputs)}
         return control.ss(self.A, self.B, self.C, self.D, dt, **names)
