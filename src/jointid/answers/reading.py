@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -14,6 +15,8 @@ from jointid.estimation.estimate import IdentifiedJoint, MethodName
 from jointid.model.effects import effect_parameters
 from jointid.model.joints import Joint
 from jointid.simulation.experiment import ClosedLoop
+
+_LARGEST = 2**26  # bytes
 
 
 def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
@@ -67,7 +70,9 @@ def read_friction(path: str | Path) -> Literal["symmetric", "asymmetric"]:
 def _read(path: str | Path) -> Json:
     remedy = "give the file that identify --json wrote"
     try:
-        answer = json.loads(Path(path).read_text(encoding="utf-8"))
+        if (size := Path(path).stat().st_size) > _LARGEST:
+            raise RecordError(f"{path} has {size} bytes, which no answer has (at most {_LARGEST}); {remedy}.")
+        answer = json.loads(Path(path).read_text(encoding="utf-8-sig"), parse_constant=_no_number)
     except OSError as error:
         raise RecordError(f"{path} cannot be read ({error.strerror}); {remedy}.") from None
     except (ValueError, RecursionError):
@@ -75,6 +80,11 @@ def _read(path: str | Path) -> Json:
     if not isinstance(answer, dict):
         raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {remedy}.")
     return answer
+
+
+def _no_number(name: str) -> float:
+    """Refuse NaN and Infinity, which no answer holds and JSON does not know."""
+    raise ValueError(name)
 
 
 def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
@@ -86,6 +96,8 @@ def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identifi
     effects = tuple(read_effect(effect) for effect in answer.get("effects", []))
     every = (*joint.parameters, *effect_parameters(effects))
     values = {p.name: float(found[p.name]["value"]) for p in every}
+    if not all(math.isfinite(value) for value in (*values.values(), float(answer["delay"]))):
+        raise ValueError
     given = answer["filtering"]
     filtering = Filtering(
         given["position_cutoff"],

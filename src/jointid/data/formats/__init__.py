@@ -82,9 +82,11 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
 @contextmanager
 def _reading(path: Path) -> Iterator[None]:
     """Say in a sentence why a file cannot be read."""
-    if path.is_dir():
-        raise RecordError(f"{path} is a folder; name a file in it.")
+    if "\0" in str(path):
+        raise RecordError(f"{path} is no path: it holds a zero byte; correct it.")
     try:
+        if path.is_dir():
+            raise RecordError(f"{path} is a folder; name a file in it.")
         if path.stat().st_size == 0:
             raise RecordError(f"{path.name} is empty (0 bytes); log or copy it again.")
         yield

@@ -12,8 +12,10 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 
 from jointid.common.errors import RecordError
+from jointid.common.text import short
 from jointid.data.record import FloatArray
 
+_QUOTED = 100  # characters of a name
 _LISTED = 20  # columns that a message lists; some MAT files have thousands
 
 
@@ -54,7 +56,7 @@ class Table:
         names = list(self.columns)
         shown = names if len(names) <= _LISTED else difflib.get_close_matches(wanted, names, _LISTED, cutoff=0.0)
         rest = f" and {len(names) - len(shown)} more" if len(shown) < len(names) else ""
-        return (", ".join(f'"{name}"' for name in shown) or "none") + rest
+        return (", ".join(f'"{short(name, _QUOTED)}"' for name in shown) or "none") + rest
 
 
 class Format(Protocol):
