@@ -16,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from benchmarks.figures import drawn
 from benchmarks.footprint import ROOT, footprints, sizes
-from benchmarks.identification import STARTS, identified
+from benchmarks.identification import STARTS, identified, rigid
 from benchmarks.measuring import chosen, measured, own, swept
 from benchmarks.page import written
 from benchmarks.peers import PEERS, peer
@@ -61,7 +61,7 @@ def measure(options: argparse.Namespace, before: Results | None) -> Results:
         results = replace(results, footprints=footprints(numbers, options.rounds))
     if "searches" in parts:
         say("Whole identifications")
-        results = replace(results, solvers=identified(options.starts, say))
+        results = replace(results, solvers=identified(options.starts, say), rigid=rigid())
     if "sizes" in parts:
         say("Install sizes")
         results = replace(results, sizes=sizes(_INSTALLED))

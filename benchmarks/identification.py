@@ -16,8 +16,9 @@ from scipy.optimize import least_squares
 
 from benchmarks.peers.mujoco_sysid import with_toolbox
 from benchmarks.problem import Array
-from benchmarks.results import Solver
+from benchmarks.results import Rigid, Solver, spread
 from benchmarks.searching import Search, summed, timed
+from benchmarks.startup import HERE, emps
 from jointid.common.progress import silent
 from jointid.data.signals import Filtering
 from jointid.estimation.descent import Descent, by_simplex, refined
@@ -25,6 +26,7 @@ from jointid.estimation.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.estimation.identify import identify
 from jointid.estimation.problem import Problem, torque_problem
 from jointid.estimation.surroundings import INITIAL_STATE
+from jointid.jointfile import load
 from jointid.paper.twin import Twin, twin
 
 STARTS = 100
@@ -38,6 +40,7 @@ _PAPER = FlexibleDIDIM.paper()
 _EVALUATIONS = 60  # of least squares, derivatives by differences not counted; what `refined` allows itself
 
 _TIMES = 3  # that the verb is run: there is no start to vary
+_RIGID_TIMES = 21  # that it is for a rigid joint
 
 
 def problem_of(axis: Twin) -> Problem:
@@ -120,3 +123,21 @@ def _verb(axis: Twin, best: float) -> Solver:
         estimate = identify(axis.record, axis.loop, filtering=FILTERING)
         runs.append((time.perf_counter() - begin, estimate.simulations, estimate.filtered_error))
     return summed("`identify`, which needs no start", runs, best, "with its exploration, intervals and verdicts")
+
+
+def rigid(times: int = _RIGID_TIMES) -> Rigid | None:
+    """Return what `identify` does with the public record as its joint file has it; None where the record is not.
+
+    The first run, which compiles, is not counted.
+    """
+    if (path := emps()) is None:
+        return None
+    file = load(HERE.parent / "examples" / "emps" / "joint.toml")
+    record = file.record(path)
+    assert file.loop is not None
+    seconds = []
+    for _ in range(times + 1):
+        begin = time.perf_counter()
+        estimate = identify(record, file.loop, file.method, filtering=file.filtering, parameters=file.parameters)
+        seconds.append(time.perf_counter() - begin)
+    return Rigid(estimate.measured.size, spread(seconds[1:]), estimate.simulations, estimate.filtered_error)

@@ -131,6 +131,16 @@ class Solver:
 
 
 @dataclass(frozen=True, slots=True)
+class Rigid:
+    """The public record of a real rigid axis, identified from torque alone: samples, what it took, and what it left."""
+
+    samples: int
+    seconds: Spread
+    simulations: int
+    left: float
+
+
+@dataclass(frozen=True, slots=True)
 class Results:
     """Everything the page is made of.
 
@@ -150,6 +160,7 @@ class Results:
     footprints: tuple[Footprint, ...] = ()
     sizes: tuple[Size, ...] = ()
     solvers: tuple[Solver, ...] = field(default=())
+    rigid: Rigid | None = None
 
 
 def save(results: Results, path: Path) -> None:

@@ -22,6 +22,7 @@ from benchmarks.results import (
     Own,
     Point,
     Results,
+    Rigid,
     Row,
     Size,
     Solver,
@@ -230,6 +231,7 @@ def some_results() -> Results:
             Solver("least squares", 6, (1.0,) * 6, (20,) * 6, (0.08,) * 6, (True,) * 4 + (False,) * 2),
             Solver("a toolbox", 0, (), (), (), (), "left out: no such thing"),
         ),
+        Rigid(24841, Spread(0.03, 0.028, 0.04, 21), 7, 0.045),
     )  # fmt: skip
 
 
@@ -244,6 +246,7 @@ def test_the_page_says_what_was_measured() -> None:
     assert "| other | it could not be installed: no |  |" in text
     assert "| least squares | 4 of 6 | 20 (20 to 20) | 1 (1 to 1) | 8.0000 |" in text
     assert "| a toolbox | left out: no such thing |" in text
+    assert "not the first time: 30 (28 to 40) ms, 7 simulations with derivatives, 4.50 % of the torque left." in text
     assert text.count("\n\n\n") == 0
     assert text.endswith(page.TRIED.read_text(encoding="utf-8"))
     assert "## Whole identifications" not in page.written(replace(some_results(), solvers=()))

@@ -568,12 +568,13 @@ FAULTS = [
     ),
     (
         SMALLEST + "velocity_filter = {}",
-        "controller.velocity_filter.numerator is missing; expected a list of one or more numbers (b0, b1, ...): "
-        "add it.",
+        "controller.velocity_filter.numerator is missing; expected a list of one or more numbers (of digital: b0, b1, "
+        "... in powers of 1/z): add it.",
     ),
     (
         SMALLEST + 'torque_filters = [[0.5, 0.5], { kind = "notch", frequency = 80 }]',
-        "controller.torque_filters.1.bandwidth is missing; expected a positive number (of a notch [Hz]): add it.",
+        "controller.torque_filters.1.bandwidth is missing; expected a positive number (of notch: its width [Hz]): "
+        "add it.",
     ),
     (
         SMALLEST + 'torque_filters = [{ kind = "first_order", time_constant = 0.001, frequency = 80 }]',

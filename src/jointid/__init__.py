@@ -12,10 +12,13 @@ if TYPE_CHECKING:
     from jointid.answers import (
         advice_answer,
         comparison_answer,
+        drift_answer,
         estimate_answer,
+        inspection_answer,
         learned_answer,
         long_answer,
         loop_answer,
+        read_report,
         revealing_answer,
         simulation_answer,
         together_answer,
@@ -23,6 +26,8 @@ if TYPE_CHECKING:
     )
     from jointid.assessment.advice import Advice, advise
     from jointid.assessment.comparison import Comparison, compare
+    from jointid.assessment.dossier import Dossier, dossier
+    from jointid.assessment.drift import ReportComparison, compare_reports
     from jointid.assessment.intervals import Intervals, intervals
     from jointid.assessment.loop import check_loop
     from jointid.assessment.loopcheck import LoopCheck
@@ -38,8 +43,10 @@ if TYPE_CHECKING:
     )
     from jointid.data.checks import check_record
     from jointid.data.columns import Column
+    from jointid.data.converting import Conversion, convert
     from jointid.data.drive import Drive
     from jointid.data.excitation import pulses, trapezoids
+    from jointid.data.inspection import Inspection, inspect
     from jointid.data.pieces import Log
     from jointid.data.reading import read
     from jointid.data.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, record_of
@@ -55,6 +62,13 @@ if TYPE_CHECKING:
     from jointid.estimation.identify import identify
     from jointid.estimation.idim import IDIM
     from jointid.estimation.open_loop import OpenLoopFit
+    from jointid.exports.export import Export, export, read_estimated, state_space
+    from jointid.exports.joint_toml import JointToml
+    from jointid.exports.linear import Matlab, StateSpaceJson
+    from jointid.exports.mjcf import Mjcf
+    from jointid.exports.modelica import Modelica
+    from jointid.exports.state_space import StateSpace
+    from jointid.exports.urdf import Urdf
     from jointid.jointfile import JointFile, load
     from jointid.learning.learn import learn_loop
     from jointid.learning.learned import LearnedLoop
@@ -77,7 +91,9 @@ if TYPE_CHECKING:
     from jointid.model.joints import FlexibleJoint, RigidJoint, frequencies, rigid_sums
     from jointid.model.parameters import Parameter
     from jointid.paper.twin import Twin, twin
+    from jointid.report.channels import channels_figure
     from jointid.report.figures import residual_figure, save, torque_figure
+    from jointid.report.report import Report, report_estimate, report_file
     from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_many
     from jointid.simulation.drive_side import DriveSide
     from jointid.simulation.experiment import ClosedLoop, prepare
@@ -90,10 +106,13 @@ _HOMES = {
     "answers": (
         "advice_answer",
         "comparison_answer",
+        "drift_answer",
         "estimate_answer",
+        "inspection_answer",
         "learned_answer",
         "long_answer",
         "loop_answer",
+        "read_report",
         "revealing_answer",
         "simulation_answer",
         "together_answer",
@@ -101,6 +120,8 @@ _HOMES = {
     ),
     "assessment.advice": ("Advice", "advise"),
     "assessment.comparison": ("Comparison", "compare"),
+    "assessment.dossier": ("Dossier", "dossier"),
+    "assessment.drift": ("ReportComparison", "compare_reports"),
     "assessment.intervals": ("Intervals", "intervals"),
     "assessment.loop": ("check_loop",),
     "assessment.revealing": ("Revealing", "revealing", "what_would_tell_more"),
@@ -108,8 +129,10 @@ _HOMES = {
     "common.errors": ("ExtraError", "JointFileError", "JointidError", "MethodError", "RecordError"),
     "data.checks": ("check_record",),
     "data.columns": ("Column",),
+    "data.converting": ("Conversion", "convert"),
     "data.drive": ("Drive",),
     "data.excitation": ("pulses", "trapezoids"),
+    "data.inspection": ("Inspection", "inspect"),
     "data.pieces": ("Log",),
     "data.reading": ("read",),
     "data.writing": ("write",),
@@ -129,6 +152,13 @@ _HOMES = {
     "together.together": ("identify_together",),
     "assessment.loopcheck": ("LoopCheck",),
     "assessment.suspects": ("LoopTests",),
+    "exports.export": ("Export", "export", "read_estimated", "state_space"),
+    "exports.joint_toml": ("JointToml",),
+    "exports.linear": ("Matlab", "StateSpaceJson"),
+    "exports.mjcf": ("Mjcf",),
+    "exports.modelica": ("Modelica",),
+    "exports.state_space": ("StateSpace",),
+    "exports.urdf": ("Urdf",),
     "jointfile": ("JointFile", "load"),
     "learning.learn": ("learn_loop",),
     "learning.learned": ("LearnedLoop",),
@@ -151,7 +181,9 @@ _HOMES = {
     "model.joints": ("FlexibleJoint", "RigidJoint", "frequencies", "rigid_sums"),
     "model.parameters": ("Parameter",),
     "paper.twin": ("Twin", "twin"),
+    "report.channels": ("channels_figure",),
     "report.figures": ("residual_figure", "save", "torque_figure"),
+    "report.report": ("Report", "report_estimate", "report_file"),
     "simulation.closed_loop": ("Initial", "Outcome", "Simulation", "simulate", "simulate_many"),
     "simulation.drive_side": ("DriveSide",),
     "simulation.experiment": ("ClosedLoop", "prepare"),
@@ -174,14 +206,17 @@ __all__ = [
     "Column",
     "CommonEstimate",
     "Comparison",
+    "Conversion",
     "Counterbalance",
     "DigitalFilter",
+    "Dossier",
     "Drift",
     "Drive",
     "DriveSide",
     "DriveSideFit",
     "Estimate",
     "EstimatedParameter",
+    "Export",
     "ExtraError",
     "Filtering",
     "FirstOrder",
@@ -192,16 +227,21 @@ __all__ = [
     "Initial",
     "Injection",
     "InjectionPoint",
+    "Inspection",
     "Intervals",
     "JointFile",
     "JointFileError",
+    "JointToml",
     "JointidError",
     "LearnedLoop",
     "Log",
     "LongEstimate",
     "LoopCheck",
     "LoopTests",
+    "Matlab",
     "MethodError",
+    "Mjcf",
+    "Modelica",
     "MovingAverage",
     "Notch",
     "OpenLoop",
@@ -212,29 +252,42 @@ __all__ = [
     "Record",
     "RecordError",
     "RecordShare",
+    "Report",
+    "ReportComparison",
     "Resampling",
     "Revealing",
     "RigidJoint",
     "SecondOrder",
     "Simulation",
+    "StateSpace",
     "StateSpaceController",
+    "StateSpaceJson",
     "SymmetricFriction",
     "Tap",
     "Timing",
     "Transmission",
     "Twin",
+    "Urdf",
     "Validation",
     "advice_answer",
     "advise",
+    "channels_figure",
     "check_loop",
     "check_record",
     "compare",
+    "compare_reports",
     "comparison_answer",
+    "convert",
+    "dossier",
+    "drift_answer",
     "estimate_answer",
+    "export",
     "frequencies",
     "identify",
     "identify_long",
     "identify_together",
+    "inspect",
+    "inspection_answer",
     "intervals",
     "learn_loop",
     "learned_answer",
@@ -244,7 +297,11 @@ __all__ = [
     "prepare",
     "pulses",
     "read",
+    "read_estimated",
+    "read_report",
     "record_of",
+    "report_estimate",
+    "report_file",
     "residual_figure",
     "revealing",
     "revealing_answer",
@@ -254,6 +311,7 @@ __all__ = [
     "simulate_many",
     "simulated_record",
     "simulation_answer",
+    "state_space",
     "together_answer",
     "torque_figure",
     "trapezoids",

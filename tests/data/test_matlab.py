@@ -119,10 +119,10 @@ def test_the_other_byte_order_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("offset", [0, 512])
-def test_version_7_3_is_named(offset: int, tmp_path: Path) -> None:
+def test_version_7_3_is_told_by_the_first_bytes(offset: int, tmp_path: Path) -> None:
     path = tmp_path / "run.mat"
     path.write_bytes(b" " * offset + b"\x89HDF\r\n\x1a\n" + bytes(64))
-    with pytest.raises(RecordError, match=r"run\.mat is a MAT file of version 7\.3.*save it with -v7"):
+    with pytest.raises(RecordError, match=r"run\.mat cannot be read as a MAT file of version 7\.3: it is damaged"):
         read_table(path)
 
 
@@ -152,9 +152,11 @@ def test_what_a_mat_file_cannot_hold_is_refused(table: Table, part: str, tmp_pat
     assert not (tmp_path / "run.mat").exists()
 
 
-def test_a_mat_file_has_no_options(tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match="Reading MAT has no option delimiter; it has: none"):
+def test_a_mat_file_has_no_option_but_its_version(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="Reading MAT has no option delimiter; it has: version"):
         read_table(tmp_path / "run.mat", delimiter=",")
+    with pytest.raises(RecordError, match=r'is written in version "7" or "7\.3"; got 6'):
+        write_table(tmp_path / "run.mat", Table({"q": np.zeros(2)}), version=6)
 
 
 def saved(variables: dict[str, Any], **how: Any) -> bytes:

@@ -148,7 +148,10 @@ def test_a_jump_of_the_clock_is_found_where_it_is(tmp_path: Path) -> None:
 def test_what_cannot_be_read_in_pieces_says_so(tmp_path: Path) -> None:
     made = tmp_path / "day.mat"
     write_table(made, Table(numbers()))
-    with pytest.raises(RecordError, match=r"MAT cannot be read in pieces; convert day.mat to one of CSV, NPY"):
+    with pytest.raises(
+        RecordError,
+        match=r"day\.mat is a MAT file of version 7 or older, which cannot be read in pieces; save it with -v7\.3",
+    ):
         list(Log(made, CHANNELS).pieces(20, 4))
     with pytest.raises(RecordError, match="torque has one of its own"):
         Log(made, {**CHANNELS, "torque": Column("torque", sample_time=0.02)})

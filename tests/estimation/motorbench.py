@@ -11,8 +11,8 @@ from scipy.optimize import minimize_scalar
 
 from jointid.data.record import Channel, Record, Tap, Timing
 from jointid.data.signals import Filtering
-from jointid.estimation.idim import regress
 from jointid.estimation.inverse_model import InverseModel, inverse_model
+from jointid.estimation.regression import least_squares
 from jointid.model.joints import FlexibleJoint
 from jointid.model.parameters import Parameter, Quantity
 
@@ -61,7 +61,9 @@ class Bench:
             ones = np.ones((1, model.columns.shape[1], 1))
             zero = np.concatenate([-ones, ones])
             wider = InverseModel(model.torque, np.concatenate([model.columns, zero], axis=2), model.inside, model.motor)
-            fit = regress((*JOINT.parameters, _ZERO), wider, resolved, PERIOD).fit
+            names = (*(p.name for p in JOINT.parameters), _ZERO.name)
+            Y, W = wider.decimated(resolved, PERIOD, np.zeros(len(names)))
+            fit = least_squares(W, Y, names)
             return float(np.linalg.norm(fit.residual)), fit.values
 
         best = minimize_scalar(

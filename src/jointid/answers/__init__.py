@@ -16,32 +16,43 @@ from jointid.answers.assessments import (
     validation_answer,
 )
 from jointid.answers.estimates import ESTIMATE_SCHEMA, TOGETHER_SCHEMA, estimate_answer, together_answer
+from jointid.answers.inspected import INSPECTION_SCHEMA, inspection_answer
 from jointid.answers.learned import LEARNED_SCHEMA, learned_answer
 from jointid.answers.long import LONG_SCHEMA, long_answer
-from jointid.answers.reading import read_friction, read_identified
+from jointid.answers.reading import read_answer, read_friction, read_identified
+from jointid.answers.reported import DRIFT_SCHEMA, drift_answer, read_report
+from jointid.answers.reports import REPORT_SCHEMA, report_answer
 from jointid.answers.simulations import SIMULATION_SCHEMA, simulation_answer
 from jointid.answers.writing import dumps, write
 
 __all__ = [
     "ADVICE_SCHEMA",
     "COMPARISON_SCHEMA",
+    "DRIFT_SCHEMA",
     "ESTIMATE_SCHEMA",
+    "INSPECTION_SCHEMA",
     "LEARNED_SCHEMA",
     "LONG_SCHEMA",
     "LOOP_SCHEMA",
+    "REPORT_SCHEMA",
     "REVEALING_SCHEMA",
     "SIMULATION_SCHEMA",
     "TOGETHER_SCHEMA",
     "VALIDATION_SCHEMA",
     "advice_answer",
     "comparison_answer",
+    "drift_answer",
     "dumps",
     "estimate_answer",
+    "inspection_answer",
     "learned_answer",
     "long_answer",
     "loop_answer",
+    "read_answer",
     "read_friction",
     "read_identified",
+    "read_report",
+    "report_answer",
     "revealing_answer",
     "simulation_answer",
     "together_answer",

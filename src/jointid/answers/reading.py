@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -30,7 +31,7 @@ def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> 
     Raises:
         RecordError: the file is no estimate, or belongs to another model, or to another side of its transmission.
     """
-    answer = _read(path)
+    answer = read_answer(path)
     if (told := answer.get("transmission")) != (declared := transmission_answer(joint.transmission)):
         raise RecordError(
             f"{path} was identified with {_geared(told)}, and this joint has {_geared(declared)}; correct "
@@ -59,7 +60,7 @@ def read_friction(path: str | Path) -> Literal["symmetric", "asymmetric"]:
     Raises:
         RecordError: the file is no estimate.
     """
-    friction = _read(path).get("friction")
+    friction = read_answer(path).get("friction")
     if friction not in ("symmetric", "asymmetric"):
         raise RecordError(
             f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; give the file that identify --json wrote."
@@ -67,7 +68,12 @@ def read_friction(path: str | Path) -> Literal["symmetric", "asymmetric"]:
     return "asymmetric" if friction == "asymmetric" else "symmetric"
 
 
-def _read(path: str | Path) -> Json:
+def read_answer(path: str | os.PathLike[str]) -> Json:
+    """Return the answer in a JSON file, whatever it is of.
+
+    Raises:
+        RecordError: the file cannot be read, or is no JSON object.
+    """
     remedy = "give the file that identify --json wrote"
     try:
         if (size := Path(path).stat().st_size) > _LARGEST:

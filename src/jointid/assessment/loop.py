@@ -66,11 +66,16 @@ def with_loop_verdict(estimate: Estimate, record: Record) -> Estimate:
         estimate: of the record.
         record: that it was identified from.
     """
+    return looked_at(estimate, record)[0]
+
+
+def looked_at(estimate: Estimate, record: Record) -> tuple[Estimate, LoopCheck | None]:
+    """Return an estimate as `with_loop_verdict` does, and the check; None where there was none."""
     if estimate.loop is None:
-        return estimate
+        return estimate, None
     if any(p.value is None for p in estimate.parameters):
         verdict = Verdict("loop", None, "not looked at, since the joint is not known; identify it as rigid")
-    else:
-        check = check_loop(estimate, record)
-        verdict = Verdict("loop", check.as_declared, "; ".join(check.sentences))
-    return replace(estimate, verdicts=(*estimate.verdicts, verdict))
+        return replace(estimate, verdicts=(*estimate.verdicts, verdict)), None
+    check = check_loop(estimate, record)
+    verdict = Verdict("loop", check.as_declared, "; ".join(check.sentences))
+    return replace(estimate, verdicts=(*estimate.verdicts, verdict)), check

@@ -23,7 +23,8 @@ def advise(
     Args:
         joint: the joint file (TOML); its method is didim.
         record: the record, instead of the one the joint file names.
-        encoder_step: of the encoders, in m or rad; without it that of the record's own, or a millionth of the travel.
+        encoder_step: of the encoders, in m or rad, on the side of a transmission that is reported; without it that of
+            the record's own, or a millionth of the travel.
         noise: where the torque's residual comes from, a force in the loop or the log itself; without it as the tap of
             the torque says.
         json: also write the answer as JSON to this file.

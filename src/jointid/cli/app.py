@@ -16,12 +16,18 @@ from cyclopts import App, CycloptsError
 from jointid import __version__
 from jointid.cli.advise import advise
 from jointid.cli.compare import compare
+from jointid.cli.compare_reports import compare_reports
+from jointid.cli.convert import convert
 from jointid.cli.demo import demo
+from jointid.cli.export import export
 from jointid.cli.identify import identify
+from jointid.cli.inspect import inspect
 from jointid.cli.intervals import intervals
 from jointid.cli.long import long
 from jointid.cli.loop import loop
+from jointid.cli.report import report
 from jointid.cli.reproduce import reproduce
+from jointid.cli.serve import serve
 from jointid.cli.simulate import simulate
 from jointid.cli.together import together
 from jointid.cli.validate import validate
@@ -36,7 +42,10 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (demo, loop, identify, long, together, intervals, compare, validate, advise, simulate, reproduce):
+for command in (
+    demo, inspect, convert, loop, identify, report, long, together, intervals, compare, compare_reports, validate,
+    advise, simulate, export, serve, reproduce,
+):  # fmt: skip
     app.command(command)
 
 

@@ -33,8 +33,8 @@ def identify(
         record: the record, instead of the one the joint file names.
         method: didim reads torque and reference only; idim reads torque and motor position, and the load's position
             too if the joint is flexible; drive_side and open_loop read torque and motor position, and no controller.
-        filtering: published repeats the results of the EMPS benchmark, as-printed the paper's for a flexible joint;
-            default is the program's own.
+        filtering: published repeats the results of the EMPS benchmark; as-printed the paper's for a flexible joint,
+            which aliases at 1 kHz and warns of it; default is the program's own.
         friction: the same in both directions, or not.
         minimiser: of didim for a flexible joint; nelder-mead is the paper's.
         frequency: in Hz, free-free, from which didim for a flexible joint starts its stiffness.

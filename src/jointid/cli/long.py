@@ -22,7 +22,7 @@ def long(
 
     Args:
         joint: the joint file (TOML); its method is didim.
-        record: the record, CSV or NPY, instead of the one the joint file names.
+        record: the record, of a format that is read in pieces, instead of the one the joint file names.
         window: seconds that count in a window.
         settling: seconds before and after each window that are simulated and do not count; without it measured.
         json: also write the answer as JSON to this file.

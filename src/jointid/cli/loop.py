@@ -24,7 +24,8 @@ def loop(
             record does not show of limit and delay.
         record: the record, instead of the one the joint file names.
         json: also write the answer as JSON to this file.
-        write: also write the joint file, with the learned [controller], to this file.
+        write: also write the joint file, with the learned [controller], to this file; all else, comments too, stays as
+            it is, but for the paths of records, which from another folder lead to the same files.
         quiet: say nothing of the progress.
     """
     from jointid.cli.console import check_outputs, progress, show

@@ -23,13 +23,15 @@ def reproduce(
     """
     from jointid.cli.console import make_folder, progress, ready, show
     from jointid.paper.reproduce import reproduce as run
+    from jointid.report.page import require_extra, save
     from jointid.report.reproduction import reproduction_document
 
+    require_extra(plots=False)
     make_folder(out)
     listener = progress(quiet)
     ready(listener)
     found = run(seed, listener)
-    written = reproduction_document(found).save(out, "reproduction")
+    written = save(reproduction_document(found), out, "reproduction")
     didim, best = found.first.didim, found.first.best
     for name in ("motor_inertia", "load_inertia", "stiffness"):
         value, std, truth = best.values[name], best[name].std or 0.0, found.first.axis.truth[name]

@@ -32,7 +32,8 @@ def simulate(
         joint: the joint file (TOML).
         record: the record whose reference (and injected signal) drives the loop.
         estimate: what identify --json wrote; its parameters are used.
-        out: write torque, reference and positions to this file, CSV or MAT, as the joint file reads them.
+        out: write torque, reference and positions to this file, of any format, under the names and in the
+            units in which the joint file, or its drive's profile, reads them, each on its own side of a transmission.
         json: also write a summary as JSON to this file.
         twin: the paper's digital twin instead, under this loop.
         added_mass: of the twin: with 10 kg on the load.

@@ -18,8 +18,8 @@ def printable(text: str) -> str:
 
 def short(text: str, longest: int = 40) -> str:
     """Return a piece of a file as a sentence can quote it: on one line, and not too long."""
-    shown = printable(text[: longest + 1]).replace("\n", "\\n")
-    return shown if len(text) <= longest else f"{shown[: longest - 3]}..."
+    said = shown(text[: longest + 1])
+    return said if len(text) <= longest else f"{said[: longest - 3]}..."
 
 
 def number(value: float | None, digits: int = 5) -> str:
@@ -43,3 +43,8 @@ def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequenc
         for row in table
     ]
     return "\n".join([lines[0], "-" * max(len(line) for line in lines), *lines[1:]])
+
+
+def shown(name: str) -> str:
+    """Return a name from a file as it can be printed, on one line; see `printable`."""
+    return printable(name).replace("\n", "\\n")

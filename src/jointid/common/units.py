@@ -80,3 +80,19 @@ def unit(name: str) -> Unit:
 def units_of(*dimensions: str) -> tuple[str, ...]:
     """Return the names of all units that measure one of `dimensions`."""
     return tuple(name for name, entry in _UNITS.items() if entry.dimension in dimensions)
+
+
+_SPELLINGS = {
+    "N·m": "N m", "N⋅m": "N m", "N*m": "N m", "N.m": "N m", "newton": "N", "newtons": "N", "newton metre": "N m",
+    "°": "deg", "degree": "deg", "degrees": "deg", "radian": "rad", "radians": "rad", "°/s": "deg/s",
+    "metre": "m", "metres": "m", "meter": "m", "meters": "m", "µm": "um", "μm": "um", "µs": "us", "μs": "us",
+    "sec": "s", "second": "s", "seconds": "s", "1/min": "rpm", "r/min": "rpm", "RPM": "rpm",
+    "m s-1": "m/s", "rad s-1": "rad/s", "ampere": "A", "amperes": "A", "volt": "V", "volts": "V", "count": "counts",
+    "percent": "%", "-": "", "1": "", "none": "",
+}  # fmt: skip
+
+
+def spelled(name: str) -> str:
+    """Return the name in the table of a unit that a file spells in another way; any other as it is, "" for none."""
+    name = name.strip()
+    return _SPELLINGS.get(name, _SPELLINGS.get(name.lower(), name))

@@ -80,7 +80,7 @@ def clock_of(
             f'The time column "{column}" names its unit, and time_unit is "{time_unit}"; leave time_unit out, or '
             "rename the column."
         ]
-    unit = time_unit or named or "s"
+    unit = time_unit or named or units.spelled(table.units.get(column, "")) or "s"
     if unit not in known:
         return Clock(), [unit_fault(f'time (column "{column}")', unit, known)]
     stamps = table.columns[column] * units.unit(unit).factor

@@ -74,7 +74,7 @@ class Log:
     """A record in a file, read when it is asked for.
 
     Attributes:
-        path: the file, of a format that has rows one after the other: delimited text or NPY.
+        path: the file, of a format that has rows one after the other; MAT files of version 7 and ROS 2 bags have not.
         columns, settings: see `jointid.data.reading.read`, whose arguments they are. All channels have one sample time.
         options: of the format's reader.
 
@@ -212,5 +212,9 @@ def _changed(record: Record, change: Callable[[Channel], Channel], begin: float)
 
 
 def _joined(first: Table, more: Table) -> Table:
-    columns = {name: np.concatenate([values, more.columns[name]]) for name, values in first.columns.items()}
-    return Table(columns, first.scalars, first.source)
+    following = more.columns
+    columns = {
+        name: np.concatenate([values, following[name]]) if name in following else values  # shorter than others
+        for name, values in first.columns.items()
+    }
+    return replace(first, columns=columns)

@@ -49,6 +49,8 @@ def read(
     their last number; elsewhere a column that ends early is a fault. A clock that jitters is a fault unless `resample`
     says what is to be done about it.
 
+    A unit that the file states for a column counts where neither `columns` nor the column's name states one.
+
     Args:
         path: the file; its suffix tells the format.
         columns: channel -> its column, by name or as a `Column`; the channels are those of `CHANNELS`. With a profile
@@ -120,7 +122,7 @@ class Wanted:
         if any(column.sample_time or column.time for column in wanted.values()):
             table = _without_tails(table)
         reading = _Reading(table, self.kind, self.transmission, self.drive, [])
-        found = reading.found(reading.profiled(wanted))
+        found = reading.in_files_units(wanted, reading.found(reading.profiled(wanted)))
         clocks = self._clocks(table, found, reading.faults)
         read_in = {channel: reading.channel(channel, found, clocks) for channel in found}
         if self.resample is None:
@@ -184,22 +186,38 @@ class _Reading:
             kinds = {channel: self.kind_of(channel, wanted.get(channel)) for channel in CHANNELS}
             found, faults = profile.found(wanted, self.table.columns, self.drive.axis, kinds, self.table.source)
             self.faults.extend(faults)
-            self.faults.extend(self.uncertain(wanted, found))
+            self.faults.extend(self.uncertain(wanted, found, f'profile "{profile.name}"'))
             return found
         unnamed = [channel for channel, column in wanted.items() if not column.column]
         if unnamed:
             self.faults.append(f"{' and '.join(unnamed)} has no column; name it, or give the drive a profile.")
         return {channel: column for channel, column in wanted.items() if column.column}
 
-    def uncertain(self, wanted: Mapping[str, Column], found: Mapping[str, Column]) -> list[str]:
-        """Return the fault of a current that only the profile takes for the torque: nobody asked for results in A."""
+    def in_files_units(self, wanted: Mapping[str, Column], found: Mapping[str, Column]) -> dict[str, Column]:
+        """Return the columns, in the units of the file where neither the joint file nor a name states one."""
+        made = dict(found)
+        for channel, column in found.items():
+            declared = replace(wanted.get(channel, column), column=column.column)
+            unit = units.spelled(self.table.units.get(column.column, ""))
+            known = known_units(channel, self.kind_of(channel, column))
+            if unit and declared.gain == 1 and declared.stated_unit(known) is None and unit != column.unit:
+                made[channel] = replace(column, unit=unit)
+                torque = {channel: made[channel]}
+                self.faults.extend(self.uncertain(wanted, torque, "the file") if channel == "torque" else [])
+        return made
+
+    def uncertain(self, wanted: Mapping[str, Column], found: Mapping[str, Column], said: str) -> list[str]:
+        """Return the fault of a current that nobody but the profile or the file takes for the torque.
+
+        Nobody asked for results in A.
+        """
         torque = found.get("torque")
         if torque is None or torque.unit != "A" or self.drive.torque_constant is not None:
             return []
         if "torque" in wanted and wanted["torque"].unit == "A":
             return []
         return [
-            f'torque (column "{torque.column}") is in A by profile "{self.drive.profile}"; give the drive\'s '
+            f'torque (column "{torque.column}") is in A by {said}; give the drive\'s '
             f'torque_constant, or unit = "A" with the column to identify per ampere.'
         ]
 
@@ -209,7 +227,12 @@ class _Reading:
         needed = [f'"{column.column}" (for {n})' for n, column in missing.items() if not column.optional]
         if needed:
             listed = self.table.listed(" ".join(column.column for column in missing.values()))
-            self.faults.append(f"{self.table.source} has no column {' and no '.join(needed)}; it has {listed}.")
+            why = "".join(
+                f" ({self.table.passed[column.column]})"
+                for column in missing.values()
+                if column.column in self.table.passed and not column.optional
+            )
+            self.faults.append(f"{self.table.source} has no column {' and no '.join(needed)}{why}; it has {listed}.")
         return {n: column for n, column in wanted.items() if n not in missing}
 
     def kind_of(self, channel: str, column: Column | None) -> str:
@@ -293,7 +316,7 @@ def _without_tails(table: Table) -> Table:
     for name, values in table.columns.items():
         filled = np.flatnonzero(~np.isnan(values))
         cut[name] = values[: filled[-1] + 1] if filled.size else values
-    return Table(cut, table.scalars, table.source, table.clocks)
+    return replace(table, columns=cut)
 
 
 def _stamped(

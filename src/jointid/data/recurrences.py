@@ -1,4 +1,4 @@
-"""Recurrences, compiled: what a sampled law answers to given inputs, and a filter of many columns both ways."""
+"""Recurrences, compiled: what a sampled law answers to given inputs, and the modes of a filter of many columns."""
 
 from __future__ import annotations
 
@@ -10,103 +10,64 @@ from numpy.typing import NDArray
 from jointid.common.compiled import compiled, inlined
 from jointid.data.record import FloatArray
 
-Four: TypeAlias = tuple[float, float, float, float]
-
-
-SECTIONS = 4
+MODES = 4
 """Of the filter that is compiled: it has the order 8."""
 
-_LANES = 16  # columns that are filtered at a time
-_LINE = 8  # numbers of a cache line
+Four: TypeAlias = tuple[float, float, float, float]
+
+_NOTHING = 1e-200  # what falls below it is 0: near the smallest numbers many machines are a hundred times slower
+_BLOCK = 16  # kept samples after which that is looked for
 
 
 @inlined
-def _aligned(size: int) -> FloatArray:
-    """Return so many zeros that begin with a line of the cache; here again, as the compiler's cache sees one file."""
-    room = np.zeros(size + _LINE)
-    first = (-(room.ctypes.data // 8)) % _LINE
-    return room[first : first + size]
+def _four(values: FloatArray) -> Four:
+    return values[0], values[1], values[2], values[3]
 
 
 @inlined
-def _through(q: FloatArray, b0: Four, b1: Four, b2: Four, a1: Four, a2: Four) -> None:
-    """Move all columns of a sample, in the first row of `q`, through the sections, whose states are the other rows.
-
-    One loop whose every value is written once, as the compiler then keeps to vectors.
-    """
-    for j in range(_LANES):
-        x0 = q[j]
-        x1 = b0[0] * x0 + q[_LANES + j]
-        x2 = b0[1] * x1 + q[3 * _LANES + j]
-        x3 = b0[2] * x2 + q[5 * _LANES + j]
-        x4 = b0[3] * x3 + q[7 * _LANES + j]
-        q[_LANES + j] = (q[2 * _LANES + j] + b1[0] * x0) - a1[0] * x1
-        q[2 * _LANES + j] = b2[0] * x0 - a2[0] * x1
-        q[3 * _LANES + j] = (q[4 * _LANES + j] + b1[1] * x1) - a1[1] * x2
-        q[4 * _LANES + j] = b2[1] * x1 - a2[1] * x2
-        q[5 * _LANES + j] = (q[6 * _LANES + j] + b1[2] * x2) - a1[2] * x3
-        q[6 * _LANES + j] = b2[2] * x2 - a2[2] * x3
-        q[7 * _LANES + j] = (q[8 * _LANES + j] + b1[3] * x3) - a1[3] * x4
-        q[8 * _LANES + j] = b2[3] * x3 - a2[3] * x4
-        q[j] = x4
-
-
-@inlined
-def _one_way(
-    q: FloatArray, line: FloatArray, begin: int, step: int, settled: FloatArray, coefficients: tuple[Four, ...]
-) -> None:
-    """Filter all samples in place, from `begin` on by steps of 1 or -1, as if the first had been so for ever."""
-    b0, b1, b2, a1, a2 = coefficients
-    for s in range(2 * SECTIONS):
-        for j in range(_LANES):
-            q[(1 + s) * _LANES + j] = settled[s] * line[begin * _LANES + j]
-    for k in range(line.size // _LANES):
-        at = np.uint64((begin + step * k) * _LANES)
-        for j in range(_LANES):
-            q[j] = line[at + np.uint64(j)]
-        _through(q, b0, b1, b2, a1, a2)
-        for j in range(_LANES):
-            line[at + np.uint64(j)] = q[j]
+def _let_go(states: FloatArray) -> None:
+    """Take what is left of a signal that ended long ago for nothing."""
+    for part in range(2):
+        for i in range(MODES):
+            for j in range(states.shape[2]):
+                states[part, i, j] = states[part, i, j] if abs(states[part, i, j]) > _NOTHING else 0.0
 
 
 @compiled
-def both_ways(
-    sections: FloatArray, settled: FloatArray, values: FloatArray, padding: int, first: int, out: FloatArray, keep: int
+def add_modes(
+    powers: FloatArray, weights: FloatArray, pushes: FloatArray, step: int, states: FloatArray, out: FloatArray
 ) -> None:
-    """Filter columns forwards and backwards and keep some of the samples, as `scipy.signal.sosfiltfilt` does.
+    """Move the modes of a filter from one kept sample to the next, and add what they say to each sample but the first.
 
     Args:
-        sections: (SECTIONS, 6) of second order.
-        settled: (2 * SECTIONS,) their states at a constant 1.
-        values: (samples, columns).
-        padding: samples by which the ends are reflected about their ends.
-        first: sample that is kept first.
-        out: (kept, columns) is filled.
-        keep: one sample in so many.
+        powers: (2, MODES) real and imaginary part of what a mode is multiplied by from one kept sample to the next.
+        weights: (2, MODES) of what a mode says: ``weights[0] * real - weights[1] * imaginary part``.
+        pushes: (kept - 1, 2 MODES, columns) what the samples between add: real parts, then imaginary ones.
+        step: 1 forwards, -1 backwards.
+        states: (2, MODES, columns) at the first of the kept samples in that direction, then at the last.
+        out: (kept, columns) is added to.
+
+    One loop over the columns, whose every value is written once, as the compiler then keeps to vectors.
     """
-    n, columns = values.shape
-    b0 = (sections[0, 0], sections[1, 0], sections[2, 0], sections[3, 0])
-    b1 = (sections[0, 1], sections[1, 1], sections[2, 1], sections[3, 1])
-    b2 = (sections[0, 2], sections[1, 2], sections[2, 2], sections[3, 2])
-    a1 = (sections[0, 4], sections[1, 4], sections[2, 4], sections[3, 4])
-    a2 = (sections[0, 5], sections[1, 5], sections[2, 5], sections[3, 5])
-    coefficients = (b0, b1, b2, a1, a2)
-    line, q = _aligned((n + 2 * padding) * _LANES), _aligned((1 + 2 * SECTIONS) * _LANES)
-    for begin in range(0, columns, _LANES):
-        width = min(_LANES, columns - begin)
-        for k in range(n):
-            for j in range(width):
-                line[(padding + k) * _LANES + j] = values[k, begin + j]
-        for k in range(padding):
-            for j in range(width):
-                at, last = begin + j, n + padding + k
-                line[k * _LANES + j] = 2.0 * values[0, at] - values[padding - k, at]
-                line[last * _LANES + j] = 2.0 * values[n - 1, at] - values[n - 2 - k, at]
-        _one_way(q, line, 0, 1, settled, coefficients)
-        _one_way(q, line, n + 2 * padding - 1, -1, settled, coefficients)
-        for i in range(out.shape[0]):
-            for j in range(width):
-                out[i, begin + j] = line[(padding + first + i * keep) * _LANES + j]
+    a, b, w, v = _four(powers[0]), _four(powers[1]), _four(weights[0]), _four(weights[1])
+    real, imaginary = states[0], states[1]
+    count = pushes.shape[0]
+    for k in range(count):
+        if k % _BLOCK == 0:
+            _let_go(states)
+        at = np.uint64(k if step > 0 else count - 1 - k)
+        to = np.uint64(k + 1 if step > 0 else count - 1 - k)
+        for j in range(out.shape[1]):
+            r0, r1, r2, r3 = real[0, j], real[1, j], real[2, j], real[3, j]
+            i0, i1, i2, i3 = imaginary[0, j], imaginary[1, j], imaginary[2, j], imaginary[3, j]
+            s0, t0 = pushes[at, 0, j] + (a[0] * r0 - b[0] * i0), pushes[at, 4, j] + (b[0] * r0 + a[0] * i0)
+            s1, t1 = pushes[at, 1, j] + (a[1] * r1 - b[1] * i1), pushes[at, 5, j] + (b[1] * r1 + a[1] * i1)
+            s2, t2 = pushes[at, 2, j] + (a[2] * r2 - b[2] * i2), pushes[at, 6, j] + (b[2] * r2 + a[2] * i2)
+            s3, t3 = pushes[at, 3, j] + (a[3] * r3 - b[3] * i3), pushes[at, 7, j] + (b[3] * r3 + a[3] * i3)
+            real[0, j], real[1, j], real[2, j], real[3, j] = s0, s1, s2, s3
+            imaginary[0, j], imaginary[1, j], imaginary[2, j], imaginary[3, j] = t0, t1, t2, t3
+            first, second = w[0] * s0 - v[0] * t0 + (w[1] * s1 - v[1] * t1), w[2] * s2 - v[2] * t2
+            out[to, j] += first + (second + (w[3] * s3 - v[3] * t3))
 
 
 @compiled

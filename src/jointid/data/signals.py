@@ -12,9 +12,9 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.errors import MethodError, RecordError
+from jointid.data.modes import Modes, Thinning
 from jointid.data.record import Channel, FloatArray, Timing
 
 if TYPE_CHECKING:
@@ -191,22 +191,18 @@ def decimate(values: FloatArray, filtering: Filtering, sample_time: float, *, co
         values: (samples,) or (samples, columns).
         filtering: cut-off and decimation.
         sample_time: seconds.
-        compiled: do the same, to rounding, by a compiled filter: several times faster for many columns, where a search
-            pays for loading the compiler.
+        compiled: do the same, to rounding, by the filter's `modes`: several times faster, where a search pays for
+            loading the compiler.
     """
     assert filtering.cutoff is not None
     assert filtering.decimation is not None
-    sections, settled = _chebyshev(2 * filtering.cutoff * sample_time)
     keep, n = filtering.decimation, len(values)
     first = keep - (keep * math.ceil(n / keep) - n) - 1
-    padding = _padding(values, _ORDER)
-    if not compiled or values.ndim == 1:
-        return _smoothed(sections, settled, values, padding)[first::keep]
-    from jointid.data.recurrences import both_ways
-
-    kept = np.empty((math.ceil(n / keep), values.shape[1]))
-    both_ways(sections, settled.reshape(-1), values, padding, first, kept, keep)
-    return kept
+    cutoff, padding = 2 * filtering.cutoff * sample_time, _padding(values, _ORDER)
+    if compiled:
+        kept = _thinning(cutoff, keep, padding)(values.reshape(n, -1), first)
+        return kept.reshape(len(kept), *values.shape[1:])
+    return _smoothed(*_chebyshev(cutoff), values, padding)[first::keep]
 
 
 @lru_cache(maxsize=64)
@@ -216,6 +212,14 @@ def _chebyshev(cutoff: float) -> tuple[FloatArray, FloatArray]:
 
     sections = np.asarray(cheby1(_ORDER, _RIPPLE, cutoff, output="sos"))
     return sections, np.asarray(sosfilt_zi(sections))
+
+
+@lru_cache(maxsize=64)
+def _thinning(cutoff: float, keep: int, padding: int) -> Thinning:
+    """Return the decimation filter by its modes; the cut-off as a fraction of the Nyquist frequency."""
+    from scipy.signal import cheby1
+
+    return Thinning.of(Modes.of(*cheby1(_ORDER, _RIPPLE, cutoff, output="zpk")), keep, padding)
 
 
 def differences(values: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:
@@ -255,18 +259,29 @@ def windowed_torque(channel: Channel, delay: float = 0.0) -> FloatArray:
     """
     period, values = channel.sample_time, channel.values
     begins = {Timing.HELD: 0.0, Timing.SAMPLED: -0.5, Timing.AVERAGED: -1.0}[channel.timing] + delay / period
-    # The torque is piecewise constant, so its second integral is piecewise quadratic, and known exactly.
-    once = np.concatenate([np.zeros(1), np.cumsum(values)])
-    twice = np.concatenate([np.zeros(1), np.cumsum(once[:-1] + 0.5 * values)])
+    weights, first = _window(1, begins, 0)
+    padded = np.pad(values, (max(-first, 0), max(first + weights.size - 1, 0)), mode="edge")
+    begin = first + max(-first, 0)
+    return np.correlate(padded[begin : begin + values.size + weights.size - 1], weights, "valid")
 
-    def second_integral(at: NDArray[np.floating]) -> FloatArray:
-        whole = np.clip(np.floor(at), 0, values.size - 1).astype(np.int64)
-        part = at - whole
-        return np.asarray(twice[whole] + part * once[whole] + 0.5 * part**2 * values[whole])
 
-    instants = np.arange(values.size) - begins
-    low, middle, high = (second_integral(instants + k) for k in (-2.0, 0.0, 2.0))
-    return np.asarray((high - 2 * middle + low) / 4.0)
+def _window(parts: int, late: float, order: int) -> tuple[FloatArray, int]:
+    """Return the weights of the parts of samples in the window, and which part after the instant is the first of them.
+
+    Args:
+        parts: of a sample.
+        late: samples by which a signal is seen after it acts; may be broken, and negative.
+        order: of the derivative by `late` that is wanted, 0 to 2.
+    """
+    first, last = math.floor(parts * (-2.0 - late)), math.ceil(parts * (2.0 - late))
+    edges = np.arange(first, last + 1) / parts + late
+    inside = np.clip(edges, -2.0, 2.0)
+    before = (
+        0.5 + inside / 2.0 - inside * np.abs(inside) / 8.0,  # the share of the window before an edge
+        (2.0 - np.abs(inside)) / 4.0,
+        np.where(np.abs(edges) < 2.0, -np.sign(edges) / 4.0, 0.0),
+    )[order]
+    return np.diff(before), first
 
 
 def windowed_parts(columns: FloatArray, parts: int, late: float, order: int = 0) -> FloatArray:
@@ -281,18 +296,12 @@ def windowed_parts(columns: FloatArray, parts: int, late: float, order: int = 0)
     Returns:
         The signals, or their derivatives, at the instants, (samples, columns). Exact, and smooth in `late`.
     """
-    first, last = math.floor(parts * (-2.0 - late)), math.ceil(parts * (2.0 - late))
-    edges = np.arange(first, last + 1) / parts + late
-    inside = np.clip(edges, -2.0, 2.0)
-    window = (
-        0.5 + inside / 2.0 - inside * np.abs(inside) / 8.0,  # the share of the window before an edge
-        (2.0 - np.abs(inside)) / 4.0,
-        np.where(np.abs(edges) < 2.0, -np.sign(edges) / 4.0, 0.0),
-    )[order]
+    weights, first = _window(parts, late, order)
+    last = first + weights.size
     size, before = len(columns) // parts + 1, max(-first, 0)
     padded = np.pad(columns, ((before, max(last, 0)), (0, 0)), mode="edge")
     seen = np.zeros((size, columns.shape[1]))
-    for cell, weight in zip(range(first, last), np.diff(window), strict=True):
+    for cell, weight in zip(range(first, last), weights, strict=True):
         begin = cell + before
         seen += weight * padded[begin : begin + (size - 1) * parts + 1 : parts]
     return seen

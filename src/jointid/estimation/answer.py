@@ -61,7 +61,9 @@ def answer(
         )
         for p in problem.parameters
     )  # fmt: skip
-    error, whole = problem.error(run), problem.filtered(problem.measured)
+    error, whole = problem.seen(run, problem.measured[:, np.newaxis])
+    whole = whole[:, 0]
+    left = float(np.linalg.norm(error) / np.linalg.norm(whole))
     step = problem.experiment.sample_time * (problem.filtering.decimation or 1)
     report = residual_report(
         error, whole, step, problem.filtering.cutoff, record.torque.unit, rigid_error=rigid_error,
@@ -89,7 +91,7 @@ def answer(
         predicted=run.torque,
         borders=borders,
         relative_error=relative_error(problem.measured, run.torque, borders),
-        filtered_error=float(np.linalg.norm(error) / np.linalg.norm(whole)),
+        filtered_error=left,
         rows=error.size,
         conditioning=None,
         initial=initial_of(values),
@@ -99,7 +101,7 @@ def answer(
         stop=end[0],
         converged=end[1],
         intervals=f"from the output sensitivities, {known.sentences[0]}",
-        warnings=_warnings(problem, run, known, end[1]),
+        warnings=_warnings(problem, run, known, end[1], left),
         fingerprint=fingerprint(record.torque.values),
         delay=values.get("delay", problem.experiment.law.delay),
         correlation=known.covariance.correlation,
@@ -119,13 +121,12 @@ def _touched(problem: Problem, x: FloatArray) -> tuple[str, ...]:
     )
 
 
-def _warnings(problem: Problem, run: Simulation, known: Uncertainty, converged: bool) -> tuple[str, ...]:
+def _warnings(problem: Problem, run: Simulation, known: Uncertainty, converged: bool, left: float) -> tuple[str, ...]:
     found = [] if converged else ["the search did not converge; the values are where it stopped"]
     if run.at_limit > _AT_LIMIT:
         found.append(
             f"the controller is at its limit in {100 * run.at_limit:.1f} % of the periods, where the "
             "torque says nothing of the joint"
         )
-    error = float(np.linalg.norm(problem.error(run)) / np.linalg.norm(problem.filtered(problem.measured)))
     aliased = problem.filtering.warnings(problem.experiment.sample_time)
-    return (*found, *known.sentences[2:], *aliased, *poor_fit(error))
+    return (*found, *known.sentences[2:], *aliased, *poor_fit(left))

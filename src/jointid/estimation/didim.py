@@ -26,7 +26,7 @@ from jointid.estimation.descent import Descent, with_free
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.problem import Problem, torque_problem
 from jointid.estimation.regression import least_squares
-from jointid.estimation.search import End, Search, State, require_simulated
+from jointid.estimation.search import End, Limits, Search, State, Step, require_simulated
 from jointid.estimation.starts import Start, given_start, inversion_start, regular_start
 from jointid.inference.repeatable import Uncertainty, uncertainty
 from jointid.model.controllers import REFERENCE
@@ -34,6 +34,8 @@ from jointid.model.parameters import Parameter
 from jointid.simulation.experiment import ClosedLoop
 
 _MOVING = 9.0  # times the residual's variance: what a velocity at the first sample must explain to be believed
+_DECIDED = 0.1  # of the residual's variance: a search that still gains less does not change that decision ...
+_NEAR = 1e-2  # ... if no parameter moves by more than this share either
 _WORSE = 2.0  # times the residual: with an approximate Jacobian, a little worse is no reason to turn back
 
 
@@ -96,40 +98,39 @@ class _Steps:
 
     def regressor(self, state: State) -> FloatArray:
         """The step of the paper: the regressor stands for the Jacobian, in either form."""
-        problem = self.search.problem
-        W = problem.regressor(state.simulation)
-        surrounding = np.zeros((len(W), 0))
-        if W.shape[1] < state.x.size:
-            surrounding = self.search.sensitivities(state)[:, W.shape[1] :]
+        both = self._residual(state, state.Z)
         if self.form == "residual":
-            return self._residual(state, np.hstack([W, surrounding]))
+            return both
         after = self.inverse_model(state)
-        if surrounding.shape[1]:  # the initial state has no inverse model: it takes the residual form
-            both = self._residual(state, np.hstack([W, surrounding]))
-            after[W.shape[1] :] = both[W.shape[1] :]
+        known = state.W.shape[1]
+        after[known:] = both[known:]  # the initial state has no inverse model: it takes the residual form
         return after
+
+    def newton(self, state: State) -> FloatArray:
+        """The step towards where the first one ends, with the output sensitivities: from nearby ten times as good."""
+        if self.form == "paper":
+            return self.regressor(state)
+        Z = state.Z / np.linalg.norm(state.Z, axis=0)
+        return np.asarray(state.x + np.linalg.lstsq(Z.T @ state.J, Z.T @ state.error)[0])
 
     def exact(self, state: State) -> FloatArray:
         """The Gauss-Newton step with the output sensitivities."""
-        return self._residual(state, self.search.sensitivities(state))
+        return self._residual(state, state.J)
 
     def inverse_model(self, state: State) -> FloatArray:
         """Form (11): solve ``tau = W chi`` for the joint; what surrounds it stays."""
         problem = self.search.problem
-        W = problem.regressor(state.simulation)
-        kept = problem.measured - problem.fixed_torque(state.simulation)
-        both = problem.filtered(np.column_stack([kept, W]))
-        chi = least_squares(both[:, 1:], both[:, 0], tuple(p.name for p in problem.free_joint)).values
+        kept = problem.filtered(problem.measured - problem.fixed_torque(state.simulation))
+        chi = least_squares(state.W, kept, tuple(p.name for p in problem.free_joint)).values
         return np.concatenate([chi, state.x[chi.size :]])
 
     def _residual(self, state: State, J: FloatArray) -> FloatArray:
-        problem = self.search.problem
-        names = tuple(p.name for p in problem.free)
-        return np.asarray(state.x + least_squares(problem.filtered(J), state.error, names).values)
+        names = tuple(p.name for p in self.search.problem.free)
+        return np.asarray(state.x + least_squares(J, state.error, names).values)
 
 
-def _solve(search: Search, settings: DIDIM, start: Start) -> End:
-    """Search from a start: first on scaled gains where it asks for it, then on the true ones."""
+def _begun(search: Search, settings: DIDIM, start: Start) -> tuple[State, int]:
+    """Return where a search stands after its iterations on scaled gains, and how many these were."""
     steps = _Steps(search, settings.form)
     nominal = start.nominal_inertia
     scaled = settings.scaled_iterations if nominal else 0
@@ -146,22 +147,44 @@ def _solve(search: Search, settings: DIDIM, start: Start) -> End:
         after = search.evaluate(x, scale(x) if number < scaled else 1.0)
         search.note(after, state)
         state = after
-    end = search.repeat(state, steps.regressor, max(settings.iterations - scaled, 1), _WORSE)
+    return state, scaled
+
+
+def _solve(search: Search, settings: DIDIM, state: State, step: Step, limits: Limits, most: int) -> End:
+    """Repeat a step on the true gains until the limits are kept, and where it does not lead there the exact one."""
+    end = search.repeat(state, step, limits, most, _WORSE)
     if end.converged or settings.form == "paper":
         return end
     # Where the torque stands at its limit, or the loop is slow, the regressor is no approximation of the Jacobian.
     search.progress("the regressor does not lead there; going on with the output sensitivities")
-    return search.repeat(end.state, steps.exact, settings.iterations, 1.0 + settings.tolerance)
+    exact = _Steps(search, settings.form).exact
+    return search.repeat(end.state, exact, limits, settings.iterations, 1.0 + settings.tolerance)
 
 
-def _known(search: Search, state: State) -> tuple[Uncertainty, FloatArray]:
-    """Return what is known of the free parameters (see the module), and the output sensitivities, filtered."""
+def _searched(problem: Problem, search: Search, settings: DIDIM, start: Start) -> End:
+    """Search from a start, the motor at rest at the first sample, or moving where that is better."""
+    free, residual = settings.initial_state == "free", settings.form == "residual"
+    steps = _Steps(search, settings.form)
+    limits = Limits(settings.tolerance, settings.step_tolerance, foreseen=free and residual)
+    state, scaled = _begun(search, settings, start)
+    most = max(settings.iterations - scaled, 1)
+    if not free:
+        return _solve(search, settings, state, steps.regressor, limits, most)
+    near = replace(limits, change=max(limits.change, _DECIDED / state.error.size), step=max(limits.step, _NEAR))
+    resting = _solve(search, settings, state, steps.regressor, near, most)
+    if resting.reproduced:
+        return resting
+    moving = _moving(problem, search, settings, resting.state, start, limits)
+    if moving is not None or near == limits or not resting.converged:
+        return moving or resting
+    return _solve(search, settings, resting.state, steps.newton, limits, settings.iterations)
+
+
+def _known(search: Search, state: State) -> Uncertainty:
+    """Return what is known of the free parameters (see the module)."""
     problem = search.problem
-    W = problem.regressor(state.simulation)
-    J = search.sensitivities(state)
-    Z, J = problem.filtered(np.hstack([W, J[:, W.shape[1] :]])), problem.filtered(J)
     names = [p.name for p in problem.free]
-    return uncertainty(Z, J, state.error, problem.cells(state.simulation), names, problem.torque_unit), J
+    return uncertainty(state.Z, state.J, state.error, problem.cells(state.simulation), names, problem.torque_unit)
 
 
 def identify_didim(
@@ -198,15 +221,14 @@ def identify_didim(
             raise
         progress(f"from a regular start instead: {error}")
         start, began = regular_start(problem), "regular"
-    search = Search(_at_rest(problem, settings), settings.tolerance, settings.step_tolerance, progress)
-    end = _solve(search, settings, start)
-    if settings.initial_state == "free" and not end.reproduced:
-        end = _or_moving(problem, search, settings, end, start)
+    search = Search(_at_rest(problem, settings), progress)
+    end = _searched(problem, search, settings, start)
     if settings.free:
-        end, known, J = _with_free(search, end, settings)
+        end, known = _with_free(search, end, settings)
     else:
-        known, J = _known(search, end.state)
-    found = answer(record, search.problem, end.state.x, end.state.simulation, (end.stop, end.converged), known, J)
+        known = _known(search, end.state)
+    state = end.state
+    found = answer(record, search.problem, state.x, state.simulation, (end.stop, end.converged), known, state.J)
     form = "the paper's form (11)" if settings.form == "paper" else "residual form"
     return replace(
         found,
@@ -216,17 +238,17 @@ def identify_didim(
     )
 
 
-def _with_free(search: Search, end: End, settings: DIDIM) -> tuple[End, Uncertainty, FloatArray]:
+def _with_free(search: Search, end: End, settings: DIDIM) -> tuple[End, Uncertainty]:
     """Go on by least squares with more of what surrounds the joint free; what is known is that of least squares."""
     descent = Descent(search.problem, search.progress)
     x, stop, converged = with_free(descent, end.state.x, settings.free, settings.tolerance)
     search.problem = problem = descent.problem
     search.simulations += descent.simulations + 1
     error, slopes = descent.linearised(x)
-    state = State(x, problem.simulate(x), error, 1.0)
-    names = [p.name for p in problem.free]
-    known = uncertainty(slopes, slopes, error, problem.cells(state.simulation), names, problem.torque_unit)
-    return End(state, stop, converged), known, slopes
+    run, names = problem.simulate(x), [p.name for p in problem.free]
+    known = uncertainty(slopes, slopes, error, problem.cells(run), names, problem.torque_unit)
+    W = slopes[:, : end.state.W.shape[1]]
+    return End(State(x, run, error, W, slopes, end.state.scales), stop, converged), known
 
 
 def _at_rest(problem: Problem, settings: DIDIM) -> Problem:
@@ -238,8 +260,10 @@ def _at_rest(problem: Problem, settings: DIDIM) -> Problem:
     return replace(problem, parameters=kept)
 
 
-def _or_moving(problem: Problem, search: Search, settings: DIDIM, resting: End, start: Start) -> End:
-    """Return the better of two answers: the motor at rest at the first sample, or moving.
+def _moving(
+    problem: Problem, search: Search, settings: DIDIM, resting: State, start: Start, limits: Limits
+) -> End | None:
+    """Return the answer for a motor that moves at the first sample, if it is better than the one at rest.
 
     Friction makes them two problems: a motor that slips a little before it sticks is not near one that stands, so
     no search gets from one to the other.
@@ -248,11 +272,13 @@ def _or_moving(problem: Problem, search: Search, settings: DIDIM, resting: End, 
     velocity = {"initial_velocity": start.values["initial_velocity"]}
     search.problem = problem
     try:
-        moving = _solve(search, settings, Start(at_rest.values(resting.state.x) | velocity, None))
-        gained = resting.state.norm**2 - moving.state.norm**2
-        if gained > _MOVING * resting.state.norm**2 / resting.state.error.size:
+        state = search.evaluate(problem.vector(at_rest.values(resting.x) | velocity))
+        search.note(state, None)
+        moving = _solve(search, settings, state, _Steps(search, settings.form).newton, limits, settings.iterations)
+        gained = resting.norm**2 - moving.state.norm**2
+        if gained > _MOVING * resting.norm**2 / resting.error.size:
             return moving
     except MethodError:  # a wrong guess of the velocity may make the loop impossible to simulate
         search.progress("the motor cannot have been moving at the first sample")
     search.problem = at_rest
-    return resting
+    return None

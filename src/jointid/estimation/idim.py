@@ -162,13 +162,6 @@ def identify_idim(
     return _answer(record, joint, filtering, delay, settings, found, driven)
 
 
-def regress(
-    parameters: tuple[Parameter, ...], model: InverseModel, filtering: Filtering, sample_time: float
-) -> Solution:
-    """Fit the free parameters to a motion by ordinary least squares; the fixed ones' torque is taken off first."""
-    return ordinary(_rows(parameters, model, filtering, sample_time))
-
-
 def _rows(parameters: tuple[Parameter, ...], model: InverseModel, filtering: Filtering, sample_time: float) -> Rows:
     require_free(parameters)
     free = [i for i, p in enumerate(parameters) if p.free]

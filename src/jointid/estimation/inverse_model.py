@@ -53,16 +53,21 @@ class InverseModel:
     motor: Motion
     load: Motion | None = None
 
-    def decimated(self, filtering: Filtering, sample_time: float, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def decimated(
+        self, filtering: Filtering, sample_time: float, values: FloatArray, *, compiled: bool = False
+    ) -> tuple[FloatArray, FloatArray]:
         """Return torque less that of `values` (rows,), and columns (rows, parameters), filtered; equations stacked."""
         torque = self.torque - self.columns @ values
         both = np.concatenate([torque[..., np.newaxis], self.columns], axis=2)
-        seen = self.thinned(both, filtering, sample_time)
+        seen = self.thinned(both, filtering, sample_time, compiled=compiled)
         return seen[:, 0], seen[:, 1:]
 
-    def thinned(self, columns: FloatArray, filtering: Filtering, sample_time: float) -> FloatArray:
+    def thinned(
+        self, columns: FloatArray, filtering: Filtering, sample_time: float, *, compiled: bool = False
+    ) -> FloatArray:
         """Return columns, (equations, samples, parameters), filtered and decimated; equations stacked."""
-        return np.concatenate([decimate(equation, filtering, sample_time) for equation in columns[:, self.inside]])
+        inside = columns[:, self.inside]
+        return np.concatenate([decimate(equation, filtering, sample_time, compiled=compiled) for equation in inside])
 
 
 def inverse_model(

@@ -6,6 +6,7 @@ which parameters are free: those of the joint, then those of what surrounds it (
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.errors import MethodError
+from jointid.common.memory import Room
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering, decimate
 from jointid.estimation.surroundings import INITIAL_STATE, INITIAL_TORQUE, of_law, surrounding
@@ -24,6 +26,7 @@ from jointid.simulation.closed_loop import Initial, Outcome, Response, Simulatio
 from jointid.simulation.experiment import ClosedLoop, Experiment, prepare
 from jointid.simulation.sensitivities import Sensitivities, simulate_sensitivities
 
+_ROOM = Room()
 _FLOOR = 1e-3  # a parameter smaller than this share of the torque is measured against that share
 _FAILED = 1e3  # times the torque: the error of a candidate that cannot be simulated
 
@@ -138,8 +141,8 @@ class Problem:
     def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free), from one run."""
         response, columns = self.sensitivities(x)
-        both = self.filtered(np.column_stack([self._left(response), columns]))
-        return np.ascontiguousarray(both[:, 0]), -both[:, 1:]
+        error, slopes = self.seen(response, columns)
+        return error, -slopes
 
     def sensitivities(self, x: FloatArray) -> tuple[Response, FloatArray]:
         """Return what the log should show, and its derivatives by the free parameters, (samples, free), raw.
@@ -177,6 +180,14 @@ class Problem:
         """Return the filtered torque error of a run; of one that failed, something large and finite."""
         return self.filtered(self._left(run))
 
+    def seen(self, run: Simulation | Response, *columns: FloatArray) -> tuple[FloatArray, ...]:
+        """Return the filtered torque error of a run, (rows,), and raw columns through the same filter, at once."""
+        parts = [self._left(run)[:, np.newaxis], *columns]
+        room = _ROOM.array("columns", (self.measured.size, sum(part.shape[1] for part in parts)))
+        both = self.filtered(np.concatenate(parts, axis=1, out=room))
+        ends = np.cumsum([1, *(each.shape[1] for each in columns)])
+        return np.ascontiguousarray(both[:, 0]), *(both[:, a:b] for a, b in itertools.pairwise(ends))
+
     def _left(self, run: Simulation | Response) -> FloatArray:
         error = self.measured - run.torque
         if run.outcome is not Outcome.FINISHED:
@@ -198,9 +209,9 @@ class Problem:
                 "The inverse-dynamic regressor of a simulated flexible joint is no approximation of its Jacobian "
                 "(the load is not controlled); identify the joint as rigid, at low frequency."
             )
-        columns = self.loop.joint.regressor(simulation.motor)[0]
-        names = [p.name for p in self.loop.joint.parameters]
-        return np.asarray(columns[:, [names.index(p.name) for p in self.free_joint]])
+        columns, own = self.loop.joint.regressor(simulation.motor)[0], self.loop.joint.parameters
+        free = [p.free for p in self.parameters[: len(own)]]
+        return columns if all(free) else np.asarray(columns[:, free])
 
     def fixed_torque(self, simulation: Simulation) -> FloatArray:
         """Return the torque that the joint's fixed parameters take on a run, (samples,)."""
@@ -209,11 +220,16 @@ class Problem:
         kept = [0.0 if p.free else p.start or 0.0 for p in self.parameters[: len(joint.parameters)]]
         return np.asarray(joint.regressor(simulation.motor)[0] @ np.array(kept))
 
-    def scales(self, x: FloatArray, columns: FloatArray) -> FloatArray:
-        """Return the size a change of each joint parameter is measured against: its value, or a small torque's."""
+    def scales(self, x: FloatArray, columns: FloatArray, size: float) -> FloatArray:
+        """Return the size a change of each joint parameter is measured against: its value, or a small torque's.
+
+        Args:
+            x: free parameters.
+            columns: (rows, free of the joint) of the torque, filtered.
+            size: norm of the torque, filtered.
+        """
         norms = np.linalg.norm(columns, axis=0)
-        floor = _FLOOR * np.linalg.norm(self.measured) / np.where(norms > 0, norms, 1.0)
-        return np.asarray(np.maximum(np.abs(x[: norms.size]), floor))
+        return np.asarray(np.maximum(np.abs(x[: norms.size]), _FLOOR * size / np.where(norms > 0, norms, 1.0)))
 
     def _candidate(self, x: FloatArray) -> _Candidate:
         values = self.values(x)

@@ -68,26 +68,31 @@ def least_squares(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> Fit:
             f"{rows} filtered samples cannot determine {count} parameters; use a longer record or decimate less."
         )
     norms = np.linalg.norm(W, axis=0)
-    _refuse_collinear(W, norms, names)
+    _refuse_idle(norms, names)
     Q, R = np.linalg.qr(W / norms)
+    _refuse_collinear(R, names)
     values = np.linalg.solve(R, Q.T @ Y) / norms
     residual = Y - W @ values
     sigma = float(np.linalg.norm(residual) / np.sqrt(rows - count))
     spread = np.linalg.norm(np.linalg.inv(R), axis=1) / norms
     error = float(np.linalg.norm(residual) / np.linalg.norm(Y))
     scale = np.where(values == 0.0, 1.0, np.abs(values))
-    conditioning = Conditioning(*(float(np.linalg.cond(W * by)) for by in (1.0, 1 / norms, scale)))
+    conditioning = Conditioning(*(float(np.linalg.cond(R * by)) for by in (norms, 1.0, norms * scale)))
     return Fit(values, sigma * spread, residual, sigma, error, conditioning)
 
 
-def _refuse_collinear(W: FloatArray, norms: FloatArray, names: tuple[str, ...]) -> None:
+def _refuse_idle(norms: FloatArray, names: tuple[str, ...]) -> None:
     idle = [name for name, norm in zip(names, norms, strict=True) if not norm > 0]
     if idle:
         raise MethodError(
             f"Nothing in this record excites {', '.join(idle)}; fix {'it' if len(idle) == 1 else 'them'}, or use a "
             "motion that moves at several speeds, both ways; if it does, correct units, gains and sides of the loop."
         )
-    _, sizes, directions = np.linalg.svd(W / norms, full_matrices=False)
+
+
+def _refuse_collinear(R: FloatArray, names: tuple[str, ...]) -> None:
+    """Look at the triangle of columns of norm 1, which has their singular values."""
+    _, sizes, directions = np.linalg.svd(R)
     if sizes[-1] > _RANK * sizes[0]:
         return
     involved = [name for name, share in zip(names, directions[-1], strict=True) if abs(share) > 1e-3]

@@ -17,7 +17,8 @@ from jointid.common.progress import Progress
 from jointid.data.record import FloatArray
 from jointid.estimation.estimate import Iteration
 from jointid.estimation.problem import Problem, initial_of
-from jointid.simulation.closed_loop import Outcome, Simulation, simulate
+from jointid.simulation.closed_loop import Outcome, Simulation
+from jointid.simulation.sensitivities import simulate_with_sensitivities
 
 _ROUNDING = 1e-10  # of the torque: an error this small is rounding
 _PATIENCE = 8  # iterations without a better one: an approximate Jacobian may well go round in circles
@@ -31,19 +32,45 @@ class State:
     Attributes:
         x: the free parameters.
         simulation: of the loop with them.
-        error: filtered torque error.
+        error: filtered torque error, (rows,).
+        W: (rows, free of the joint) the inverse-dynamic regressor on the simulation, filtered.
+        J: (rows, free) the derivatives of the simulated torque, filtered.
+        scales: (free of the joint,) what their changes are measured against.
         gain_scale: factor on the simulated controller's gains.
     """
 
     x: FloatArray
     simulation: Simulation
     error: FloatArray
-    gain_scale: float
+    W: FloatArray
+    J: FloatArray
+    scales: FloatArray
+    gain_scale: float = 1.0
 
     @property
     def norm(self) -> float:
         """Of the filtered torque error."""
         return float(np.linalg.norm(self.error))
+
+    @property
+    def Z(self) -> FloatArray:  # noqa: N802
+        """The instruments of DIDIM, (rows, free): W, and for what surrounds the joint its derivatives."""
+        return np.hstack([self.W, self.J[:, self.W.shape[1] :]])
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """When a search has arrived.
+
+    Attributes:
+        change: of the residual's norm, a share of it.
+        step: of every parameter, likewise.
+        foreseen: whether the change that the next step would make is asked, which saves making it, or that of the last.
+    """
+
+    change: float
+    step: float
+    foreseen: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,50 +93,45 @@ Step: TypeAlias = Callable[[State], FloatArray]
 class Search:
     """Evaluates candidates of a problem and keeps the trace; `problem` may be exchanged for a related one."""
 
-    def __init__(self, problem: Problem, tolerance: float, step_tolerance: float, progress: Progress) -> None:
-        self.problem = problem
-        self.tolerance, self.step_tolerance, self.progress = tolerance, step_tolerance, progress
+    def __init__(self, problem: Problem, progress: Progress) -> None:
+        self.problem, self.progress = problem, progress
         self.trace: list[Iteration] = []
         self.simulations = 0
         self.size = float(np.linalg.norm(problem.filtered(problem.measured)))
 
     def evaluate(self, x: FloatArray, gain_scale: float = 1.0) -> State:
-        """Simulate one candidate, with the controller's gains scaled."""
+        """Simulate one candidate with its derivatives, with the controller's gains scaled."""
         problem = self.problem
-        values = problem.values(x)
+        values, names = problem.values(x), [p.name for p in problem.free]
         experiment = problem.experiment if gain_scale == 1.0 else problem.experiment.scaled(gain_scale)
-        simulation = simulate(problem.loop, experiment, values, initial_of(values))
+        simulation, J = simulate_with_sensitivities(problem.loop, experiment, values, names, initial_of(values))
         self.simulations += 1
-        return State(x, simulation, problem.error(simulation), gain_scale)
-
-    def sensitivities(self, state: State) -> FloatArray:
-        """Return the simulated torque's derivatives by the free parameters, raw, (samples, free)."""
-        self.simulations += 1
-        return self.problem.sensitivities(state.x)[1]
+        W = problem.regressor(simulation)
+        error, W_seen, J_seen = problem.seen(simulation, W, J)
+        return State(x, simulation, error, W_seen, J_seen, problem.scales(x, W_seen, self.size), gain_scale)
 
     def note(self, state: State, before: State | None) -> Iteration:
         """Add a line to the trace."""
         change = step = None
         if before is not None:
             change = abs(state.norm - before.norm) / before.norm if before.norm else 0.0
-            scales = self.problem.scales(state.x, self.problem.regressor(state.simulation))
-            step = float(np.max(np.abs(state.x - before.x)[: scales.size] / scales))
+            step = float(np.max(np.abs(state.x - before.x)[: state.scales.size] / state.scales))
         values, number = self.problem.values(state.x), len(self.trace)
         line = Iteration(number, values, state.norm, change, step, self.simulations, state.gain_scale)
         self.trace.append(line)
         self.progress(f"iteration {number}: torque error {100 * state.norm / self.size:.4f} %")
         return line
 
-    def advance(self, state: State, step: Step, worst: float) -> State:
-        """Take a step, halved while it cannot be simulated or the error grows beyond `worst` times the last one."""
-        after = self.evaluate(step(state))
+    def advance(self, state: State, x: FloatArray, worst: float) -> State:
+        """Take a step to `x`, halved while it cannot be simulated or the error grows beyond `worst` times the last."""
+        after = self.evaluate(x)
         for _ in range(_HALVINGS):
             if after.simulation.outcome is Outcome.FINISHED and after.norm <= worst * state.norm:
                 break
             after = self.evaluate(0.5 * (after.x + state.x))
         return after
 
-    def repeat(self, state: State, step: Step, most: int, worst: float) -> End:
+    def repeat(self, state: State, step: Step, limits: Limits, most: int, worst: float) -> End:
         """Repeat a step until nothing changes, at most so often; where it does not end well, return the best iterate.
 
         Raises:
@@ -118,14 +140,17 @@ class Search:
         best, since = state, 0
         for _ in range(most):
             require_simulated(state)
-            after = self.advance(state, step, worst)
+            x = step(state)
+            if limits.foreseen and (stop := _arrived(*_foreseen(state, x), limits)):
+                return End(state, stop, converged=True)
+            after = self.advance(state, x, worst)
             line = self.note(after, state)
             state = after
             best, since = (state, 0) if state.norm < best.norm else (best, since + 1)
             if state.norm <= _ROUNDING * self.size:
                 return End(state, "the torque is reproduced to rounding", converged=True, reproduced=True)
-            if _within(line.change, self.tolerance) and _within(line.step, self.step_tolerance):
-                return End(state, self._converged(line), converged=True)
+            if stop := _arrived(line.change, line.step, limits):
+                return End(state, stop, converged=True)
             if since >= _PATIENCE:
                 break
         require_simulated(best)
@@ -137,15 +162,23 @@ class Search:
             converged=False,
         )
 
-    def _converged(self, line: Iteration) -> str:
-        return (
-            f"converged: the residual changed by {100 * (line.change or 0.0):.1g} % (limit {100 * self.tolerance:g} %) "
-            f"and no parameter by more than {100 * (line.step or 0.0):.1g} % (limit {100 * self.step_tolerance:g} %)"
-        )
+
+def _foreseen(state: State, x: FloatArray) -> tuple[float, float]:
+    """Return the relative changes of the residual's norm and of the parameters that a step to `x` would make."""
+    step = x - state.x
+    norm = float(np.linalg.norm(state.error - state.J @ step))
+    return abs(norm - state.norm) / state.norm, float(np.max(np.abs(step[: state.scales.size]) / state.scales))
 
 
-def _within(value: float | None, limit: float) -> bool:
-    return value is not None and value <= limit
+def _arrived(change: float | None, step: float | None, limits: Limits) -> str | None:
+    """Return why a search ends where it changes so little; None where it goes on."""
+    if change is None or step is None or change > limits.change or step > limits.step:
+        return None
+    changed = "would change" if limits.foreseen else "changed"
+    return (
+        f"converged: the residual {changed} by {100 * change:.1g} % (limit {100 * limits.change:g} %) "
+        f"and no parameter by more than {100 * step:.1g} % (limit {100 * limits.step:g} %)"
+    )
 
 
 def require_simulated(state: State) -> None:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from jointid.common.errors import MethodError
 from jointid.data.record import Channel, FloatArray, Tap, Timing
-from jointid.estimation.idim import regress
 from jointid.estimation.inverse_model import InverseModel, inverse_model
 from jointid.estimation.problem import Problem
+from jointid.estimation.regression import least_squares
 from jointid.model.controllers import POSITION, REFERENCE, invert
 from jointid.model.joints import RigidJoint, acts_on_whole
 from jointid.simulation.experiment import known_memory
@@ -187,6 +187,8 @@ def _unlimited(problem: Problem) -> NDArray[np.bool_]:
     assert cutoff is not None
     reach = experiment.law.order + round(_SETTLED / (cutoff * experiment.sample_time))
     at_limit = output >= experiment.law.limit * (1 - 1e-9)
+    if not np.any(at_limit):
+        return ~at_limit
     limited = np.convolve(at_limit, np.ones(2 * reach + 1))[reach : reach + at_limit.size] > 0.5
     return ~limited if np.mean(limited) < 0.5 else np.ones_like(limited)
 
@@ -203,12 +205,18 @@ def _regressed(
     sample_time, instants = problem.experiment.sample_time, np.arange(torque.size)
     filtering = replace(problem.filtering, borders=(50, 50) if torque.size > 500 else (0, 0), timing="respected")
     held = Channel(torque, joint.torque_unit or "N", sample_time, Timing.HELD)
-    bridged = np.interp(instants, instants[known], position[known])
-    model = inverse_model(joint, held, (bridged,), filtering, delay)
-    masked = InverseModel(model.torque * known, model.columns * known[:, np.newaxis], model.inside, model.motor)
-    parameters = problem.parameters[: len(joint.parameters)]
-    found = regress(parameters, masked, filtering, sample_time).fit.values
-    return dict(zip((p.name for p in parameters if p.free), map(float, found), strict=True))
+    if not np.all(known):
+        position = np.interp(instants, instants[known], position[known])
+    model = inverse_model(joint, held, (position,), filtering, delay)
+    if not np.all(known):
+        columns = model.columns * known[:, np.newaxis]
+        model = InverseModel(model.torque * known, columns, model.inside, model.motor)
+    parameters, free = problem.parameters[: len(joint.parameters)], problem.free_joint
+    kept = np.array([0.0 if p.free else p.start or 0.0 for p in parameters])
+    Y, W = model.decimated(filtering, sample_time, kept, compiled=True)
+    names = tuple(p.name for p in free)
+    found = least_squares(W[:, [p.free for p in parameters]], Y, names).values
+    return dict(zip(names, map(float, found), strict=True))
 
 
 def _kept(problem: Problem, values: dict[str, float]) -> dict[str, float]:

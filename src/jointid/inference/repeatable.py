@@ -177,7 +177,7 @@ def _classes(speed: FloatArray, moving: NDArray[np.bool_], count: int) -> tuple[
     means = np.sort(speed[moving])[middle]
     kind = np.zeros(speed.size, dtype=np.intp)
     for _ in range(50):
-        kind = np.argmin(np.abs(speed[:, np.newaxis] - means), axis=1)
+        kind = np.searchsorted(0.5 * (means[1:] + means[:-1]), speed)
         chosen = [speed[moving & (kind == i)] for i in range(count)]
         after = np.array([g @ g / g.sum() if g.size else mean for g, mean in zip(chosen, means, strict=True)])
         if np.array_equal(after, means):
@@ -213,7 +213,7 @@ def repeatable(error: FloatArray, where: Cells, unit: str = "", seed: int = 0) -
     p_value = None
     if blocks >= _FEWEST and np.any(pairs > 0):
         signs = np.random.default_rng(seed).choice([-1.0, 1.0], size=(_FLIPS, blocks))
-        others = np.einsum("fb,bd,fd->f", signs, products, signs)
+        others = np.sum((signs @ products) * signs, axis=1)
         p_value = float(1 + np.sum(others >= square)) / (_FLIPS + 1)
     return Repeatable(
         rms=float(np.sqrt(max(square, 0.0))),
@@ -259,7 +259,8 @@ def by_place(Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells) -> C
     Z, J = Z / norms, J / norms
     spread = np.asarray(np.linalg.pinv(Z.T @ J), dtype=np.float64)
     lags = where.lags
-    blocks = (np.flatnonzero(where.stretch == one) for one in np.unique(where.stretch))
+    stretch = where.stretch
+    blocks = (np.flatnonzero(stretch == one) for one in np.unique(stretch))
     scores = Z * residual_left_out(Z, J, error, spread, blocks)[:, np.newaxis]
     sums = np.zeros((int(where.family.max()) + 1, where.positions, Z.shape[1]))
     np.add.at(sums, (where.family, where.position), scores)

@@ -183,7 +183,7 @@ class JointFile:
                 sentence for each missing column, gap, jump of the clock, impossible scale, constant torque, and
                 torque at the controller's limit.
         """
-        path = self._path(path)
+        path = self.record_path(path)
         columns = self._columns
         source = self.source
         record = read(path, columns, clock_tolerance=source.clock_tolerance, resample=source.resample, **self._reading)
@@ -202,7 +202,7 @@ class JointFile:
         source = self.source
         reading = {"clock_tolerance": source.clock_tolerance, "resample": source.resample, **self._reading}
         settings = {key: value for key, value in reading.items() if key not in self.source.options}
-        return Log(self._path(path), self._columns, settings, self.source.options)
+        return Log(self.record_path(path), self._columns, settings, self.source.options)
 
     def write(self, record: Record, path: str | os.PathLike[str]) -> None:
         """Write a record, on the joint's side of its transmission, as this file reads it: `record(path)` gives it back.
@@ -212,8 +212,12 @@ class JointFile:
         """
         write(record, path, self.columns, **self._reading)
 
-    def _path(self, path: str | os.PathLike[str] | None) -> str | os.PathLike[str]:
-        """Return the path of the record: that one, or the one this file names."""
+    def record_path(self, path: str | os.PathLike[str] | None = None) -> str | os.PathLike[str]:
+        """Return the path of the record: that one, or the one this file names.
+
+        Raises:
+            RecordError: this file names none.
+        """
         if path is not None:
             return path
         if self.source.file is None:

@@ -32,16 +32,16 @@ class FilterTable(Table):
     kind: Literal["digital", "moving_average", "first_order", "second_order", "notch"] | None = Field(
         None, description="which filter"
     )
-    numerator: Coefficients | None = Field(None, description="b0, b1, ...")
-    denominator: Coefficients | None = Field(None, description="a0, a1, ...")
-    samples: Count | None = Field(None, description="of which the mean is taken")
-    time_constant: NotNegative | None = Field(None, description="of the pole [s]")
-    frequency: Positive | None = Field(None, description="of the poles, or the notch's centre [Hz]")
-    damping: Positive | None = Field(None, description="of the poles")
-    numerator_frequency: Positive | None = Field(None, description="of the zeros [Hz]")
-    numerator_damping: Number | None = Field(None, description="of the zeros")
-    bandwidth: Positive | None = Field(None, description="of a notch [Hz]")
-    depth: NotNegative | None = Field(None, description="what a notch leaves at its centre, as a share")
+    numerator: Coefficients | None = Field(None, description="of digital: b0, b1, ... in powers of 1/z")
+    denominator: Coefficients | None = Field(None, description="of digital: a0, a1, ... in powers of 1/z")
+    samples: Count | None = Field(None, description="of moving_average: so many, of which the mean is taken")
+    time_constant: NotNegative | None = Field(None, description="of first_order: of its pole [s]")
+    frequency: Positive | None = Field(None, description="of second_order its poles', of notch its centre [Hz]")
+    damping: Positive | None = Field(None, description="of second_order: of its poles")
+    numerator_frequency: Positive | None = Field(None, description="of second_order: its zeros' [Hz]")
+    numerator_damping: Number | None = Field(None, description="of second_order: of its zeros")
+    bandwidth: Positive | None = Field(None, description="of notch: its width [Hz]")
+    depth: NotNegative | None = Field(None, description="of notch: what it leaves at its centre, as a share")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield what is missing, what is of another kind, and that there is no such filter."""

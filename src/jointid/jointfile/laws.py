@@ -64,14 +64,26 @@ class DrawnTable(LawTable):
     """What those laws have that difference the position."""
 
     reference_delay: NotNegative = Field(0.0, description="by which the law sees the reference later [s]")
-    velocity_filter: FilterTable | None = Field(None, description="filter of the difference")
+    velocity_filter: FilterTable | None = Field(
+        None, description="filter of the velocity, the difference of the position"
+    )
     torque_filters: FilterTables = Field([], description="filters of the torque, one after the other")
-    filters_at: Literal["before_limit", "after_limit"] = Field("before_limit", description="where they stand")
-    acceleration_feedforward: NotNegative = Field(0.0, description="[controller units per m/s2 or rad/s2]")
-    viscous_feedforward: NotNegative = Field(0.0, description="[controller units per m/s or rad/s]")
-    coulomb_feedforward: NotNegative = Field(0.0, description="in the direction of motion [controller units]")
-    constant_feedforward: Number = Field(0.0, description="[controller units]")
-    torque_feedforward_delay: NotNegative = Field(0.0, description="by which these see the reference later [s]")
+    filters_at: Literal["before_limit", "after_limit"] = Field(
+        "before_limit", description="on which side of the torque's limit its filters stand"
+    )
+    acceleration_feedforward: NotNegative = Field(
+        0.0, description="times the reference's acceleration [controller units per m/s2 or rad/s2]"
+    )
+    viscous_feedforward: NotNegative = Field(
+        0.0, description="times the reference's velocity [controller units per m/s or rad/s]"
+    )
+    coulomb_feedforward: NotNegative = Field(
+        0.0, description="in the direction in which the reference moves [controller units]"
+    )
+    constant_feedforward: Number = Field(0.0, description="always added [controller units]")
+    torque_feedforward_delay: NotNegative = Field(
+        0.0, description="by which the feed-forwards of the torque see the reference later [s]"
+    )
 
     def settings(self) -> dict[str, Any]:
         """Return what the law is made of."""
@@ -90,13 +102,17 @@ class CascadeTable(DrawnTable):
     ki: LoopGain = Field(0.0, description="integral gain of the velocity loop [1/s]")
     anti_windup: AntiWindup = Field("hold", description="what becomes of the integral at the limit")
     velocity_feedforward: NotNegative = Field(0.0, description="share of the reference's velocity")
-    velocity_feedforward_delay: NotNegative = Field(0.0, description="by which it sees the reference later [s]")
+    velocity_feedforward_delay: NotNegative = Field(
+        0.0, description="by which the velocity feed-forward sees the reference later [s]"
+    )
     reference_velocity: Literal["difference", "channel"] = Field(
         "difference", description="where the reference's velocity comes from"
     )
     velocity_limit: Limit | None = Field(None, description="limit of the velocity command [m/s or rad/s]")
     position_period: Positive | None = Field(None, description="period of the position loop [s]")
-    position_offset: NotNegative = Field(0.0, description="until the position loop's next evaluation [s]")
+    position_offset: NotNegative = Field(
+        0.0, description="from the record's first sample to the position loop's next evaluation [s]"
+    )
 
     def controller(self) -> Cascade:
         """Return the controller."""
@@ -152,10 +168,10 @@ class StateSpaceTable(LawTable):
     """[controller] with law = "state_space": any discrete linear law."""
 
     law: Literal["state_space"] = Field(description="the controller's law")
-    A: Matrix = Field(description="n rows of n numbers")
-    B: InputColumns = Field(description="for each input, n numbers")
-    C: Numbers = Field(description="n numbers")
-    D: InputGains = Field(description="for each input, a number")
+    A: Matrix = Field(description="how the states go on: n rows of n numbers")
+    B: InputColumns = Field(description="how each input moves the states: n numbers")
+    C: Numbers = Field(description="output row: n numbers")
+    D: InputGains = Field(description="direct gain of each input: a number")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield that the shapes do not fit."""

@@ -25,7 +25,7 @@ _DEEPEST = 256  # points in a key: the parser takes the square of their number
 
 _OF_RECORD = re.compile(r"\s*(\[\s*record\s*\]|\[\[\s*records\s*\]\])")
 _FILE = re.compile(r"""^(\s*file\s*=\s*)("(?:[^"\\\n]|\\.)*"|'[^'\n]*')""", re.MULTILINE)
-_OF_CONTROLLER = re.compile(r"\s*\[{1,2}\s*(controller|\"controller\"|'controller')\s*[.\]]")
+_HEADING = r"\s*\[{{1,2}}\s*({0}|\"{0}\"|'{0}')\s*[.\]]"
 
 
 def load(path: str | os.PathLike[str]) -> JointFile:
@@ -117,12 +117,30 @@ def with_controller(text: str, controller: Controller, transmission: Transmissio
     Raises:
         JointFileError: the text is no TOML, or a joint file has no word for the controller.
     """
-    tables, written = _parsed(text), controller_text(controller, transmission)
-    made = _joined(_sections(text), written)
+    return _with_table(text, "controller", controller_text(controller, transmission))
+
+
+def with_parameters(text: str, written: str) -> str:
+    """Return the text of a joint file with its [parameters] replaced, or added at its end; see `with_controller`.
+
+    Args:
+        text: TOML; it need not be a joint file that is complete.
+        written: the table as TOML, its heading and its comments included.
+
+    Raises:
+        JointFileError: the text is no TOML.
+    """
+    return _with_table(text, "parameters", written)
+
+
+def _with_table(text: str, name: str, written: str) -> str:
+    """Return a TOML text with one of its tables replaced by a text that has that table alone."""
+    tables = _parsed(text)
+    made = _joined(_sections(text), written, re.compile(_HEADING.format(name)))
     expected = tables | tomllib.loads(written)
     try:
         return made if tomllib.loads(made) == expected else tomli_w.dumps(expected)
-    except tomllib.TOMLDecodeError:  # two controllers: the old one has no heading
+    except tomllib.TOMLDecodeError:  # two of them: the old one has no heading
         return tomli_w.dumps(expected)
 
 
@@ -189,19 +207,19 @@ def _is_whole(text: str) -> bool:
     return True
 
 
-def _joined(sections: list[str], controller: str) -> str:
-    """Return the sections with those of the controller replaced, in the first one's place, or at the end."""
+def _joined(sections: list[str], written: str, heading: re.Pattern[str]) -> str:
+    """Return the sections with those under a heading replaced, in the first one's place, or at the end."""
     kept: list[str] = []
     place = None
     for section in sections:
-        if _OF_CONTROLLER.match(section):
+        if heading.match(section):
             place = len(kept) if place is None else place
         else:
             kept.append(section)
     if place is None:
-        return "".join(kept).rstrip("\n") + "\n\n" * bool("".join(kept).strip()) + controller
+        return "".join(kept).rstrip("\n") + "\n\n" * bool("".join(kept).strip()) + written
     after = "".join(kept[place:])
-    return "".join(kept[:place]) + controller + ("\n" if after else "") + after
+    return "".join(kept[:place]) + written + ("\n" if after else "") + after
 
 
 def _parsed(text: str) -> dict[str, Any]:

@@ -124,16 +124,22 @@ class DriveTable(Table):
     """[drive]: whose traces the record is made of, and the numbers behind the drive's own units."""
 
     profile: Annotated[Text, accepted(profile_named)] | None = Field(
-        None, description="of the traces", json_schema_extra={"enum": list(profile_names())}
+        None,
+        description="whose names, units, timing and tap the channels have",
+        json_schema_extra={"enum": list(profile_names())},
     )
-    axis: Count | None = Field(None, description="which one, where a trace has several")
-    rated_torque: Positive | None = Field(None, description="what per mille are of [N m or N]")
-    rated_current: Positive | None = Field(None, description="likewise, as a current [A]")
+    axis: Count | None = Field(None, description="which axis, where a trace has several")
+    rated_torque: Positive | None = Field(None, description="what per mille and per cent of a torque are of [N m or N]")
+    rated_current: Positive | None = Field(None, description="the same as a current, beside the torque constant [A]")
     torque_constant: Positive | None = Field(None, description="torque per current [N m/A or N/A]")
-    counts_per_turn: Positive | None = Field(None, description="of the encoder, revolute")
-    counts_per_metre: Positive | None = Field(None, description="of the encoder, prismatic")
-    load_counts_per_turn: Positive | None = Field(None, description="of the load's encoder, if another, revolute")
-    load_counts_per_metre: Positive | None = Field(None, description="of the load's encoder, if another, prismatic")
+    counts_per_turn: Positive | None = Field(None, description="of a revolute joint's encoder [counts]")
+    counts_per_metre: Positive | None = Field(None, description="of a prismatic joint's encoder [counts]")
+    load_counts_per_turn: Positive | None = Field(
+        None, description="of the load's encoder, if it is another one [counts]"
+    )
+    load_counts_per_metre: Positive | None = Field(
+        None, description="of the load's encoder, if it is another one that moves straight [counts]"
+    )
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield that the numbers contradict each other."""

@@ -62,8 +62,8 @@ class FilteringTable(Table):
     """[filtering]: how torque and columns are filtered, position and decimation each with its cut-off."""
 
     preset: Literal["default", "published", "as-printed"] | None = Field(None, description="all of it at once")
-    position_cutoff: Positive | None = Field(None, description="of the low-pass on measured positions [Hz]")
-    cutoff: Positive | None = Field(None, description="of the decimation filter on torque and columns [Hz]")
+    position_cutoff: Positive | None = Field(None, description="cut-off of the low-pass on measured positions [Hz]")
+    cutoff: Positive | None = Field(None, description="cut-off of the decimation filter on torque and columns [Hz]")
     decimation: Count | None = Field(None, description="one sample is kept in so many")
     borders: Borders = Field([50, 50], description="samples dropped at the start and at the end")
     timing: Literal["respected", "as_sampled"] = Field("respected", description="how a held torque is read")
@@ -86,7 +86,9 @@ class FilteringTable(Table):
 class MethodTable(Table):
     """[method]: how the joint is identified; some keys are for a rigid joint only, others for a flexible one."""
 
-    name: Literal["didim", "idim", "drive_side", "open_loop"] | None = Field(None, description="the method")
+    name: Literal["didim", "idim", "drive_side", "open_loop"] | None = Field(
+        None, description="by which method; didim if the record has what it needs, else idim"
+    )
     preset: Literal["paper"] | None = Field(None, description="all settings of DIDIM at once")
     form: Literal["residual", "paper"] = Field("residual", description="what each step solves")
     start: Literal["inversion", "regular", "given"] = Field("inversion", description="where the search begins")
@@ -100,15 +102,21 @@ class MethodTable(Table):
         "least-squares", description="the way down the criterion"
     )
     frequency: Positive | None = Field(None, description="free-free, where the stiffness starts from [Hz]")
-    rigid_cutoff: Positive | None = Field(None, description="of the rigid identification before [Hz]")
+    rigid_cutoff: Positive | None = Field(
+        None, description="cut-off of the rigid identification that gives the start [Hz]"
+    )
     simulations: Count = Field(6000, description="simulations of one descent at most")
     restarts: Natural = Field(3, description="restarts of Nelder-Mead at most")
-    statistics: Literal["sensitivities", "inverse-model"] = Field("sensitivities", description="of the deviations")
+    statistics: Literal["sensitivities", "inverse-model"] = Field(
+        "sensitivities", description="what the standard deviations are made from"
+    )
     log_delay: Number | None = Field(None, description="how late the log shows the torque, estimated if left out [s]")
     current_lag: NotNegative | Literal["estimated"] = Field(0.0, description="time constant between log and torque [s]")
-    instruments: Literal["tested", "always", "never"] = Field("tested", description="when they replace least squares")
-    highpass: Positive | None = Field(None, description="below it the position is drift [Hz]")
-    estimator: Literal["ols", "weighted", "robust", "iv"] = Field("ols", description="of IDIM")
+    instruments: Literal["tested", "always", "never"] = Field(
+        "tested", description="when they replace least squares on the drive side"
+    )
+    highpass: Positive | None = Field(None, description="below it the position of an open loop is drift [Hz]")
+    estimator: Literal["ols", "weighted", "robust", "iv"] = Field("ols", description="how IDIM solves its rows")
     harmonics: Natural = Field(0, description="of the force over the motor position, for IDIM")
     period: Positive | None = Field(None, description="of the first harmonic [m or rad]")
     drift: Literal["force", "viscous", "both"] | None = Field(None, description="what changes with time, for IDIM")
@@ -193,7 +201,9 @@ class TogetherTable(Table):
     """[together]: how several records are identified together."""
 
     free: Names = Field([], description="names of what surrounds the joint and is identified too")
-    weighting: Literal["spectrum", "level"] = Field("spectrum", description="of the rows, by their record's residual")
+    weighting: Literal["spectrum", "level"] = Field(
+        "spectrum", description="what of their record's residual the rows are weighed by"
+    )
 
 
 class FileTable(Table):
@@ -215,7 +225,9 @@ class FileTable(Table):
     records: Annotated[list[RunTable], Says("one [[records]] table for each record")] = Field(
         default_factory=list, description="records that are identified together"
     )
-    together: TogetherTable = Field(default_factory=TogetherTable, description="how they are")
+    together: TogetherTable = Field(
+        default_factory=TogetherTable, description="how several records are identified together"
+    )
 
 
 class _WithoutNull(GenerateJsonSchema):

@@ -55,11 +55,14 @@ def learn_loop(
     for none. What stays unknown is said in `LearnedLoop.sentences`.
 
     Example:
-        >>> import jointid as ji
+        >>> import jointid as ji, numpy as np
         >>> loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(kp=60.0, kv=500.0))
         >>> reference = ji.trapezoids([0.1, 0.3], 2.0, 0.2, 1e-3, 0.1, 8.0)
         >>> values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 0.0}
-        >>> record = ji.simulated_record(loop, reference, values, sample_time=1e-3, encoder_step=1e-7)
+        >>> noise = 0.02 * np.random.default_rng(0).standard_normal(reference.size)
+        >>> record = ji.simulated_record(
+        ...     loop, reference, values, sample_time=1e-3, torque_noise=noise, encoder_step=1e-7
+        ... )
         >>> ji.learn_loop(record).words
         'P-P'
     """

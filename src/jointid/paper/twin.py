@@ -56,7 +56,8 @@ CONTROLLERS = MappingProxyType(
 
 
 JOINT_FILE = """\
-# The digital twin of the paper's flexible axis, identified from motor force and reference alone.
+# The digital twin of the paper's flexible axis under its loop L19, identified from motor force and reference alone.
+# A record for it: jointid simulate --twin L19 --out record.csv
 
 [joint]
 kind = "prismatic"

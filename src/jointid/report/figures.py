@@ -11,15 +11,11 @@ from jointid.assessment.validation import Validation
 from jointid.common.errors import RecordError
 from jointid.data.record import FloatArray
 from jointid.estimation.estimate import Estimate
+from jointid.report.charts import ERROR, MEASURED, SIMULATED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-# Okabe-Ito colours: told apart by the colour-blind; the lightness differs too, so a grey print still reads.
-MEASURED = "#0072B2"
-SIMULATED = "#E69F00"
-ERROR = "#000000"
 
 FORMATS = (".png", ".svg", ".pdf")
 """What a figure can be saved as."""
@@ -41,7 +37,7 @@ def torque_figure(answer: Estimate | Validation) -> Figure:
     whole, zoom = figure.subplots(2, 1)
     _lines(whole, time, answer.measured, answer.predicted, word)
     whole.set_title(_title(answer), fontsize=10, loc="left")
-    low, high = _liveliest(answer.measured)
+    low, high = liveliest(answer.measured)
     _lines(zoom, time[low:high], answer.measured[low:high], answer.predicted[low:high], None)
     whole.axvspan(time[low], time[high - 1], color="0.85", zorder=0)
     zoom.set_title("zoom on the shaded part", fontsize=9, loc="left")
@@ -112,7 +108,7 @@ def _lines(axes: Axes, time: FloatArray, measured: FloatArray, predicted: FloatA
         axes.legend(loc="upper right", ncols=3, fontsize=8, framealpha=0.9)
 
 
-def _liveliest(torque: FloatArray) -> tuple[int, int]:
+def liveliest(torque: FloatArray) -> tuple[int, int]:
     """Return the stretch in which the torque varies most."""
     size = max(int(_ZOOM * torque.size), min(torque.size, 10))
     starts = range(0, max(torque.size - size, 1), max(size // 4, 1))

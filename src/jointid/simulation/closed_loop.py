@@ -237,28 +237,25 @@ def simulate(
 
 def simulation_of(loop: ClosedLoop, experiment: Experiment, out: Run) -> Simulation:
     """Return a run whose states were kept at the log's instants."""
-    parts, periods = experiment.lengths.size, out.command.size
-    seen = out.states[experiment.looked]
-    # The part whose torque is the newest begins where a torque begins to act.
-    newest = int(np.argmin(experiment.lags))
-    rows = np.minimum(np.arange(periods) + experiment.lags[newest], periods - 1) * parts + newest
-    begin = out.states[rows]
-    push = out.command + experiment.after_limit
-    which = experiment.looked // parts
+    flexible = loop.joint.model == "flexible"
+    states, push = out.states[:, : 4 if flexible else 2], out.command + experiment.after_limit
+    seen = begin = states.T.copy()
+    if experiment.looked.size < len(states) or experiment.lengths.size > 1 or experiment.lags[0] > 0:
+        seen, begin = (states[at].T.copy() for at in (experiment.looked, experiment.begun))
+        push = push[experiment.looked // experiment.lengths.size]
 
     def motion(side: int) -> Motion:
         possible = out.outcome is not Outcome.INVALID
-        acceleration = _acceleration(out.drive, out.gravity, begin, push, side) if possible else np.zeros(periods)
-        return Motion(*(v[which] for v in (begin[:, 2 * side], begin[:, 2 * side + 1], acceleration)))
+        acceleration = _acceleration(out.drive, out.gravity, begin, push, side) if possible else np.zeros(push.size)
+        return Motion(begin[2 * side], begin[2 * side + 1], acceleration)
 
-    flexible = loop.joint.model == "flexible"
     return Simulation(
         experiment.sample_time,
         as_logged(experiment, seen_torque(experiment, out.command, out.tapped)),
-        seen[:, 0],
-        seen[:, 1],
-        seen[:, 2] if flexible else None,
-        seen[:, 3] if flexible else None,
+        seen[0],
+        seen[1],
+        seen[2] if flexible else None,
+        seen[3] if flexible else None,
         motion(0),
         motion(1) if flexible else None,
         out.outcome,
@@ -288,15 +285,22 @@ def _acceleration(
 ) -> FloatArray:
     """Return the acceleration of the motor (side 0) or load (1) just after `torque` begins to act; 0 at rest."""
     viscous, viscous_back, coulomb, coulomb_back = drive[4 + 4 * side : 8 + 4 * side]
-    spring = drive[2] * (states[:, 2] - states[:, 0]) + drive[3] * (states[:, 3] - states[:, 1])
-    push = torque - drive[12] + spring if side == 0 else -drive[13] - spring
+    push = torque - drive[12] if side == 0 else np.full(torque.size, -drive[13])
+    if drive[2] != 0.0 or drive[3] != 0.0:
+        spring = drive[2] * (states[2] - states[0]) + drive[3] * (states[3] - states[1])
+        push = push + spring if side == 0 else push - spring
     if gravity is not None and side == gravity[4]:
-        push = push - gravity_force(gravity, states[:, 2 * side])
-    velocity = states[:, 1 + 2 * side]
-    moving = np.where(velocity != 0, np.sign(velocity), (push > coulomb) * 1.0 - (push < -coulomb_back) * 1.0)
-    forwards, backwards = viscous * velocity + coulomb, viscous_back * velocity - coulomb_back
-    friction = np.where(moving > 0, forwards, backwards)
-    return np.asarray(np.where(moving == 0, 0.0, (push - friction) / drive[side]))
+        push = push - gravity_force(gravity, states[2 * side])
+    velocity = states[1 + 2 * side]
+    moving = np.sign(velocity)
+    still = np.flatnonzero(velocity == 0)
+    moving[still] = (push[still] > coulomb) * 1.0 - (push[still] < -coulomb_back) * 1.0
+    forwards = moving > 0
+    friction = np.where(forwards, viscous, viscous_back) * velocity + np.where(forwards, coulomb, -coulomb_back)
+    push -= friction
+    push /= drive[side]
+    push[still[moving[still] == 0]] = 0.0
+    return np.asarray(push)
 
 
 def gravity_force(gravity: FloatArray, position: FloatArray) -> FloatArray:

@@ -72,7 +72,8 @@ class Experiment:
         state: (states,) of the feedback at the first period, but for what the position leaves.
         sample_time: of the log, which is every `every`-th period, or shows each period `repeat` times.
         lengths, lags: the parts of a period, see `kernels.run`.
-        looked: (samples,) which of all parts, period after period, begin at the log's instants.
+        looked: (samples,) which of all parts, period after period, begin at the log's instants. begun: (samples,) those
+            at which the newest torque of the same periods begins to act.
         far: a motor position that no loop comes back from, reckoned from the initial one.
         tap: where the torque is logged. timing: what a logged value is.
         samples: of the log.
@@ -95,6 +96,7 @@ class Experiment:
     lengths: FloatArray
     lags: NDArray[np.int64]
     looked: NDArray[np.intp]
+    begun: NDArray[np.intp]
     far: float
     tap: Tap
     timing: Timing
@@ -239,13 +241,15 @@ def _experiment(
     starts = np.cumsum(lengths) - lengths
     inside = [int(np.argmin(np.abs(starts - j * law.period / repeat))) for j in range(repeat)]
     looked = (np.arange(0, len(inputs), every)[:, np.newaxis] * lengths.size + inside).reshape(-1)[:samples]
+    newest = int(np.argmin(lags))
+    begun = np.minimum(looked // lengths.size + lags[newest], len(inputs) - 1) * lengths.size + newest
     feedback, feedforward, driven, state = _beforehand(law, inputs)
     far = _far(law, feedforward[law.output], after_limit)
     memory = np.column_stack([feedback.memory(POSITION, 1.0, 0.0), feedback.memory(POSITION, 0.0, 1.0)])
     return Experiment(
         law, feedback, _for_kernel(feedback, driven), memory, feedback.integral(), inputs, after_limit, logged,
         feedforward, state, sample_time, every, repeat, lengths,
-        lags, looked, far, tap, timing, looked.size, begin,
+        lags, looked, begun, far, tap, timing, looked.size, begin,
     )  # fmt: skip
 
 

@@ -24,9 +24,11 @@ from jointid.simulation.closed_loop import (
     Outcome,
     Response,
     Run,
+    Simulation,
     first_state,
     response_of,
     run,
+    simulation_of,
     smallest,
 )
 from jointid.simulation.experiment import ClosedLoop, Experiment, known_memory
@@ -87,6 +89,30 @@ def simulate_sensitivities(
     Raises:
         MethodError: a name is none of these, or of a part that is not there, as a `ki` of 0.
     """
+    out = _taped(loop, experiment, values, names, initial)
+    return _derived(loop, experiment, values, names, out, positions)
+
+
+def simulate_with_sensitivities(
+    loop: ClosedLoop,
+    experiment: Experiment,
+    values: Mapping[str, float],
+    names: Sequence[str],
+    initial: Initial | None = None,
+) -> tuple[Simulation, FloatArray]:
+    """Return what `simulate` does, and of `simulate_sensitivities` the derivatives of the torque, from one run."""
+    out = _taped(loop, experiment, values, names, initial)
+    return simulation_of(loop, experiment, out), _derived(loop, experiment, values, names, out, positions=False).torque
+
+
+def _taped(
+    loop: ClosedLoop,
+    experiment: Experiment,
+    values: Mapping[str, float],
+    names: Sequence[str],
+    initial: Initial | None,
+) -> Run:
+    """Return a run with its whole tape, in memory that the next one takes."""
     own = tuple(p.name for p in loop.joint.parameters)
     for name in names:
         if _is_of_law(own, name):
@@ -95,6 +121,19 @@ def simulate_sensitivities(
     out = run(loop, experiment, values, initial, keep=True, taped=rows, room=_ROOM)
     if out.counts[1] > rows:  # a joint that turns round and sticks all the time
         out = run(loop, experiment, values, initial, keep=True, taped=int(out.counts[1]), room=_ROOM)
+    return out
+
+
+def _derived(
+    loop: ClosedLoop,
+    experiment: Experiment,
+    values: Mapping[str, float],
+    names: Sequence[str],
+    out: Run,
+    positions: bool,
+) -> Sensitivities:
+    """Return the derivatives of a run."""
+    own = tuple(p.name for p in loop.joint.parameters)
     response = response_of(experiment, out)
     if out.outcome is not Outcome.FINISHED:
         torque = np.zeros((response.torque.size, len(names)))

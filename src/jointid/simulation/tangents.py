@@ -37,6 +37,10 @@ _STEP = 0.25  # longest Taylor step, as a fraction of 1/(fastest rate of the dri
 _AT_REST = 4  # the mode of both masses
 _LINE = 8  # numbers of a cache line
 _INPUTS = 5  # of a map: motor velocity, stretch, load velocity, torque, constant forces
+_NOTHING = (
+    1e-200  # what falls below it is 0: near the smallest numbers there are, many machines are a hundred times slower
+)
+_OFTEN = 64  # periods after which that is looked for
 _FACTOR = np.array([1.0 / math.factorial(i) for i in range(_ORDER + 1)])
 
 # Rows of the scratch, LANES long: derivatives of the state, what parameters change in the map, the derivatives of the
@@ -426,6 +430,11 @@ def follow(
     plain = small and parts == 1 and lags[0] == 0 and gravity is None and not keep and not delayed
     row, last = 0, before
     for k in range(n):
+        if k % _OFTEN == 0:
+            for i in range(4 * LANES):
+                q[_S + i] = q[_S + i] if abs(q[_S + i]) > _NOTHING else 0.0
+            for i in range(2 * LANES):
+                q[_Z + i] = q[_Z + i] if abs(q[_Z + i]) > _NOTHING else 0.0
         if plain and abs(u[k]) < limit and (row >= rows or tape[row, 0] > k):
             mode = int(modes[k])
             for i in range(explicit.shape[2]):

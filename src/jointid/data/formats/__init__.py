@@ -10,28 +10,37 @@ from pathlib import Path
 
 from jointid.common.errors import RecordError
 from jointid.data.formats.csv import Csv
+from jointid.data.formats.hdf5 import Hdf5
 from jointid.data.formats.matlab import Matlab
 from jointid.data.formats.npy import Npy
-from jointid.data.formats.table import Block, Format, Streamed, Table
+from jointid.data.formats.parquet import Parquet
+from jointid.data.formats.rosbag import RosBag
+from jointid.data.formats.table import Block, Format, Holds, Streamed, Table, WholeError
+from jointid.data.formats.tdms import Tdms
 
 __all__ = [
-    "FORMATS", "Block", "Csv", "Format", "Matlab", "Npy", "Streamed", "Table", "format_of", "read_blocks", "read_table",
-    "write_table",
+    "FORMATS", "Block", "Csv", "Format", "Hdf5", "Holds", "Matlab", "Npy", "Parquet", "RosBag", "Streamed", "Table",
+    "Tdms", "WholeError", "format_of", "read_blocks", "read_table", "read_tables", "write_table",
 ]  # fmt: skip
 
-FORMATS: tuple[Format, ...] = (Csv(), Matlab(), Npy())
+FORMATS: tuple[Format, ...] = (Csv(), Matlab(), Npy(), Hdf5(), Parquet(), Tdms(), RosBag())
 """Every format there is."""
+
+_LONG = 2**26  # bytes of a text that is read in pieces
 
 
 def format_of(path: str | os.PathLike[str], **options: object) -> Format:
-    """Return the format that the file's suffix names, with its reader set to `options`.
+    """Return the format that the file's suffix names, with its reader set to `options`; a folder is a bag of ROS 2.
 
     Raises:
         RecordError: no format has this suffix, or the format has no such option; the sentence says which.
     """
+    is_folder = os.fspath(path).endswith(("/", os.sep)) or os.path.isdir(path)  # noqa: PTH112 - which of a path that cannot be says no
     path = Path(path)
     for entry in FORMATS:
-        if path.suffix.lower() in entry.suffixes:
+        if path.suffix.lower() in entry.suffixes and not is_folder:
+            break
+        if isinstance(entry, RosBag) and (is_folder or not path.suffix):
             break
     else:
         known = "; ".join(f"{entry.name}: {', '.join(entry.suffixes)}" for entry in FORMATS)
@@ -74,9 +83,34 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
     reader = format_of(path, **options)
     if not isinstance(reader, Streamed):
         streamed = ", ".join(entry.name for entry in FORMATS if isinstance(entry, Streamed))
-        raise RecordError(f"{reader.name} cannot be read in pieces; convert {path.name} to one of {streamed}.")
+        raise WholeError(f"{reader.name} cannot be read in pieces; convert {path.name} to one of {streamed}.")
     with _reading(path):
         yield from reader.blocks(path, rows)
+
+
+def read_tables(path: str | os.PathLike[str], rows: int, **options: object) -> Iterator[Table]:
+    """Yield a file in tables of so many rows, or in one where its format has no rows one after the other.
+
+    Args:
+        path: the file.
+        rows: of a table, 1 or more; the last one may have fewer.
+        options: of the format's reader; see `Csv`.
+
+    Raises:
+        RecordError: there is no such file, or it cannot be read; the sentence says why.
+    """
+    try:
+        # How the rows of a text are written is told by all of them, where they fit into memory.
+        is_short_text = isinstance(format_of(path), Csv) and Path(path).is_file() and Path(path).stat().st_size < _LONG
+        blocks = iter(()) if is_short_text else read_blocks(path, rows, **options)
+        first = next(blocks, None)
+    except WholeError:
+        first = None
+    if first is None:  # a short text, a file that can only be read whole, or one without columns
+        yield read_table(path, **options)
+        return
+    yield first.table()
+    yield from (block.table() for block in blocks)
 
 
 @contextmanager
@@ -85,9 +119,7 @@ def _reading(path: Path) -> Iterator[None]:
     if "\0" in str(path):
         raise RecordError(f"{path} is no path: it holds a zero byte; correct it.")
     try:
-        if path.is_dir():
-            raise RecordError(f"{path} is a folder; name a file in it.")
-        if path.stat().st_size == 0:
+        if not path.is_dir() and path.stat().st_size == 0:
             raise RecordError(f"{path.name} is empty (0 bytes); log or copy it again.")
         yield
     except OSError as error:

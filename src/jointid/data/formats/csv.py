@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
@@ -23,7 +23,7 @@ from jointid.common.text import short
 from jointid.common.units import UnitError, unit
 from jointid.data.formats.dialect import BLANKS, Dialect, Fit, is_number, sniff
 from jointid.data.formats.scope import scope_of, scope_table
-from jointid.data.formats.table import Table
+from jointid.data.formats.table import Holds, Table, WholeError
 from jointid.data.formats.textfile import Line, TextFile, is_comment, read_lines, stream_lines, text_of
 from jointid.data.record import FloatArray
 
@@ -106,6 +106,7 @@ class Csv:
 
     name: ClassVar[str] = "CSV"
     suffixes: ClassVar[tuple[str, ...]] = (".csv", ".txt", ".tsv", ".dat")
+    holds: ClassVar[Holds] = Holds.NOTHING
 
     def __post_init__(self) -> None:
         mark = self.delimiter
@@ -157,7 +158,7 @@ class Csv:
             head = list(islice(lines, _BEGINNING))
             text = text_of(path.name, head)
             if scope_of(text) is not None:
-                raise RecordError(
+                raise WholeError(
                     f"{path.name} is an export of TwinCAT Scope, whose rows are no instants: it cannot be read in "
                     "pieces; convert it to NPY."
                 )
@@ -170,6 +171,11 @@ class Csv:
             following = list(islice(found, rows))
             yield Lines(path.name, layout, block, not following)
             block = following
+
+    def allowed(self, name: str, others: Collection[str] = ()) -> str:
+        """Return a name in one line that is no number; see `Format.allowed`."""
+        plain = "".join(c if c.isprintable() else "_" for c in name).strip() or "column"
+        return f"column {plain}" if is_number(plain) and not name.isdecimal() else plain
 
     def _table(self, text: TextFile) -> Table:
         scope = None if self.header is False else scope_of(text)

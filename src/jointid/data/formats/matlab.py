@@ -1,21 +1,21 @@
-"""MATLAB's MAT files, versions 4 to 7 (version 7.3 is another format, HDF5)."""
+"""MATLAB's MAT files: versions 4 to 7, and version 7.3, which is HDF5 within; the first bytes tell which."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from jointid.common.errors import RecordError
+from jointid.data.formats import h5, matlab73
 from jointid.data.formats.matfile import arrays
-from jointid.data.formats.table import Table
+from jointid.data.formats.table import Holds, Table, WholeError
 from jointid.data.record import FloatArray
 
-_HDF5 = b"\x89HDF\r\n\x1a\n"
-_HDF5_OFFSETS = (0, 512)  # MATLAB puts a text header of 512 bytes before it
 _NAME = re.compile(r"[A-Za-z]\w{0,62}", re.ASCII)
+_LONGEST = 63
 _KEYWORD = re.compile(
     "break|case|catch|classdef|continue|else|elseif|end|for|function|global|if|otherwise|parfor|persistent|"
     "return|spmd|switch|try|while"
@@ -28,13 +28,28 @@ class Matlab:
 
     A matrix gives the columns "name[0]", "name[1]", ...; its samples run along the longer side. What is not a
     real number (text, cells, objects, complex arrays) is passed over.
+
+    Attributes:
+        version: of what is written, "7" or "7.3"; a file is read whichever it has.
+
+    Raises:
+        RecordError: there is no such version.
     """
+
+    version: Literal["7", "7.3"] = "7"
 
     name: ClassVar[str] = "MAT"
     suffixes: ClassVar[tuple[str, ...]] = (".mat",)
+    holds: ClassVar[Holds] = Holds.SCALARS | Holds.LENGTHS
+
+    def __post_init__(self) -> None:
+        if self.version not in ("7", "7.3"):
+            raise RecordError(f'A MAT file is written in version "7" or "7.3"; got {self.version!r}.')
 
     def read(self, path: Path) -> Table:
         """Read every numeric variable of the file; see `Format.read`."""
+        if _is_hdf5(path):
+            return matlab73.read(path)
         found = _arrays(path)
         scalars = {name: float(array.item()) for name, array in found if array.size == 1}
         columns = dict(column for name, array in found if array.size > 1 for column in _columns(name, array))
@@ -44,8 +59,6 @@ class Matlab:
 
     def write(self, path: Path, table: Table) -> None:
         """Write columns as n x 1, scalars as 1 x 1 variables; a column of one sample is read as a scalar."""
-        from scipy.io import savemat
-
         variables: dict[str, Any] = {**table.columns, **table.scalars}
         refused = [n for n in variables if not _NAME.fullmatch(n) or _KEYWORD.fullmatch(n)]
         if refused:
@@ -56,17 +69,41 @@ class Matlab:
         twice = [n for n in table.scalars if n in table.columns]
         if twice:
             raise RecordError(f"{_quoted(twice)} names a column and a scalar; a MAT file holds one variable per name.")
+        if self.version == "7.3":
+            matlab73.write(path, table)
+            return
+        from scipy.io import savemat
+
         # Compressed variables carry a checksum: a damaged file is noticed, not read as other numbers.
         savemat(path, variables, do_compression=True, oned_as="column")
+
+    def blocks(self, path: Path, rows: int) -> Iterator[h5.Rows]:
+        """Yield so many rows after so many, of version 7.3."""
+        if not _is_hdf5(path):
+            raise WholeError(
+                f"{path.name} is a MAT file of version 7 or older, which cannot be read in pieces; save it with -v7.3 "
+                "in MATLAB, or convert it."
+            )
+        yield from matlab73.blocks(path, rows)
+
+    def allowed(self, name: str, others: Collection[str] = ()) -> str:
+        """Return a name as that of a variable; see `Format.allowed`."""
+        plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "column"
+        plain = plain if plain[0].isalpha() and not _KEYWORD.fullmatch(plain) else f"x{plain}"
+        return name if _NAME.fullmatch(name) and not _KEYWORD.fullmatch(name) else plain[:_LONGEST]
+
+
+def _is_hdf5(path: Path) -> bool:
+    """Return whether a file is of version 7.3."""
+    with path.open("rb") as file:
+        head = file.read(matlab73.HEADER + len(h5.SIGNATURE))
+    return any(head.startswith(h5.SIGNATURE, offset) for offset in (0, matlab73.HEADER))
 
 
 def _arrays(path: Path) -> list[tuple[str, FloatArray]]:
     """Return every matrix of real numbers and its path; any damage is one `RecordError`."""
-    raw = path.read_bytes()
-    if any(raw.startswith(_HDF5, offset) for offset in _HDF5_OFFSETS):
-        raise RecordError(f"{path.name} is a MAT file of version 7.3, which is not read; save it with -v7 in MATLAB.")
     try:
-        return list(arrays(raw))
+        return list(arrays(path.read_bytes()))
     except (ValueError, RecursionError, MemoryError) as error:
         raise RecordError(
             f"{path.name} cannot be read as a MAT file: it is damaged, cut off or of another format; "

@@ -5,7 +5,7 @@ Nothing else is read as fast, or as easily in pieces: a row is at a known place 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from tokenize import TokenError
@@ -14,7 +14,7 @@ from typing import IO, Any, ClassVar
 import numpy as np
 
 from jointid.common.errors import RecordError
-from jointid.data.formats.table import Table
+from jointid.data.formats.table import Holds, Table
 
 _VERSIONS = ((1, 0), (2, 0), (3, 0))
 
@@ -28,6 +28,7 @@ class Npy:
 
     name: ClassVar[str] = "NPY"
     suffixes: ClassVar[tuple[str, ...]] = (".npy",)
+    holds: ClassVar[Holds] = Holds.NOTHING
 
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
@@ -47,6 +48,10 @@ class Npy:
             array[name] = values
         with path.open("wb") as file:
             np.save(file, array, allow_pickle=False)
+
+    def allowed(self, name: str, others: Collection[str] = ()) -> str:
+        """Return the name, which can be any but none; see `Format.allowed`."""
+        return name or "_"
 
     def blocks(self, path: Path, rows: int) -> Iterator[Rows]:
         """Yield so many rows after so many."""

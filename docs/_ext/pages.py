@@ -1,0 +1,141 @@
+"""Pages that are written from the program and the repository before each build, into docs/reference/generated."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import os
+import re
+from collections.abc import Iterator
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import joint_file_keys
+
+import jointid
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
+
+DOCS = Path(__file__).resolve().parents[1]
+ROOT = DOCS.parent
+FOLDER = DOCS / "reference" / "generated"
+
+REPOSITORY = {
+    "README.md": "readme",
+    "CONTRIBUTING.md": "contributing",
+    "CHANGELOG.md": "changelog",
+    "examples/emps/README.md": "example-emps",
+    "examples/kr300/README.md": "example-kr300",
+    "examples/motorbench/README.md": "example-motorbench",
+}
+"""Files of the repository that are pages, too, and what their pages are called."""
+
+_LINK = re.compile(r"\[(?P<text>[^\]\[]*)\]\((?!https?:|#|mailto:)(?P<target>[^)#\s]+)(?P<anchor>#[^)]*)?\)")
+_WANTED = re.compile(r"^\.\./\w+\*$\n", re.MULTILINE)
+
+
+def written() -> dict[str, str]:
+    """Return every generated page by its file name."""
+    pages = {"joint-file-keys.md": joint_file_keys.page(), **_api()}
+    for source, name in REPOSITORY.items():
+        text = (ROOT / source).read_text(encoding="utf-8")
+        pages[f"{name}.md"] = relinked(text, (ROOT / source).parent, FOLDER)
+    return pages
+
+
+def relinked(text: str, here: Path, there: Path) -> str:
+    """Return a page whose links, true where it is, are true of the site as seen from another folder."""
+
+    def moved(link: re.Match[str]) -> str:
+        target = Path(os.path.normpath(here / link["target"]))
+        if target.is_dir():  # which a site does not list
+            return link["text"]
+        name = REPOSITORY.get(target.relative_to(ROOT).as_posix())
+        if name is not None:
+            target = FOLDER / f"{name}.md"
+        return f"[{link['text']}]({Path(os.path.relpath(target, there)).as_posix()}{link['anchor'] or ''})"
+
+    return _LINK.sub(moved, text)
+
+
+def _api() -> dict[str, str]:
+    """Return a page for each room that has public names, in the order of their rooms."""
+    homes = {name: getattr(jointid, "_HOME")[name] for name in jointid.__all__}  # noqa: B009
+    rooms = groupby(sorted(jointid.__all__, key=lambda name: homes[name]), lambda name: homes[name].split(".")[0])
+    pages = {}
+    for room, names in rooms:
+        public = sorted(names, key=str.lower)
+        said = inspect.cleandoc(importlib.import_module(f"jointid.{room}").__doc__ or "").split("\n\n")[0]
+        pages[f"api-{room}.md"] = _api_page(room, said.replace("\n", " "), public)
+    return pages
+
+
+def _api_page(room: str, said: str, names: list[str]) -> str:
+    rows = "\n".join(f"| {{py:obj}}`{name} <jointid.{name}>` | {_first_line(name)} |" for name in names)
+    directives = [*map(_directive, names), *(f".. autoclass:: {base}" for base in _bases(room, names))]
+    entries = "\n".join(f"```{{eval-rst}}\n{directive}\n```\n" for directive in directives)
+    return (
+        f"# `{room}`\n\n{said}\n\n| name | what it is |\n|---|---|\n{rows}\n\n"
+        f"```{{eval-rst}}\n.. currentmodule:: jointid\n```\n\n{entries}"
+    )
+
+
+def _bases(room: str, names: list[str]) -> list[str]:
+    """Return the bases that public classes of a room have there and that are no public names themselves."""
+    classes = [thing for name in names if isinstance(thing := getattr(jointid, name), type)]
+    found = {
+        f"{base.__module__}.{base.__qualname__}": None
+        for made in classes
+        for base in made.__mro__[1:]
+        if base.__module__.startswith(f"jointid.{room}.") and base.__name__ not in jointid.__all__ and base.__doc__
+    }
+    return list(found)
+
+
+def _first_line(name: str) -> str:
+    said = inspect.getdoc(getattr(jointid, name)) or ""
+    return said.split("\n\n")[0].replace("\n", " ").replace("``", "`").replace("|", "\\|")
+
+
+def _directive(name: str) -> str:
+    thing = getattr(jointid, name)
+    if inspect.isfunction(thing):
+        return f".. autofunction:: jointid.{name}"
+    if isinstance(thing, type):
+        kind = "autoexception" if issubclass(thing, BaseException) else "autoclass"
+        return f".. {kind}:: jointid.{name}"
+    return f".. autodata:: jointid.{name}"
+
+
+def _write(_: Sphinx) -> None:
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    pages = written()
+    for name, text in pages.items():
+        path = FOLDER / name
+        if not path.is_file() or path.read_text(encoding="utf-8") != text:  # else Sphinx would read it again
+            path.write_text(text, encoding="utf-8")
+    for path in FOLDER.glob("*.md"):
+        if path.name not in pages:
+            path.unlink()
+
+
+def _relink(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Lead links that leave the documentation to the repository's pages; leave out of a list what there is none of."""
+    here = (Path(app.srcdir) / docname).parent
+    if here != FOLDER:
+        source[0] = _WANTED.sub(lambda wanted: wanted[0] if any(_matching(here, wanted[0])) else "", source[0])
+        source[0] = relinked(source[0], here, here)
+
+
+def _matching(here: Path, wanted: str) -> Iterator[Path]:
+    """Yield the pages of a pattern in a list of pages."""
+    return DOCS.glob(f"{wanted.strip().removeprefix('../')}.md")
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Register both."""
+    app.connect("builder-inited", _write)
+    app.connect("source-read", _relink)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,35 @@
+"""`jointid compare-reports`: what changed between two estimates of the same joint."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+
+def compare_reports(
+    before: Path,
+    after: Path,
+    /,
+    *,
+    level: float = 0.05,
+    json: Annotated[Path | None, Parameter()] = None,
+) -> None:
+    """Say what changed between two estimates of the same joint, and whether it is more than their errors.
+
+    Args:
+        before: the first (A): what identify --json wrote, or the page of a report.
+        after: the second (B), likewise.
+        level: chance that anything is called changed where nothing is, for all quantities together.
+        json: also write the answer as JSON to this file.
+    """
+    from jointid import answers
+    from jointid.assessment.drift import compare_reports as run
+    from jointid.cli.console import check_outputs, show
+
+    check_outputs(None, json)
+    found = run(answers.read_report(before), answers.read_report(after), level)
+    show(found)
+    if json is not None:
+        answers.write(answers.drift_answer(found), json)

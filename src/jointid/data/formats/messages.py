@@ -1,0 +1,264 @@
+"""ROS 2 messages: their definitions as text, and their bytes (CDR) read by them.
+
+The library that reads bags makes Python code of the definitions in a file and runs it; here they are only looked up.
+Every length is checked against the bytes there are, and a message against a budget, whatever its definition says.
+(Definitions: the ROS 2 interface format. Bytes: CDR, version 1, of the Object Management Group, aligned from the end of
+the four bytes that head them.)
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+_NUMBERS = {
+    "bool": "u1", "byte": "u1", "char": "u1", "uint8": "u1", "int8": "i1", "uint16": "u2", "int16": "i2",
+    "uint32": "u4", "int32": "i4", "uint64": "u8", "int64": "i8", "float32": "f4", "float64": "f8",
+}  # fmt: skip
+_FIELD = re.compile(r"([\w/]+)(?:<=\d+)?(\[(?:<=)?\d*\])?\s+([A-Za-z]\w*)\b(?!\s*=)")
+_SEPARATOR = re.compile(r"^={20,}\s*$", re.MULTILINE)
+_TIME = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
+_NAMING = ("name", "names", "joint_names", "interface_names")
+_OF_ITS_OWN = ("data", "values")  # fields that go by the name of what holds them
+_BUDGET = 20_000  # values and parts of one message
+_DEEPEST = 16
+_WIDEST = 256  # columns of an array without names; a longer one is a picture, or a scan
+
+Value: TypeAlias = Any
+"""A number, an array, a list of texts, a message (a dictionary) or a list of them; None for text."""
+
+
+class Field(NamedTuple):
+    """One field of a message: its type, its name, and its length: None for one value, -1 for any number."""
+
+    type: str
+    name: str
+    length: int | None
+
+
+Definition: TypeAlias = tuple[Field, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Types:
+    """The definitions of message types by their names, "package/Type"."""
+
+    known: Mapping[str, Definition]
+
+    def decode(self, name: str, data: bytes) -> dict[str, Value]:
+        """Return the fields of a message.
+
+        Raises:
+            ValueError: the bytes are not such a message, or it is too large.
+            KeyError: it needs a type that is not known.
+        """
+        if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
+            raise ValueError("the message is not plain CDR")
+        return _Decoder(self.known, data[4:], "<" if data[1] else ">").message(short(name), 0)
+
+
+def short(name: str) -> str:
+    """Return the name of a type as "package/Type"."""
+    parts = name.split("/")
+    return f"{parts[0]}/{parts[-1]}"
+
+
+def types_of(name: str, text: str) -> Types:
+    """Return the type of a name, and those it needs, from the text of its definition.
+
+    Args:
+        name: of the type that comes first in the text.
+        text: definitions with a line of "=" and one of "MSG: package/Type" between them; may be empty.
+    """
+    known = dict(_STANDARD)
+    first, *others = _SEPARATOR.split(text)
+    if text.strip():
+        known[short(name)] = _definition(short(name), first)
+    for other in others:
+        head, _, body = other.strip().partition("\n")
+        if head.startswith("MSG:"):
+            inner = short(head.removeprefix("MSG:").strip())
+            known[inner] = _definition(inner, body)
+    return Types(known)
+
+
+def _definition(name: str, text: str) -> Definition:
+    """Return the fields of one type; constants and comments are none."""
+    fields = []
+    for line in text.splitlines():
+        match = _FIELD.match(line.partition("#")[0].strip())
+        if match is None:
+            continue
+        kind, length, field = match.groups()
+        if kind not in (*_NUMBERS, "string", "wstring"):
+            package = "std_msgs" if kind == "Header" else name.partition("/")[0]
+            kind = short(kind) if "/" in kind else f"{package}/{kind}"
+        count = None if length is None else -1 if "<=" in length or length == "[]" else int(length[1:-1])
+        fields.append(Field(kind, field, count))
+    return tuple(fields)
+
+
+class _Decoder:
+    """The bytes of one message, read from front to back."""
+
+    def __init__(self, known: Mapping[str, Definition], data: bytes, order: str) -> None:
+        self.known, self.data, self.order = known, data, order
+        self.at, self.budget = 0, _BUDGET
+
+    def message(self, name: str, deep: int) -> dict[str, Value]:
+        """Return the fields of a message."""
+        if deep > _DEEPEST:
+            raise ValueError("messages within messages without end")
+        fields = self.known[name]
+        if not fields:
+            self.take(1, 1)  # a message without fields is a byte long
+        return {field.name: self.field(field, deep) for field in fields}
+
+    def field(self, field: Field, deep: int) -> Value:
+        """Return one value, or an array of them."""
+        kind, length = field.type, field.length
+        if length is None:
+            return self.value(kind, deep)
+        count = int(self.number("u4")) if length < 0 else length
+        if kind in _NUMBERS:
+            size = np.dtype(_NUMBERS[kind]).itemsize
+            start = self.take(count * size, size) if count else self.at
+            return np.frombuffer(self.data, self.order + _NUMBERS[kind], count, start)
+        self.spend(count)
+        return [self.value(kind, deep) for _ in range(count)]
+
+    def value(self, kind: str, deep: int) -> Value:
+        """Return a number, a text or a message."""
+        self.spend(1)
+        if kind in _NUMBERS:
+            return float(self.number(_NUMBERS[kind]))
+        if kind == "string":
+            count = int(self.number("u4"))
+            start = self.take(count, 1)
+            return self.data[start : start + max(count - 1, 0)].decode("utf-8", "replace")
+        if kind == "wstring":
+            raise KeyError(kind)
+        if kind in _TIME:
+            return Instant(int(self.number("i4")), int(self.number("u4")))
+        return self.message(kind, deep + 1)
+
+    def number(self, kind: str) -> Any:
+        """Return one number."""
+        size = int(kind[1:])
+        return np.frombuffer(self.data, self.order + kind, 1, self.take(size, size))[0]
+
+    def take(self, count: int, size: int) -> int:
+        """Return where so many bytes begin, the first of them at a multiple of a size, and go on behind them."""
+        start = self.at + -self.at % size
+        if start + count > len(self.data):
+            raise ValueError("the message is shorter than it says")
+        self.at = start + count
+        return start
+
+    def spend(self, count: int) -> None:
+        self.budget -= count
+        if self.budget < 0:
+            raise ValueError("the message has too many parts")
+
+
+class Instant(NamedTuple):
+    """A time or a duration."""
+
+    seconds: int
+    nanoseconds: int
+
+    @property
+    def total(self) -> int:
+        """Nanoseconds."""
+        return self.seconds * 10**9 + self.nanoseconds
+
+
+def stamp_of(message: Mapping[str, Value]) -> int | None:
+    """Return the time in the header of a message in nanoseconds; None where there is none, or nobody filled it in."""
+    header = message.get("header")
+    stamp = header.get("stamp") if isinstance(header, dict) else None
+    return stamp.total if isinstance(stamp, Instant) and stamp.total else None
+
+
+def numbers_of(message: Mapping[str, Value], path: str, names: list[str] | None = None) -> Iterator[tuple[str, float]]:
+    """Yield the numbers of a message by their paths.
+
+    Of an array that is as long as the list of names beside or above it every number goes by its name,
+    "path/joint/field"; of others by its place, "path/field[0]". Bytes, long arrays and text are passed over.
+
+    Args:
+        message: the fields.
+        path: of the message.
+        names: of the joints, from a message that holds this one.
+    """
+    own = [value for key in _NAMING if _is_names(value := message.get(key))]
+    names = own[0] if own else names
+    for key, value in message.items():
+        inner = "" if key in _OF_ITS_OWN else f"/{key}"
+        if isinstance(value, Instant):
+            yield f"{path}{inner}", value.total / 1e9
+        elif isinstance(value, float):
+            yield f"{path}{inner}", value
+        elif isinstance(value, dict) and key not in ("header", "layout"):
+            yield from numbers_of(value, f"{path}{inner}", names)
+        elif isinstance(value, np.ndarray) and value.dtype.itemsize > 1 and value.size <= _WIDEST:
+            named = names is not None and len(names) == value.size
+            places = [f"{path}/{n}{inner}" for n in names or ()] if named else _numbered(path + inner, value.size)
+            yield from zip(places, value.tolist(), strict=True)
+        elif names and isinstance(value, list) and len(value) == len(names) and isinstance(value[0], dict):
+            for name, part in zip(names, value, strict=True):
+                yield from numbers_of(part, f"{path}/{name}")
+
+
+def _numbered(path: str, count: int) -> list[str]:
+    return [f"{path}[{index}]" for index in range(count)]
+
+
+def _is_names(value: Value) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(text, str) for text in value)
+
+
+def float64(value: float) -> bytes:
+    """Return a std_msgs/Float64 as bytes."""
+    return b"\x00\x01\x00\x00" + struct.pack("<d", value)
+
+
+_HEADER = (Field("std_msgs/Header", "header", None),)
+_STANDARD: Mapping[str, Definition] = {
+    "builtin_interfaces/Time": (Field("int32", "sec", None), Field("uint32", "nanosec", None)),
+    "builtin_interfaces/Duration": (Field("int32", "sec", None), Field("uint32", "nanosec", None)),
+    "std_msgs/Header": (Field(_TIME[0], "stamp", None), Field("string", "frame_id", None)),
+    "sensor_msgs/JointState": (
+        *_HEADER,
+        Field("string", "name", -1),
+        *(Field("float64", name, -1) for name in ("position", "velocity", "effort")),
+    ),
+    "trajectory_msgs/JointTrajectoryPoint": (
+        *(Field("float64", name, -1) for name in ("positions", "velocities", "accelerations", "effort")),
+        Field(_TIME[1], "time_from_start", None),
+    ),
+    "std_msgs/MultiArrayDimension": (
+        Field("string", "label", None), Field("uint32", "size", None), Field("uint32", "stride", None),
+    ),
+    "std_msgs/MultiArrayLayout": (
+        Field("std_msgs/MultiArrayDimension", "dim", -1), Field("uint32", "data_offset", None),
+    ),
+    **{
+        f"std_msgs/{name}": (Field(name.lower(), "data", None),)
+        for name in (
+            "Bool", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Float32", "Float64",
+        )
+    },
+    **{
+        f"std_msgs/Float{bits}MultiArray": (
+            Field("std_msgs/MultiArrayLayout", "layout", None), Field(f"float{bits}", "data", -1),
+        )
+        for bits in (32, 64)
+    },
+}  # fmt: skip
+"""The types that bags of older versions have without their definition."""

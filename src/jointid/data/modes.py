@@ -1,0 +1,151 @@
+"""A filter forwards and backwards by its modes, at the samples that are kept and nowhere else.
+
+A filter H with single poles p_i is a sum of modes, each of which forgets by its own factor a sample (partial
+fractions), and so is what it makes of a signal forwards and then backwards::
+
+    H(z) = d + sum_i r_i / (1 - p_i / z)
+    H(z) H(1/z) = d H(0) + sum_i r_i H(1/p_i) (1 / (1 - p_i / z) + p_i z / (1 - p_i z))
+
+The modes forwards and those backwards read the signal itself, side by side, so the samples between two that are kept
+are summed up by one small matrix, and only one sample in so many takes a step of a recurrence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.memory import Room
+from jointid.data.record import FloatArray
+
+if TYPE_CHECKING:
+    from typing import Self
+
+_BLOCKS = 512  # kept samples at a time: what they need stays in the cache
+_ROOM = Room()
+
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Modes:
+    """A filter of real coefficients with as many zeros as poles, complex and single, by its modes.
+
+    Attributes:
+        poles: (modes,) those above the real axis; the others are their conjugates.
+        residues: (modes,) r_i of the module.
+        both: (modes,) the residues of the filter forwards and backwards, r_i H(1/p_i).
+        direct: d of the module. passed: what goes straight through both ways, d H(0).
+        shared: (modes, 2 modes) ``p_j / (1 - p_i p_j)`` over all poles j, those above the real axis first.
+    """
+
+    poles: ComplexArray
+    residues: ComplexArray
+    both: ComplexArray
+    direct: float
+    passed: float
+    shared: ComplexArray
+
+    @classmethod
+    def of(cls, zeros: ComplexArray, poles: ComplexArray, gain: float) -> Self:
+        """Return the modes of a filter given by its zeros, poles and gain."""
+        upper = poles[poles.imag > 0]
+        every = np.concatenate([upper, upper.conj()])
+
+        def response(inverse: ComplexArray, others: ComplexArray) -> complex:
+            """Return H at 1/z, without the pole that `others` leave out."""
+            return complex(gain * np.prod(1 - zeros * inverse) / np.prod(1 - others * inverse))
+
+        residues = np.array([response(1 / p, np.delete(every, i)) for i, p in enumerate(upper)])
+        backwards = np.array([response(p, every) for p in upper])
+        direct = float(np.real(gain * np.prod(zeros) / np.prod(every)))
+        shared = every / (1 - np.multiply.outer(upper, every))
+        return cls(upper, residues, residues * backwards, direct, direct * gain, shared)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Thinning:
+    """What filtering by modes needs beside the signal, for one number of samples that are kept in so many.
+
+    Attributes:
+        modes: of the filter.
+        keep: one sample in so many.
+        padding: samples by which the ends are reflected about their ends.
+        between: (2, 2 modes, keep) what the samples between two that are kept add to the later, forwards, and to the
+            earlier, backwards: real parts, then imaginary ones.
+        older: (modes, padding + keep) the powers of the poles.
+        powers, weights: see `recurrences.add_modes`.
+    """
+
+    modes: Modes
+    keep: int
+    padding: int
+    between: FloatArray
+    older: ComplexArray
+    powers: FloatArray
+    weights: FloatArray
+
+    @classmethod
+    def of(cls, modes: Modes, keep: int, padding: int) -> Self:
+        """Return it for a filter."""
+        older = modes.poles[:, np.newaxis] ** np.arange(padding + keep + 1)
+        between = np.stack([np.concatenate(_parts(row)) for row in (older[:, keep - 1 :: -1], older[:, 1 : keep + 1])])
+        return cls(modes, keep, padding, between[:, :, :keep], older, _parts(older[:, keep]), 2 * _parts(modes.both))
+
+    def __call__(self, values: FloatArray, first: int) -> FloatArray:
+        """Return columns filtered forwards and backwards, (kept, columns), as `scipy.signal.sosfiltfilt` does.
+
+        Args:
+            values: (samples, columns).
+            first: sample that is kept first; the last one is kept, too.
+        """
+        modes, padding = self.modes, self.padding
+        values = np.ascontiguousarray(values, dtype=np.float64)
+        between = values[first + 1 :].reshape(-1, self.keep, values.shape[1])
+        kept = modes.passed * values[first :: self.keep]
+        before = np.concatenate([2 * values[:1] - values[padding:0:-1], values[: first + 1]])
+        behind = 2 * values[-1:] - values[-2 : -padding - 2 : -1]
+        settled = np.multiply.outer(1 / (1 - modes.poles), before[0])
+        forwards = self._gathered(before[::-1], settled)
+        last = self._gathered(behind[::-1], self._add(kept, between, forwards, 1))
+        # Backwards the filter begins as if its own output had ended at a constant, not the signal.
+        says = modes.residues[:, np.newaxis] * last
+        output = modes.direct * behind[-1] + 2 * np.real(np.sum(says, axis=0))
+        ended = np.multiply.outer(1 / (1 - modes.poles), output) - modes.shared @ np.concatenate([says, says.conj()])
+        ended *= (modes.residues / modes.both)[:, np.newaxis]
+        self._add(kept, between, modes.poles[:, np.newaxis] * self._gathered(behind, ended), -1)
+        return kept
+
+    def _gathered(self, values: FloatArray, states: ComplexArray) -> ComplexArray:
+        """Return the modes, (modes, columns), after samples, each a sample older than the one before, and states."""
+        size = len(values)
+        return np.asarray(self.older[:, :size] @ values + self.older[:, size, np.newaxis] * states)
+
+    def _add(self, kept: FloatArray, between: FloatArray, states: ComplexArray, step: int) -> ComplexArray:
+        """Add the modes of one direction to all that is kept, and return them where they end.
+
+        Args:
+            kept: (kept, columns).
+            between: (kept - 1, keep, columns) the samples after each that is kept, up to the next.
+            states: (modes, columns) where they begin.
+            step: 1 forwards, -1 backwards.
+        """
+        from jointid.data.recurrences import add_modes
+
+        forwards = step > 0
+        kept[0 if forwards else -1] += 2 * np.real(self.modes.both @ states)
+        rows, moved = self.between[0 if forwards else 1], _parts(states)
+        begins = range(0, len(between), _BLOCKS)
+        for begin in begins if forwards else reversed(begins):
+            block = between[begin : begin + _BLOCKS]
+            pushes = _ROOM.array("pushes", (len(block), len(rows), block.shape[2]))
+            np.matmul(rows, block, out=pushes)
+            add_modes(self.powers, self.weights, pushes, step, moved, kept[begin : begin + len(block) + 1])
+        return np.asarray(moved[0] + 1j * moved[1])
+
+
+def _parts(numbers: ComplexArray) -> FloatArray:
+    return np.stack([numbers.real, numbers.imag])

@@ -1,0 +1,176 @@
+"""The linear part of a joint as a state space, continuous and sampled.
+
+With the motor's position and velocity, and the load's, as states and the torque tau as input::
+
+    ZZ1 a1  = tau - Fv1 v1 - K12 (q1 - q12) - F12 (v1 - v12)
+    ZZ2 a12 =     - Fv2 v12 + K12 (q1 - q12) + F12 (v1 - v12) - rate q12
+
+`rate` is of a spring that carries the load (`model.gravity`). A rigid joint has the first line alone, without the
+spring. What is not linear, Coulomb friction and a weight that turns, is not in it, nor what is constant: it describes
+motion that does not reverse, about a steady one, less the constant forces.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jointid.common.errors import ExtraError, MethodError
+from jointid.common.text import number
+from jointid.data.record import FloatArray
+from jointid.exports.joint_model import JointModel
+from jointid.exports.provenance import effects_left_out, friction_shift, uneven_viscous
+from jointid.model.parameters import Quantity, unit_of
+
+_SNAP = 1e-9  # of a period: a delay closer than this to a whole number of them is one
+_MOST = 1000  # periods of delay: each is a state
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StateSpace:
+    """``x' = A x + B u, y = C x + D u``, or from one sample to the next where there is a period.
+
+    Attributes:
+        A, B, C, D: (states, states), (states, 1), (outputs, states), (outputs, 1).
+        units: of each state that is a position or a velocity, of the torque and of nothing else, by name.
+        states, inputs, outputs: their names.
+        period: seconds between samples, None where it is continuous.
+        delay: seconds from a sample of the torque to its effect.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    units: Mapping[str, str]
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    period: float | None = None
+    delay: float = 0.0
+
+    def sampled(self, period: float, delay: float = 0.0) -> StateSpace:
+        """Return it for a torque that is held from each sample to the next: exact at the samples, up to rounding.
+
+        With ``delay = (m + f) period``, f below 1, a sample's torque acts for the last (1 - f) of a period and the
+        first f of the next (Franklin, Powell and Workman, Digital Control of Dynamic Systems, section 4.3)::
+
+            x[k+1] = Phi x[k] + e^(A (1-f) T) G(f T) u[k-m-1] + G((1-f) T) u[k-m],    G(h) = integral of e^(A s) B to h
+
+        Each torque that is still on its way is a state, ``torque_1`` the newest.
+
+        Args:
+            period: T, seconds.
+            delay: seconds from a sample of the torque to its effect.
+
+        Raises:
+            MethodError: it is sampled already, or one of the two is impossible.
+        """
+        if self.period is not None or not 0 < period < math.inf or not 0 <= delay <= _MOST * period:
+            raise MethodError(
+                f"A continuous state space is sampled with a positive period and a delay from 0 to {_MOST} of them; "
+                f"received {period} s and {delay} s" + (", and it is sampled already." if self.period else ".")
+            )
+        whole = math.floor(delay / period + _SNAP)
+        late = max(delay - whole * period, 0.0)
+        late = late if late > _SNAP * period else 0.0
+        before, held_before = self._held(late)
+        after, held_after = self._held(period - late)
+        order, waiting = len(self.A), whole + (late > 0)
+        A, B = np.zeros((order + waiting, order + waiting)), np.zeros((order + waiting, 1))
+        A[:order, :order] = after @ before
+        for lag, column in ((whole, held_after), (whole + 1, after @ held_before)):
+            if lag == 0:
+                B[:order] = column
+            elif lag <= waiting:
+                A[:order, order + lag - 1 : order + lag] = column
+        if waiting:
+            B[order, 0] = 1.0
+            A[order + 1 :, order:-1] = np.eye(waiting - 1)
+        C = np.hstack([self.C, np.zeros((len(self.C), waiting))])
+        names = tuple(f"torque_{i + 1}" for i in range(waiting))
+        states = (*self.states, *names)
+        return StateSpace(A, B, C, self.D, self.units, states, self.inputs, self.outputs, period, delay)
+
+    def _held(self, seconds: float) -> tuple[FloatArray, FloatArray]:
+        """Return how the states go on in that time, and what a torque of 1 adds: one exponential gives both."""
+        from scipy.linalg import expm
+
+        order = len(self.A)
+        both = np.zeros((order + 1, order + 1))
+        both[:order, :order], both[:order, order:] = self.A, self.B
+        exponential = np.asarray(expm(both * seconds))
+        return exponential[:order, :order], exponential[:order, order:]
+
+    def scipy(self) -> Any:
+        """Return it as SciPy's `StateSpace`: of `lti`, or of `dlti` where there is a period."""
+        from scipy import signal
+
+        timed = {} if self.period is None else {"dt": self.period}
+        return signal.StateSpace(self.A, self.B, self.C, self.D, **timed)
+
+    def control(self) -> Any:
+        """Return python-control's `StateSpace`, its signals named.
+
+        Raises:
+            ExtraError: python-control is not there.
+        """
+        try:
+            import control
+        except ImportError:
+            raise ExtraError('python-control is not installed; it comes with pip install "jointid[models]".') from None
+        dt = 0 if self.period is None else self.period
+        names = {"states": list(self.states), "inputs": list(self.inputs), "outputs": list(self.outputs)}
+        return control.ss(self.A, self.B, self.C, self.D, dt, **names)
+
+
+def linear_part(model: JointModel) -> StateSpace:
+    """Return the linear part of a joint, continuous: from the torque on its side to every position and velocity.
+
+    Raises:
+        MethodError: a value is refused, or no joint can have it.
+    """
+    motor, load, weight = model.motor, model.load, model.weight
+    rate = 0.0 if weight is None else weight.rate
+    if load is None:
+        A = np.array([[0.0, 1.0], [-rate / motor.inertia, -motor.viscous / motor.inertia]])
+        states: tuple[str, ...] = ("motor_position", "motor_velocity")
+    else:
+        K, F = model.stiffness, model.damping
+        A = np.array(
+            [
+                [0.0, 1.0, 0.0, 0.0],
+                [-K / motor.inertia, -(F + motor.viscous) / motor.inertia, K / motor.inertia, F / motor.inertia],
+                [0.0, 0.0, 0.0, 1.0],
+                [K / load.inertia, F / load.inertia, -(K + rate) / load.inertia, -(F + load.viscous) / load.inertia],
+            ]
+        )
+        states = ("motor_position", "motor_velocity", "load_position", "load_velocity")
+    B = np.zeros((len(A), 1))
+    B[1, 0] = 1.0 / motor.inertia
+    quantities = (Quantity.POSITION, Quantity.VELOCITY)
+    units = {name: unit_of(quantities[i % 2], model.kind, model.torque_unit) for i, name in enumerate(states)}
+    units["torque"] = model.torque_unit
+    return StateSpace(A, B, np.eye(len(A)), np.zeros((len(A), 1)), units, states, ("torque",), states)
+
+
+def not_linear(model: JointModel) -> tuple[str, ...]:
+    """Return a sentence for each part of a joint that its state space does not have."""
+    unit, weight = model.torque_unit, model.weight
+    masses = [("motor", model.motor)] if model.load is None else [("motor", model.motor), ("load", model.load)]
+    lost = [
+        f"the Coulomb friction of the {name}, {number(mass.coulomb)} {unit}, and with it all sticking"
+        for name, mass in masses
+        if mass.coulomb
+    ]
+    constants = [("motor", friction_shift(model)), *((name, mass.shift) for name, mass in masses[1:])]
+    lost += [f"a constant force of {number(force)} {unit} on the {name}" for name, force in constants if force]
+    if weight is not None and weight.constant:
+        lost.append(f"the constant load, {number(weight.constant)} {unit}")
+    if weight is not None and weight.turns:
+        lost.append("the weight, which follows the cosine and the sine of the position")
+    return (*lost, *uneven_viscous(model), *effects_left_out(model))

@@ -1,0 +1,42 @@
+"""What the page accepts and keeps: everything that comes from a browser has a bound."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+"""Addresses that only this machine reaches."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Bounds of one page.
+
+    Attributes:
+        upload: bytes of a record.
+        joint_file: bytes of a joint file.
+        kept: bytes of one visitor's folder, beyond which no further record is taken.
+        visitors: whose folders are kept at a time.
+        runs: identifications that are kept for a visitor.
+        at_once: identifications that run at a time; the others wait.
+        waiting: identifications that may wait.
+        seconds: after which an identification is stopped.
+        reading: seconds after which the reading of a record is stopped.
+        days: after which the folder of a visitor who did not come back is removed.
+    """
+
+    upload: int = 256 * 2**20
+    joint_file: int = 256 * 2**10
+    kept: int = 2 * 2**30
+    visitors: int = 100
+    runs: int = 20
+    at_once: int = 1
+    waiting: int = 20
+    seconds: float = 3600.0
+    reading: float = 300.0
+    days: float = 7.0
+
+
+def megabytes(size: float) -> str:
+    """Return a size in bytes as a sentence says it."""
+    return f"{size / 2**20:.0f} MB" if size >= 2**20 else f"{size / 2**10:.0f} kB"

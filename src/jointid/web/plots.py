@@ -1,0 +1,68 @@
+"""A column as a picture: its outline over the record, drawn as SVG, which a browser shows without running anything."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from itertools import groupby
+from typing import Any
+
+from jointid.common.text import number
+
+WIDTH, HEIGHT = 640, 150
+_LEFT, _RIGHT, _TOP, _BOTTOM = 74, 8, 10, 24
+_LINE = "#0072B2"  # that of what is measured, in all our figures
+_THINNEST = 1.2  # px: a flat stretch still shows
+
+
+def column_svg(column: Mapping[str, Any], end: str) -> str:
+    """Return the picture of a column.
+
+    Args:
+        column: of a preview.
+        end: what stands at the right end of the time axis, such as "24.8 s".
+    """
+    low, high = column["low"], column["high"]
+    body = '<text x="320" y="80" text-anchor="middle">no numbers</text>'
+    if column["outline"] is not None and low is not None:
+        span = high - low or max(abs(low), 1.0)
+        bottom = low if high > low else low - span / 2
+        labels = [(high, _TOP + 8), (low, HEIGHT - _BOTTOM)] if high > low else [(low, (_TOP + HEIGHT - _BOTTOM) / 2)]
+        texts = "".join(
+            f'<text x="{_LEFT - 6}" y="{y:g}" text-anchor="end">{escape(number(v, 4))}</text>' for v, y in labels
+        )
+        body = texts + _outline(column["outline"], bottom, span)
+    base = HEIGHT - _BOTTOM
+    frame = (
+        f'<path d="M{_LEFT} {_TOP}V{base}H{WIDTH - _RIGHT}" fill="none" stroke="#8a949e"/>'
+        f'<text x="{_LEFT}" y="{HEIGHT - 6}">0</text>'
+        f'<text x="{WIDTH - _RIGHT}" y="{HEIGHT - 6}" text-anchor="end">{escape(end)}</text>'
+    )
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" font-family="sans-serif" '
+        f'font-size="13" fill="#4a545e">{frame}{body}</svg>'
+    )
+
+
+def _outline(outline: Sequence[Sequence[float | None]], bottom: float, span: float) -> str:
+    """Return a band from the lowest to the highest values; where there are none, a gap."""
+    count, tall = len(outline[0]), HEIGHT - _TOP - _BOTTOM
+    wide = (WIDTH - _LEFT - _RIGHT) / max(count - 1, 1)
+    points: list[tuple[float, float, float] | None] = [
+        None if low is None or high is None else (i, (low - bottom) / span, (high - bottom) / span)
+        for i, (low, high) in enumerate(zip(*outline, strict=True))
+    ]
+    bands = []
+    for there, stretch in groupby(points, key=lambda point: point is not None):
+        if not there:
+            continue
+        upper, lower = [], []
+        for point in stretch:
+            assert point is not None
+            i, low, high = point
+            x, top, under = _LEFT + i * wide, _TOP + (1 - high) * tall, _TOP + (1 - low) * tall
+            under = max(under, top + _THINNEST)
+            upper.append(f"{x:.1f} {top:.1f}")
+            lower.append(f"{x:.1f} {under:.1f}")
+        bands.append(f'<path d="M{"L".join([*upper, *reversed(lower)])}Z" fill="{_LINE}" stroke="{_LINE}"/>')
+    return "".join(bands)

@@ -1,0 +1,71 @@
+"""The page served: by uvicorn, to this machine alone unless another address is asked for."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+from jointid.common.errors import ExtraError
+from jointid.web.sessions import PageError
+
+_GRACE = 2  # seconds that an open connection is given when the page ends
+
+
+def serve(folder: Path, host: str, port: int, opened: Callable[[str], None]) -> None:
+    """Serve the page until it is interrupted.
+
+    Args:
+        folder: in which everything is kept; it is made, and only its owner may read it.
+        host: name or address to listen at.
+        port: 0 takes a free one.
+        opened: is told the page's address as soon as it can be reached.
+
+    Raises:
+        ExtraError: what serves is not installed.
+        PageError: the folder cannot be made, or the address is taken.
+    """
+    try:
+        import bokeh  # noqa: F401
+        import jinja2  # noqa: F401
+        import python_multipart  # noqa: F401
+        import uvicorn
+
+        from jointid.web.application import application
+    except ModuleNotFoundError as error:
+        raise ExtraError(
+            f'The page needs {error.name}, which is not installed; install the extra web: pip install "jointid[web]".'
+        ) from None
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except OSError as error:
+        raise PageError(f"{folder} cannot be made a folder ({error.strerror}); name another one by --folder.") from None
+    listening = _listening(host, port)
+    shown = f"[{host}]" if ":" in host else host
+    address = f"http://{shown}:{listening.getsockname()[1]}/"
+    config = uvicorn.Config(
+        application(folder, host), log_level="warning", timeout_graceful_shutdown=_GRACE, server_header=False
+    )
+    server = uvicorn.Server(config)
+    opened(address)
+    with listening:
+        server.run(sockets=[listening])
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    """Return a socket that listens there.
+
+    Raises:
+        PageError: it cannot.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listening = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind((host, port))
+    except (OSError, OverflowError) as error:
+        listening.close()
+        reason = getattr(error, "strerror", None) or error
+        raise PageError(f"{host} port {port} cannot be listened at ({reason}); choose another --port.") from None
+    listening.listen()
+    return listening

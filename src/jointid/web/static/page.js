@@ -1,0 +1,173 @@
+// What the page does beyond its forms, which work without it: keep the draft, show what counts, send with progress,
+// follow an identification. Everything that is shown is set as text, never as HTML.
+"use strict";
+
+const all = (selector, root = document) => [...root.querySelectorAll(selector)];
+const busy = document.getElementById("busy");
+
+function say(text) {
+  busy.textContent = text;
+  busy.hidden = !text;
+}
+
+// Fields that count only beside others: hidden and not sent while they do not.
+function valueOf(name) {
+  const field = document.querySelector(`[name="${name}"]`);
+  return field ? field.value : null;
+}
+
+function show() {
+  for (const part of all("[data-when]")) {
+    const counts = Object.entries(JSON.parse(part.dataset.when)).every(([name, values]) => {
+      const value = valueOf(name);
+      return value === null ? !part.hidden : values.includes(value);
+    });
+    part.hidden = !counts;
+    for (const field of all("input, select, textarea", part)) field.disabled = !counts;
+  }
+}
+
+// The plot beside a channel is that of its column.
+function draw(select) {
+  const channel = select.closest("[data-channel]");
+  if (!channel) return;
+  const picture = channel.querySelector("img.plot");
+  const chosen = select.selectedOptions[0];
+  const source = chosen.dataset.plot;
+  picture.hidden = !source;
+  if (source) {
+    picture.src = source;
+    picture.alt = `${select.value} over the record`;
+  }
+  channel.querySelector(".empty").hidden = Boolean(select.value);
+  channel.querySelector(".details").hidden = !select.value;
+}
+
+// The draft is kept at each change, so that a reload finds it again.
+let waiting = 0;
+function keep(form) {
+  clearTimeout(waiting);
+  waiting = setTimeout(() => {
+    fetch("/draft", { method: "POST", body: new URLSearchParams(new FormData(form)), keepalive: true }).catch(() => {});
+  }, 300);
+}
+
+for (const form of all("form[data-draft]")) {
+  form.addEventListener("input", () => keep(form));
+  form.addEventListener("change", (event) => {
+    const field = event.target.closest(".wrong");
+    if (field) {
+      field.classList.remove("wrong");
+      event.target.removeAttribute("aria-invalid");
+      field.querySelector(".fault").hidden = true;
+    }
+    if (event.target.matches("[data-column]")) draw(event.target);
+    show();
+    keep(form);
+  });
+}
+
+// A file is sent with its progress, and refused before that if it is too large.
+function send(form) {
+  const said = form.querySelector("[data-said]");
+  const bar = form.querySelector("progress");
+  const button = form.querySelector("button");
+  const file = form.querySelector('input[type="file"]').files[0];
+  const most = Number(form.dataset.upload || 0);
+  said.textContent = "";
+  if (file && most && file.size > most) {
+    said.textContent = `${file.name} is larger than ${Math.floor(most / 2 ** 20)} MB, which is the most this page takes; cut it, or log it slower.`;
+    return;
+  }
+  const request = new XMLHttpRequest();
+  request.open("POST", form.action);
+  request.setRequestHeader("Accept", "application/json");
+  request.upload.addEventListener("progress", (event) => {
+    if (!bar) return;
+    bar.hidden = false;
+    bar.value = (100 * event.loaded) / event.total;
+  });
+  const failed = (text) => {
+    said.textContent = text;
+    button.disabled = false;
+    if (bar) bar.hidden = true;
+    say("");
+    form.querySelector('input[type="file"]').focus();
+  };
+  request.addEventListener("error", () => failed("The page cannot be reached; is jointid serve still running?"));
+  request.addEventListener("load", () => {
+    let answer = {};
+    try { answer = JSON.parse(request.responseText); } catch { answer = { said: request.responseText }; }
+    if (answer.to) location.assign(answer.to);
+    else failed(answer.said || "The file was refused.");
+  });
+  button.disabled = true;
+  say(`${form.dataset.busy} ...`);
+  request.send(new FormData(form));
+}
+
+for (const form of all("form")) {
+  form.addEventListener("submit", (event) => {
+    if (form.dataset.confirm && !confirm(form.dataset.confirm)) {
+      event.preventDefault();
+      return;
+    }
+    if (form.dataset.upload !== undefined) {
+      event.preventDefault();
+      send(form);
+      return;
+    }
+    clearTimeout(waiting);
+    if (form.dataset.busy) say(`${form.dataset.busy} ...`);
+    for (const button of all("button", form)) setTimeout(() => { button.disabled = true; });
+  });
+}
+
+// Coming back by the browser's arrow finds a page that works.
+window.addEventListener("pageshow", () => {
+  say("");
+  for (const button of all("button")) button.disabled = false;
+});
+
+for (const zone of all("[data-drop]")) {
+  const input = zone.querySelector('input[type="file"]');
+  const over = (on) => zone.classList.toggle("over", on);
+  zone.addEventListener("dragover", (event) => { event.preventDefault(); over(true); });
+  zone.addEventListener("dragleave", () => over(false));
+  zone.addEventListener("drop", (event) => {
+    event.preventDefault();
+    over(false);
+    if (!event.dataTransfer.files.length) return;
+    input.files = event.dataTransfer.files;
+    zone.closest("form").requestSubmit();
+  });
+}
+
+// An identification is followed line by line; at its end its page is read anew.
+const run = document.querySelector("[data-run]");
+if (run) {
+  const log = run.querySelector(".log");
+  const clock = run.querySelector("[data-clock]");
+  const began = Date.now() - 1000 * Number(run.dataset.elapsed);
+  setInterval(() => { clock.textContent = `${Math.round((Date.now() - began) / 1000)} s`; }, 1000);
+  log.replaceChildren();
+  const source = new EventSource(run.dataset.run);
+  source.addEventListener("message", (event) => {
+    const line = document.createElement("li");
+    line.textContent = JSON.parse(event.data);
+    log.append(line);
+    log.scrollTop = log.scrollHeight;
+    run.querySelector("[data-state]").textContent = "Running";
+  });
+  source.addEventListener("state", (event) => {
+    const state = JSON.parse(event.data);
+    if (state === "queued" || state === "running") return;
+    source.close();
+    location.reload();
+  });
+  window.addEventListener("pagehide", () => source.close());
+}
+
+const faults = document.querySelector("[data-focus]") || document.querySelector('[aria-invalid="true"]');
+if (faults) faults.focus();
+show();

@@ -1,0 +1,104 @@
+"""The pages that are written from the program say what it says."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import inspect
+import re
+import sys
+
+import pytest
+
+import jointid
+from jointid.jointfile import json_schema
+from tests.docs.blocks import ROOT, pages
+
+sys.path.insert(0, str(ROOT / "docs" / "_ext"))
+
+import commands
+import joint_file_keys
+import pages as generated
+
+
+def test_the_commands_page_has_the_commands_own_tables() -> None:
+    page = commands.PAGE.read_text(encoding="utf-8")
+    assert commands.written(page) == page, "write it again: python docs/_ext/commands.py"
+
+
+@pytest.mark.parametrize("name", commands.names())
+def test_every_command_and_option_has_a_meaning(name: str) -> None:
+    for row in commands.table(name).splitlines()[2:]:
+        option, values, default, meaning = (cell.strip() for cell in re.split(r"(?<!\\)\|", row)[1:-1])
+        assert option
+        assert values
+        assert default
+        assert len(meaning) > 10, row
+
+
+def test_the_page_of_keys_has_every_key_of_the_schema_with_its_meaning() -> None:
+    page = joint_file_keys.page()
+    rows = dict(re.findall(r"^\| `([^`]+)` \| (.*) \|$", page, re.MULTILINE))
+    for table in json_schema()["properties"]:
+        assert re.search(rf"^## `\[+{table}\]+`$", page, re.MULTILINE), table
+    for key, cells in {
+        "joint.kind": ('`"prismatic"`, `"revolute"`', "—", "required", "how the joint moves: m and N, or rad and N m"),
+        "record.clock_tolerance": ("number, 0 or more", "—", "`0.05`", "largest jitter, as a share of the sample time"),
+        "filtering.cutoff": ("positive number", "Hz", "—", "cut-off of the decimation filter on torque and columns"),
+        "filtering.borders": (
+            "list of whole numbers, 0 or more", "—", "`[50, 50]`", "samples dropped at the start and at the end",
+        ),
+        "parameters.<name>.lower": ("number", "—", "—", "lower bound"),
+        "records.file": ("text", "—", "required", "path of the record, from the joint file's folder"),
+    }.items():  # fmt: skip
+        assert rows[key] == " | ".join(cells)
+    assert rows["controller.ki"].startswith('number, 0 or more | `"cascade"`: 1/s; `"pid"`: controller units per m s')
+    assert rows["controller.velocity_limit"].endswith('(of `"cascade"`)')
+    for key in (
+        "record.channels.<channel>.unit",
+        "record.channels.torque.tap",
+        "controller.torque_filters.depth",
+        "controller.B.position",
+        "gravity.counterbalance.cos",
+    ):
+        assert key in rows
+    assert all(len(cells.split(" | ")[-1]) > 8 for cells in rows.values())
+
+
+def test_every_public_name_has_an_entry_and_a_docstring() -> None:
+    entries = "".join(text for name, text in generated.written().items() if name.startswith("api-"))
+    assert set(re.findall(r":: jointid\.(\w+)", entries)) == set(jointid.__all__)
+    for name in jointid.__all__:
+        assert inspect.getdoc(getattr(jointid, name)), name
+
+
+@pytest.mark.slow
+def test_the_examples_of_the_docstrings_hold() -> None:
+    modules = {importlib.import_module(getattr(jointid, name).__module__) for name in jointid.__all__}
+    tried = 0
+    for module in modules:
+        found = doctest.testmod(module, optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS)
+        assert found.failed == 0, module.__name__
+        tried += found.attempted
+    assert tried > 0
+
+
+def test_links_of_a_page_that_moves_lead_where_they_did() -> None:
+    here, there = ROOT / "examples" / "emps", ROOT / "docs" / "reference" / "generated"
+    text = "[a](../../docs/timing.md#x) [b](https://x.org/y.md) [c](#z) [d](../../README.md) [e](..)"
+    assert (
+        generated.relinked(text, here, there)
+        == "[a](../../timing.md#x) [b](https://x.org/y.md) [c](#z) [d](readme.md) e"
+    )
+
+
+def test_every_page_of_the_documentation_is_in_the_navigation() -> None:
+    lists = "\n".join(page.read_text(encoding="utf-8") for page in pages() if page.is_relative_to(ROOT / "docs"))
+    listed = {
+        re.sub(r"^.*<|>$", "", line.strip()).rsplit("/", 1)[-1].rstrip("*")
+        for block in re.findall(r"```\{toctree\}\n(.*?)```", lists, re.DOTALL)
+        for line in block.splitlines()
+    }
+    for page in (ROOT / "docs").rglob("*.md"):
+        if "generated" not in page.parts and page != ROOT / "docs" / "index.md":
+            assert page.stem in listed, f"{page.name} is in no toctree"

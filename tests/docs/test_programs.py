@@ -1,0 +1,52 @@
+"""Every program and every command of the documentation runs, and prints what the page shows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib as mpl
+import pytest
+
+from tests.docs.blocks import OTHERS, PROGRAMS, ROOT, blocks, pages
+from tests.docs.running import run_page, shown
+
+NOT_RUN = 9
+"""Blocks that are marked as not run; one more is a decision."""
+
+RUNNING = [page for page in pages() if page != ROOT / "README.md" and any(block.runs for block in blocks(page))]
+"""The README is run by its own test, which reads what it printed."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", RUNNING, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_a_page_runs(page: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    mpl.use("agg")
+    run_page(page, tmp_path, lambda: request.getfixturevalue("data_dir"))
+
+
+def test_every_block_is_run_or_says_why_not() -> None:
+    not_run = []
+    for page in pages():
+        for block in blocks(page):
+            place = f"{page.relative_to(ROOT)}:{block.line}"
+            assert block.language in (*PROGRAMS, *OTHERS), f"{place}: {block.language} is not collected"
+            if block.reason is not None:
+                not_run.append(f"{place}: {block.reason}")
+            elif not block.language:  # what is printed is no command
+                first = block.text.lstrip().split(" ", 1)[0]
+                assert first not in ("jointid", "python", "python3", "pip", "uv"), f"{place}: mark the fence as sh"
+    assert len(not_run) == NOT_RUN, "\n".join(not_run)
+
+
+def test_no_command_hides_in_an_indented_block() -> None:
+    for page in pages():
+        for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), 1):
+            assert not line.startswith(("    jointid ", "    python")), f"{page.name}:{number}: fence it as sh"
+
+
+def test_what_was_printed_is_told_from_what_was_not() -> None:
+    said = "ZZ      inertia               94.903     0.92     0.49  kg\n"
+    assert shown("ZZ  inertia  94.9", said)
+    assert not shown("ZZ  inertia  89.9", said)
+    assert not shown("Fv  inertia  94.9", said)
+    assert not shown("ZZ inertia 94.903 0.92 0.49 kg more", said)
