@@ -22,10 +22,12 @@ if TYPE_CHECKING:
         revealing_answer,
         simulation_answer,
         together_answer,
+        tuning_answer,
         validation_answer,
     )
     from jointid.assessment.advice import Advice, advise
     from jointid.assessment.comparison import Comparison, compare
+    from jointid.assessment.detectable import Detectable, detectable
     from jointid.assessment.dossier import Dossier, dossier
     from jointid.assessment.drift import ReportComparison, compare_reports
     from jointid.assessment.intervals import Intervals, intervals
@@ -89,11 +91,13 @@ if TYPE_CHECKING:
     from jointid.model.friction import AsymmetricFriction, SymmetricFriction
     from jointid.model.gravity import Counterbalance, Gravity
     from jointid.model.joints import FlexibleJoint, RigidJoint, frequencies, rigid_sums
+    from jointid.model.linear import frequency_response
     from jointid.model.parameters import Parameter
     from jointid.paper.twin import Twin, twin
     from jointid.report.channels import channels_figure
     from jointid.report.figures import residual_figure, save, torque_figure
     from jointid.report.report import Report, report_estimate, report_file
+    from jointid.report.tuning_figure import tuning_figure
     from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_many
     from jointid.simulation.drive_side import DriveSide
     from jointid.simulation.experiment import ClosedLoop, prepare
@@ -101,6 +105,9 @@ if TYPE_CHECKING:
     from jointid.simulation.synthesis import simulated_record
     from jointid.together.common_estimate import CommonEstimate, RecordShare
     from jointid.together.together import identify_together
+    from jointid.tuning.settings import Tuning
+    from jointid.tuning.tune import tune
+    from jointid.tuning.tuned import Tuned
 
 _HOMES = {
     "answers": (
@@ -116,10 +123,12 @@ _HOMES = {
         "revealing_answer",
         "simulation_answer",
         "together_answer",
+        "tuning_answer",
         "validation_answer",
     ),
     "assessment.advice": ("Advice", "advise"),
     "assessment.comparison": ("Comparison", "compare"),
+    "assessment.detectable": ("Detectable", "detectable"),
     "assessment.dossier": ("Dossier", "dossier"),
     "assessment.drift": ("ReportComparison", "compare_reports"),
     "assessment.intervals": ("Intervals", "intervals"),
@@ -183,12 +192,17 @@ _HOMES = {
     "paper.twin": ("Twin", "twin"),
     "report.channels": ("channels_figure",),
     "report.figures": ("residual_figure", "save", "torque_figure"),
+    "report.tuning_figure": ("tuning_figure",),
     "report.report": ("Report", "report_estimate", "report_file"),
     "simulation.closed_loop": ("Initial", "Outcome", "Simulation", "simulate", "simulate_many"),
     "simulation.drive_side": ("DriveSide",),
     "simulation.experiment": ("ClosedLoop", "prepare"),
     "simulation.open_loop": ("OpenLoop",),
     "simulation.synthesis": ("simulated_record",),
+    "model.linear": ("frequency_response",),
+    "tuning.settings": ("Tuning",),
+    "tuning.tune": ("tune",),
+    "tuning.tuned": ("Tuned",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
@@ -208,6 +222,7 @@ __all__ = [
     "Comparison",
     "Conversion",
     "Counterbalance",
+    "Detectable",
     "DigitalFilter",
     "Dossier",
     "Drift",
@@ -266,6 +281,8 @@ __all__ = [
     "Tap",
     "Timing",
     "Transmission",
+    "Tuned",
+    "Tuning",
     "Twin",
     "Urdf",
     "Validation",
@@ -278,11 +295,13 @@ __all__ = [
     "compare_reports",
     "comparison_answer",
     "convert",
+    "detectable",
     "dossier",
     "drift_answer",
     "estimate_answer",
     "export",
     "frequencies",
+    "frequency_response",
     "identify",
     "identify_long",
     "identify_together",
@@ -315,6 +334,9 @@ __all__ = [
     "together_answer",
     "torque_figure",
     "trapezoids",
+    "tune",
+    "tuning_answer",
+    "tuning_figure",
     "twin",
     "validate",
     "validation_answer",

@@ -74,6 +74,36 @@ def test_advise_says_what_a_load_encoder_would_do(
     assert answer["noise"] == "loop"
 
 
+def test_tune_says_what_to_set_and_how_far_the_loop_is_from_instability(
+    tmp_path: Path, demo: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, picture = tmp_path / "tuning.json", tmp_path / "loop.png"
+    (tmp_path / "joint.toml").write_text(JOINT_FILE, encoding="utf-8")
+    words = (
+        "--record",
+        demo / "record.csv",
+        "--no-notch",
+        "--phase-margin",
+        "50",
+        "--json",
+        out,
+        "--figure",
+        picture,
+        "-q",
+    )
+    assert run("tune", tmp_path / "joint.toml", *words) == 0
+    said = capsys.readouterr().out
+    assert "proposed, worst case" in said
+    assert "Smallest change that another record of this motion would tell" in said
+    answer = json.loads(out.read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.tuning/1"
+    assert answer["notch"] is None
+    assert answer["proposed"]["worst"]["phase_degrees"] >= 49.7
+    assert picture.stat().st_size > 10_000
+    assert run("tune", tmp_path / "joint.toml", "--power", "2") == 2
+    assert "the power is from 0.5 to 1" in capsys.readouterr().err
+
+
 def test_a_refused_stiffness_ends_with_what_would_show_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     loop = ClosedLoop(FlexibleJoint(), CONTROLLERS["L19"])
     reference = trapezoids((0.042, 0.125), 0.83, 0.2, 1e-3, duration=8.0)
@@ -82,10 +112,15 @@ def test_a_refused_stiffness_ends_with_what_would_show_it(tmp_path: Path, capsys
     write(simulated_record(loop, reference, stiff, sample_time=1e-3, disturbance=force), tmp_path / "record.csv")
     text = JOINT_FILE.replace("frequency = 30.0", "# frequency = 30.0")
     (tmp_path / "joint.toml").write_text(text, encoding="utf-8")
-    assert run("identify", tmp_path / "joint.toml", "-q") == 0
+    assert run("identify", tmp_path / "joint.toml", "-q", "--json", tmp_path / "refused.json") == 0
     said = capsys.readouterr().out
     assert "K12 is at least" in said
     assert "would" in said.strip().splitlines()[-1]
+    assert run("validate", tmp_path / "joint.toml", "--estimate", tmp_path / "refused.json") == 2
+    assert (
+        "which its record did not tell, so it predicts no torque; identify the joint as rigid"
+        in capsys.readouterr().err
+    )
     assert run("advise", tmp_path / "joint.toml", "-q", "--json", tmp_path / "out.json") == 0
     assert json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["sentence"] in capsys.readouterr().out
 

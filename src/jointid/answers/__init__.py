@@ -23,6 +23,7 @@ from jointid.answers.reading import read_answer, read_friction, read_identified
 from jointid.answers.reported import DRIFT_SCHEMA, drift_answer, read_report
 from jointid.answers.reports import REPORT_SCHEMA, report_answer
 from jointid.answers.simulations import SIMULATION_SCHEMA, simulation_answer
+from jointid.answers.tuning import TUNING_SCHEMA, detectable_answer, tuning_answer
 from jointid.answers.writing import dumps, write
 
 __all__ = [
@@ -38,9 +39,11 @@ __all__ = [
     "REVEALING_SCHEMA",
     "SIMULATION_SCHEMA",
     "TOGETHER_SCHEMA",
+    "TUNING_SCHEMA",
     "VALIDATION_SCHEMA",
     "advice_answer",
     "comparison_answer",
+    "detectable_answer",
     "drift_answer",
     "dumps",
     "estimate_answer",
@@ -56,6 +59,7 @@ __all__ = [
     "revealing_answer",
     "simulation_answer",
     "together_answer",
+    "tuning_answer",
     "validation_answer",
     "write",
 ]

@@ -26,13 +26,19 @@ def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> 
         loop: the closed loop; used when the estimate came from DIDIM.
 
     Raises:
-        RecordError: the file is no estimate, or belongs to another model, or to another side of its transmission.
+        RecordError: the file is no estimate, belongs to another model or to another side of its transmission, or
+            refuses a value, without which no torque can be predicted.
     """
     answer = read_answer(path)
     if (told := answer.get("transmission")) != (declared := transmission_answer(joint.transmission)):
         raise RecordError(
             f"{path} was identified with {_geared(told)}, and this joint has {_geared(declared)}; correct "
             "[transmission], or identify with this joint file first."
+        )
+    if refused := _refused(answer, joint):
+        raise RecordError(
+            f"{path} refuses {', '.join(refused)}, which its record did not tell, so it predicts no torque; identify "
+            "the joint as rigid."
         )
     try:
         return _identified(answer, joint, loop)
@@ -41,6 +47,14 @@ def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> 
             f"{path} is no estimate of schema {ESTIMATE_SCHEMA} for a {joint.kind} {joint.model} joint with these "
             "parameters in these units; identify with this joint file first."
         ) from None
+
+
+def _refused(answer: Json, joint: Joint) -> list[str]:
+    """Return the parameters of the joint that an answer has without a value."""
+    found = answer.get("parameters")
+    told = found if isinstance(found, dict) else {}
+    given = {p.name: told.get(p.name) for p in joint.parameters}
+    return [name for name, one in given.items() if isinstance(one, dict) and one.get("value", 0.0) is None]
 
 
 def _geared(transmission: object) -> str:

@@ -30,6 +30,7 @@ from jointid.cli.reproduce import reproduce
 from jointid.cli.serve import serve
 from jointid.cli.simulate import simulate
 from jointid.cli.together import together
+from jointid.cli.tune import tune
 from jointid.cli.validate import validate
 from jointid.common.errors import JointidError
 
@@ -44,7 +45,7 @@ app = App(
 )
 for command in (
     demo, inspect, convert, loop, identify, report, long, together, intervals, compare, compare_reports, validate,
-    advise, simulate, export, serve, reproduce,
+    advise, tune, simulate, export, serve, reproduce,
 ):  # fmt: skip
     app.command(command)
 

@@ -1,0 +1,179 @@
+"""The joints an estimate leaves possible: the ellipsoid of its errors, or all springs above a bound.
+
+Whatever is stated of a loop is the worst over all of these joints. Where every parameter is told, they are those of the
+confidence ellipsoid of the parameters that move the loop (inertias, viscous frictions, spring and damper)::
+
+    (x - x0)' C^-1 (x - x0) <= q,    q the quantile of chi-square with as many degrees of freedom as parameters
+
+which holds all of them together with the stated confidence, so that any number of margins, of loops chosen from the
+same record too, hold together at least as often. A quantile of each margin by itself would be nearer to the estimate,
+but would hold only for a loop that was chosen without looking.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jointid.common.errors import MethodError
+from jointid.common.text import number
+from jointid.data.record import FloatArray
+from jointid.estimation.estimate import Estimate
+from jointid.estimation.stiffness_bounds import DAMPING
+from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.model.parameters import Quantity
+
+_MOVES = (Quantity.INERTIA, Quantity.VISCOUS, Quantity.STIFFNESS)
+_HEAVY = 1e-3  # of an inertia: the least that an interval may reach
+_DIRECTIONS = 20  # random ones for each parameter
+_SPRINGS = 30  # tried between a bound and half the sampling frequency
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Interval:
+    """The joints that are possible.
+
+    Attributes:
+        joint: their model.
+        nominal: the parameters of the estimate, or of the softest spring, by name.
+        names: of the parameters that span the ellipsoid, factor: (names, names) from a unit ball to it, lower: bounds.
+        others: joints beside it: those of a spring that is refused.
+        said: what it is, in a sentence.
+    """
+
+    joint: Joint
+    nominal: Mapping[str, float]
+    names: tuple[str, ...]
+    factor: FloatArray
+    lower: FloatArray
+    others: tuple[Mapping[str, float], ...]
+    said: str
+
+    def at(self, points: FloatArray) -> list[Mapping[str, float]]:
+        """Return the joints at points of the unit ball, (points, names)."""
+        center = np.array([self.nominal[name] for name in self.names])
+        values = np.maximum(center + points @ self.factor.T, self.lower)
+        return [dict(self.nominal) | dict(zip(self.names, map(float, row), strict=True)) for row in values]
+
+    def points(self, seed: int) -> FloatArray:
+        """Return the centre, both ends of every axis and random points of the surface, (points, names)."""
+        count = len(self.names)
+        if not count:
+            return np.zeros((1, 0))
+        drawn = np.random.default_rng(seed).standard_normal((_DIRECTIONS * count, count))
+        drawn /= np.linalg.norm(drawn, axis=1)[:, np.newaxis]
+        return np.concatenate([np.zeros((1, count)), np.eye(count), -np.eye(count), drawn])
+
+
+def interval_of(estimate: Estimate, confidence: float, sample_time: float) -> Interval:
+    """Return the joints that an estimate leaves possible.
+
+    Args:
+        estimate: with deviations and correlations.
+        confidence: of all its parameters together.
+        sample_time: of the controller, seconds: springs are tried up to half its frequency.
+
+    Raises:
+        MethodError: the estimate has no deviations, or a stiffness that is refused and not bounded.
+    """
+    if estimate.bounds:
+        return _springs(estimate, confidence, 0.5 / sample_time)
+    joint, values = estimate.joint, estimate.identified.values
+    free = [p.name for p in estimate.parameters if p.free]
+    moving = {p.name: p for p in joint.parameters if p.quantity in _MOVES}
+    chosen = [p for p in estimate.parameters if p.name in moving and p.free]
+    at = [free.index(p.name) for p in chosen]
+    if any(p.std is None for p in chosen) or max(at, default=-1) >= len(estimate.correlation):
+        raise MethodError(
+            "Margins over an interval need the deviations of the parameters and their correlation, and this estimate "
+            f"of {estimate.record} has none; identify by least squares."
+        )
+    std = np.array([p.std for p in chosen], dtype=np.float64)
+    radius = reach(len(chosen), confidence)
+    size, axes = np.linalg.eigh(estimate.correlation[np.ix_(at, at)])
+    factor = radius * std[:, np.newaxis] * axes * np.sqrt(np.maximum(size, 0.0))
+    lower = [
+        _HEAVY * values[p.name] if moving[p.name].quantity is Quantity.INERTIA else max(moving[p.name].lower, 0.0)
+        for p in chosen
+    ]
+    symbols = ", ".join(p.symbol for p in chosen)
+    said = (
+        f"the {100 * confidence:g} % confidence ellipsoid of {symbols} together: {number(radius, 3)} standard "
+        "deviations in every direction"
+    )
+    return Interval(joint, values, tuple(p.name for p in chosen), factor, np.array(lower), (), said)
+
+
+def reach(parameters: int, confidence: float) -> float:
+    """Return how many deviations an ellipsoid of so many parameters reaches, the root of chi-square's quantile."""
+    from scipy.special import gammaincinv
+
+    return math.sqrt(2.0 * float(gammaincinv(parameters / 2.0, confidence))) if parameters else 0.0
+
+
+def _springs(estimate: Estimate, confidence: float, last: float) -> Interval:
+    """Return the joints of a spring that is refused: none softer than its bounds, at the load shares of the bounds."""
+    assert isinstance(estimate.joint, FlexibleJoint) and estimate.known is not None
+    bounded = [bound for bound in estimate.bounds if bound.frequency is not None]
+    if not bounded:
+        raise MethodError(
+            f"The stiffness is refused and {estimate.record} does not bound it at any load share, so no margin can be "
+            "stated; a record with pulses would, see jointid advise."
+        )
+    sums = {next(iter(one.combination.weights)).removeprefix("motor_"): one for one in estimate.known.physical}
+    inertia = sums.get("inertia")
+    if inertia is None:
+        raise MethodError(
+            "The stiffness is refused and the total inertia not free, so it has no interval to state margins over."
+        )
+    radius = reach(1, confidence)
+    friction = {name: one.value for name, one in sums.items() if name != "inertia"}
+    masses = [max(inertia.value + side * radius * inertia.std, _HEAVY * inertia.value) for side in (-1, 1)]
+    made: list[Mapping[str, float]] = []
+    for mass in masses:
+        for bound in bounded:
+            assert bound.frequency is not None
+            modes = np.geomspace(min(bound.frequency, last), last, _SPRINGS)
+            made += [spring(estimate.values, friction, mass, bound.share, float(mode)) for mode in modes]
+    listed = ", ".join(f"{number(bound.frequency, 3)} Hz at {bound.share:g}" for bound in bounded)
+    said = (
+        "the stiffness is refused: all springs no softer than its bounds, which are modes by the load's share of the "
+        f"inertia ({listed}), damped by {100 * DAMPING:g} % or more, and the interval of the total inertia"
+    )
+    return Interval(estimate.joint, made[0], (), np.zeros((0, 0)), np.zeros(0), tuple(made), said)
+
+
+def spring(
+    known: Mapping[str, float], friction: Mapping[str, float], inertia: float, share: float, mode: float
+) -> dict[str, float]:
+    """Return a flexible joint of a whole inertia with a mode, lightly damped, its friction on the motor's side.
+
+    Args:
+        known: what a flexible and a rigid joint have alike, and what is fixed, by name.
+        friction: of the whole joint, in the names of a rigid one.
+        inertia: of the whole joint.
+        share: of the load in it.
+        mode: Hz, free-free.
+    """
+    reduced, rate = share * (1 - share) * inertia, 2 * math.pi * mode
+    found = dict(known) | {f"motor_{name}": value for name, value in friction.items()}
+    found |= {f"load_{name}": 0.0 for name in friction}
+    found |= {"motor_inertia": (1 - share) * inertia, "load_inertia": share * inertia}
+    return found | {"stiffness": reduced * rate**2, "damping": 2 * DAMPING * reduced * rate}
+
+
+def lowest_mode(modes: Sequence[float], kept: Sequence[bool]) -> float | None:
+    """Return the mode from which on all of rising modes keep what is asked; None where the last does not."""
+    for mode, good in zip(reversed(modes), reversed(kept), strict=True):
+        if not good:
+            break
+        lowest = mode
+    return lowest if kept[-1] else None
+
+
+def flexible_of(joint: RigidJoint) -> FlexibleJoint:
+    """Return the model of a rigid joint that had a spring."""
+    return FlexibleJoint(joint.kind, joint.friction, joint.torque_unit, joint.transmission, joint.gravity)

@@ -1,0 +1,173 @@
+"""Gains, and a notch, that keep the asked margins over an interval: as large as they may be.
+
+A loop of the same structure is laid out for a rate w and a damping ratio d of the rigid joint with the whole inertia J
+(g the controller's torque per unit, r a transmission's ratio)::
+
+    Cascade   kv = w J / (g r^2),   kp = w / (4 d^2)
+    PD, PID   kd = w J / (g r^2),   kp = kd w / (4 d^2)
+
+whose poles, without friction, delay or spring, are those of ``s^2 + w s + w^2 / (4 d^2)``. An integral keeps its time
+in units of 1/w. Of all w and d whose loop keeps the margins in the worst case, the one that holds its position stiffest
+is proposed (the largest w^2 / d^2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from jointid.data.record import FloatArray
+from jointid.model.controllers import PD, PID, Cascade, Notch
+from jointid.tuning.margins import crossover
+from jointid.tuning.settings import Tuning
+from jointid.tuning.worst import Bench
+
+DAMPINGS = (0.7, 0.6, 0.5, 0.85, 1.0)
+"""Damping ratios that are tried."""
+
+_RATES = np.geomspace(64.0, 1 / 64.0, 37)  # times the present rate, from the fastest
+_HALVINGS = 5  # of the last step
+_WIDTHS, _DEPTHS = (0.3, 0.6, 1.2), (0.05, 0.2, 0.5)  # of a notch: bandwidth by frequency; what is left
+_BETTER = 1.01  # by how much a rate must be higher than one of another damping
+_WORTH = 1.2  # by how much a notch must make the loop stiffer
+_HIGHEST = 0.45  # of the sampling frequency, where a notch may be
+
+
+LaidOut: TypeAlias = Cascade | PD
+"""The laws that gains are proposed for; a PID is a PD, too."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """A loop that was laid out.
+
+    Attributes:
+        controller: with its gains. rate: w, rad/s. damping: d.
+        notch: that was added, if one was.
+    """
+
+    controller: LaidOut
+    rate: float
+    damping: float
+    notch: Notch | None = None
+
+    @property
+    def stiffness(self) -> float:
+        """What is made as large as may be: the torque that holds a position, but for J / 4."""
+        return (self.rate / self.damping) ** 2
+
+
+def rate_of(controller: LaidOut, inertia: float) -> float:
+    """Return the rate w of a controller on an inertia, rad/s."""
+    gain = controller.kv if isinstance(controller, Cascade) else controller.kd
+    return gain * controller.gain * controller.ratio**2 / inertia
+
+
+def laid_out(controller: LaidOut, inertia: float, rate: float, damping: float) -> LaidOut:
+    """Return a controller of the same structure with other gains (the module's equations)."""
+    velocity, slow = rate * inertia / (controller.gain * controller.ratio**2), rate / (4 * damping**2)
+    faster = rate / (rate_of(controller, inertia) or rate)
+    if isinstance(controller, Cascade):
+        return replace(controller, kv=velocity, kp=slow, ki=controller.ki * faster)
+    if isinstance(controller, PID):
+        integral = controller.ki / controller.kp * faster if controller.kp else 0.0
+        return replace(controller, kd=velocity, kp=velocity * slow, ki=integral * velocity * slow)
+    return replace(controller, kd=velocity, kp=velocity * slow)
+
+
+def stiffest(
+    bench: Bench,
+    controller: LaidOut,
+    inertia: float,
+    sample_time: float,
+    settings: Tuning,
+    band: float | None,
+    mode: float | None,
+) -> Layout | None:
+    """Return the stiffest loop that keeps the margins for all joints of a bench; None where there is none.
+
+    Args:
+        bench: of the joints.
+        controller: whose structure is kept.
+        inertia: of the whole joint.
+        sample_time: of the log, the controller's where it has none of its own.
+        settings: the margins.
+        band: Hz, which the loop's crossover may not pass; None where it may.
+        mode: Hz, where a notch may be put; None for none.
+    """
+    best = _best(bench, [controller], [None], inertia, sample_time, settings, band)
+    period = controller.period or sample_time
+    if mode is None or mode * period >= _HIGHEST:
+        return best
+    notches = [Notch(mode, width * mode, depth) for width in _WIDTHS for depth in _DEPTHS]
+    notched = [replace(controller, torque_filters=(*controller.torque_filters, one)) for one in notches]
+    found = _best(bench, notched, notches, inertia, sample_time, settings, band)
+    if found is None or (best is not None and found.stiffness < _WORTH * best.stiffness):
+        return best
+    return found
+
+
+def _best(
+    bench: Bench,
+    controllers: Sequence[LaidOut],
+    notches: Sequence[Notch | None],
+    inertia: float,
+    sample_time: float,
+    settings: Tuning,
+    band: float | None,
+) -> Layout | None:
+    best: Layout | None = None
+    for controller, notch in zip(controllers, notches, strict=True):
+        for damping in DAMPINGS:
+            found = _fastest(bench, controller, inertia, damping, sample_time, settings, band, best)
+            if found is not None:
+                best = Layout(laid_out(controller, inertia, found, damping), found, damping, notch)
+    return best
+
+
+def _fastest(
+    bench: Bench,
+    controller: LaidOut,
+    inertia: float,
+    damping: float,
+    sample_time: float,
+    settings: Tuning,
+    band: float | None,
+    best: Layout | None,
+) -> float | None:
+    """Return the highest rate that keeps the margins, if its loop is stiffer than the best one so far."""
+    period = controller.period or sample_time
+    present = rate_of(controller, inertia) or 0.02 / period
+    one = bench.first
+
+    def keeps(rate: float) -> bool:
+        law = laid_out(controller, inertia, rate, damping).law(sample_time)
+        if not kept(one.margins(law), settings):  # what the estimate itself does not bear is most of what is tried
+            return False
+        if band is not None and crossover(bench.response(law), bench.hertz) > band:
+            return False
+        return kept(bench.margins(law), settings)
+
+    rates = [float(rate) for rate in present * _RATES if rate * period < math.pi]
+    least = 0.0 if best is None else _BETTER * math.sqrt(best.stiffness) * damping
+    if least and not kept(one.margins(laid_out(controller, inertia, least, damping).law(sample_time)), settings):
+        return None  # what fails where it would begin to be of use is looked at no further
+    for place, rate in enumerate(rates):
+        if rate <= least:
+            return None
+        if keeps(rate):
+            good, bad = rate, rates[place - 1] if place else rate
+            for _ in range(_HALVINGS if place else 0):
+                middle = math.sqrt(good * bad)
+                good, bad = (middle, bad) if keeps(middle) else (good, middle)
+            return good
+    return None
+
+
+def kept(margins: FloatArray, settings: Tuning, by: float = 1.0) -> bool:
+    """Whether margins, (joints, 5), are all at least those that are asked, times a factor."""
+    return bool(np.all(margins >= by * settings.asked) and np.all(margins[:, -1] > 0))

@@ -1,0 +1,251 @@
+"""The verb: an estimate in; margins, gains, a notch, feed-forward and what change would be told out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from jointid.assessment.detectable import detectable
+from jointid.common.errors import MethodError
+from jointid.common.progress import Progress, silent
+from jointid.common.text import number
+from jointid.data.drive import Drive
+from jointid.data.record import FloatArray
+from jointid.estimation.estimate import Estimate
+from jointid.estimation.stiffness_bounds import DAMPING
+from jointid.model.controllers import PD, PID, Cascade, Controller, Timed
+from jointid.model.joints import FlexibleJoint, RigidJoint, acts_on_whole, frequencies
+from jointid.model.linear import ComplexArray, linear_joints
+from jointid.model.parameters import POSITION_UNIT
+from jointid.tuning.feedforward import feedforward
+from jointid.tuning.interval import Interval, flexible_of, interval_of, lowest_mode, spring
+from jointid.tuning.margins import crossover, of_row
+from jointid.tuning.proposals import Layout, kept, stiffest
+from jointid.tuning.settings import Tuning
+from jointid.tuning.totals import totals
+from jointid.tuning.tuned import Band, Gain, LoopMargins, ProposedNotch, Tuned
+from jointid.tuning.worst import bench, worst
+
+_ROUNDS = 5  # of a proposal, and of looking for a joint that it fails
+_NEARLY = 0.995  # of a margin
+_DRAWN = 600  # frequencies that are kept of a response
+_SHARES, _MODES = (0.3, 0.5, 0.7), 60  # of a spring that a rigid joint may have
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Case:
+    """What a loop is judged on."""
+
+    estimate: Estimate
+    interval: Interval
+    points: FloatArray
+    settings: Tuning
+
+    def judged(self, controller: Controller) -> LoopMargins:
+        """Return the margins of a loop at the estimate, and the worst."""
+        law = controller.law(self.estimate.sample_time)
+        at = bench(self.interval.joint, [self.interval.nominal], law).margins(law)[0]
+        found = worst(self.interval, law, self.points, self.settings.seed)
+        looked = bench(self.interval.joint, [*self.interval.at(self.points), *self.interval.others], law)
+        response = looked.response(law)
+        return LoopMargins(
+            controller,
+            of_row(at),
+            of_row(found.margins),
+            crossover(response, looked.hertz),
+            _band(looked.hertz, response),
+        )
+
+
+def tune(
+    estimate: Estimate, settings: Tuning | None = None, *, drive: Drive | None = None, progress: Progress = silent
+) -> Tuned:
+    """Return the margins of an estimate's loop over its interval, and what to set in the drive.
+
+    Args:
+        estimate: with the loop, its deviations and correlations: by DIDIM with least squares, rigid or flexible.
+        settings: the margins that are asked; see `Tuning`.
+        drive: with rated torque and encoder counts, to have feed-forward in these, too.
+        progress: is told each step.
+
+    Returns:
+        Margins of the loop as it is and of a proposed one, at the estimate and the worst over the interval; gains of
+        the same structure, a notch where the mode limits them, feed-forward, and the smallest changes that the same
+        motion would detect (`detectable`).
+
+    Raises:
+        MethodError: the estimate has no controller, no deviations, or a stiffness that is refused and not bounded.
+
+    Limits: the loop is linear, without its limits, while the joint moves one way; a joint at rest is held by its
+    Coulomb friction besides. Gravity that follows the position is left out of the loop. Whatever the model does not
+    have, a second mode, say, is in no margin. Of a law that runs at several rates the images of the slower loop are
+    left out of the margins, though not of the stability.
+    """
+    settings = settings or Tuning()
+    if estimate.loop is None:
+        raise MethodError(
+            f"Margins are of a loop, and the controller of {estimate.record} is not known; identify with one, or learn "
+            "it with jointid loop."
+        )
+    controller = estimate.loop.controller
+    if not isinstance(controller, Timed):
+        raise MethodError(
+            f"Feed-forward is told in a controller's own units, and a {type(controller).__name__} has none; use one of "
+            "the package's laws, StateSpaceController for any linear one."
+        )
+    period = controller.law(estimate.sample_time).period
+    interval = interval_of(estimate, settings.confidence, period)
+    case = _Case(estimate, interval, interval.points(settings.seed), settings)
+    progress("margins of the loop as it is")
+    present = case.judged(controller)
+    layout, proposed, refusal = _proposed(case, controller, present, progress)
+    whole = totals(estimate)
+    notes = [*refusal, *_notes(case, present, proposed)]
+    return Tuned(
+        record=estimate.record,
+        model=estimate.joint.model,
+        transmission=estimate.joint.transmission,
+        settings=settings,
+        interval=interval.said,
+        present=present,
+        proposed=proposed,
+        gains=() if layout is None else _gains(estimate, controller, layout),
+        notch=None if layout is None or layout.notch is None else _notch(layout, period),
+        feedforward=feedforward(estimate, controller, whole, drive),
+        detectable=detectable(estimate, false_alarm=settings.false_alarm, power=settings.power),
+        joint=_joint_band(case, present.response.hertz),
+        position_unit=POSITION_UNIT[estimate.joint.kind],
+        torque_unit=estimate.torque_unit,
+        notes=tuple(notes),
+    )
+
+
+def _proposed(
+    case: _Case, controller: Controller, present: LoopMargins, progress: Progress
+) -> tuple[Layout | None, LoopMargins | None, list[str]]:
+    """Return the stiffest loop that keeps the margins in the worst case, or why there is none."""
+    estimate, interval, settings = case.estimate, case.interval, case.settings
+    if not isinstance(controller, Cascade | PD):
+        kind = type(controller).__name__
+        return None, None, [f"no gains are proposed for a {kind}: only a cascade, a PD or a PID has gains to lay out"]
+    progress("looking for the stiffest gains that keep the margins")
+    inertia = totals(estimate)["inertia"].value
+    flexible = isinstance(estimate.joint, FlexibleJoint)
+    band = None if flexible else estimate.filtering.cutoff
+    mode = frequencies(interval.nominal)["free_free"] if flexible and interval.names and settings.notch else None
+    points = case.points
+    for _ in range(_ROUNDS):
+        law = controller.law(estimate.sample_time)
+        seen = bench(interval.joint, [*interval.at(points), *interval.others], law)
+        layout = stiffest(seen, controller, inertia, estimate.sample_time, settings, band, mode)
+        if layout is None:
+            break
+        found = worst(interval, layout.controller.law(estimate.sample_time), case.points, settings.seed)
+        if kept(found.margins[np.newaxis], settings, _NEARLY):
+            return layout, case.judged(layout.controller), []
+        points = np.concatenate([points, found.points])
+    said = "no gains of this structure keep the asked margins for all joints of the interval"
+    return None, None, [f"{said}; ask for less, or narrow the interval (jointid advise says how)"]
+
+
+def _gains(estimate: Estimate, before: Controller, layout: Layout) -> tuple[Gain, ...]:
+    """Return the gains with the formulas that gave them."""
+    after, position = layout.controller, POSITION_UNIT[estimate.joint.kind]
+    rate, damping = f"w = {number(layout.rate, 4)}/s", f"d = {layout.damping:g}"
+    velocity = f"w J / (g r^2), {rate}"
+    per = f"units per {position}/s"
+    if isinstance(after, Cascade):
+        rows = [("kp", f"w / (4 d^2), {damping}", "1/s"), ("kv", velocity, per)]
+        rows += [("ki", "as before, in units of w", "1/s")] * bool(after.ki)
+    else:
+        assert isinstance(after, PD)
+        rows = [("kp", f"kd w / (4 d^2), {damping}", f"units per {position}"), ("kd", velocity, per)]
+        rows += [("ki", "as before, in units of w", f"units per {position} s")] * isinstance(after, PID)
+    return tuple(Gain(key, formula, unit, getattr(before, key), getattr(after, key)) for key, formula, unit in rows)
+
+
+def _notch(layout: Layout, period: float) -> ProposedNotch:
+    assert layout.notch is not None
+    return ProposedNotch(layout.notch, *layout.notch.coefficients(period), period)
+
+
+def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> list[str]:
+    """Return what the reader must know, in sentences."""
+    estimate, found = case.estimate, []
+    if not estimate.converged:
+        found.append("the identification did not end well, so all of this is of a joint that may be another one")
+    if not present.worst.stable:
+        found.append(
+            "the interval holds joints with which the loop as it is would not be stable, though it ran: no margin of "
+            "it can be stated; a record that narrows the interval would"
+        )
+    joint = estimate.joint
+    if isinstance(joint, RigidJoint):
+        band = estimate.filtering.cutoff
+        upto = "" if band is None else f" (up to {number(band, 3)} Hz, which no proposed crossover passes)"
+        found.append(
+            f"a rigid joint says nothing beyond the band it was compared in{upto}: no mode is in these margins"
+        )
+        loops = [
+            ("the loop as it is stays stable", present, False),
+            ("the proposed loop keeps the asked margins", proposed, True),
+        ]
+        found += [_with_a_mode(case, said, loop, asked) for said, loop, asked in loops if loop is not None]
+    if joint.gravity is not None and joint.gravity.varies:
+        found.append("gravity that follows the position is left out of the loop and of the constant feed-forward")
+    if present.controller.law(estimate.sample_time).phases > 1:
+        found.append(
+            "the law runs at two rates: its margins are of the response at the frequency itself, without images"
+        )
+    return found
+
+
+def _with_a_mode(case: _Case, said: str, loop: LoopMargins, asked: bool) -> str:
+    """Return down to which mode a rigid joint's loop would bear one."""
+    estimate = case.estimate
+    assert isinstance(estimate.joint, RigidJoint)
+    law = loop.controller.law(estimate.sample_time)
+    values = estimate.values
+    friction = {n: v for n, v in values.items() if n != "inertia" and not acts_on_whole(n)}
+    common = {n: v for n, v in values.items() if acts_on_whole(n)}
+    modes = [
+        float(f)
+        for f in np.geomspace(min(max(loop.crossover, 1e-3 / law.period), 0.4 / law.period), 0.5 / law.period, _MODES)
+    ]
+    made = [spring(common, friction, values["inertia"], share, mode) for mode in modes for share in _SHARES]
+    margins = bench(flexible_of(estimate.joint), made, law).margins(law).reshape(_MODES, len(_SHARES), -1)
+    least = 0.98 * case.settings.asked if asked else np.zeros(margins.shape[-1])
+    good = [bool(np.all(one >= least) and np.all(one[:, -1] > 0)) for one in margins]
+    lowest = lowest_mode(modes, good)
+    if lowest is None:
+        return f"{said} with no mode up to half the sampling frequency that is damped by {100 * DAMPING:g} % only"
+    where = "any mode above its crossover" if lowest == modes[0] else f"a first mode above {number(lowest, 3)} Hz"
+    return f"{said} with {where}, damped by {100 * DAMPING:g} % or more (load shares {_SHARES[0]} to {_SHARES[-1]})"
+
+
+def _band(hertz: FloatArray, response: ComplexArray) -> Band:
+    """Return the band of some responses, the first of them the nominal one, at fewer frequencies."""
+    phase = np.unwrap(np.angle(response), axis=1)
+    size = np.abs(response)
+    kept_at = np.unique(np.linspace(0, hertz.size - 1, min(hertz.size, _DRAWN)).astype(np.intp))
+    return Band(
+        hertz[kept_at],
+        response[0, kept_at],
+        np.array([size.min(axis=0), size.max(axis=0)])[:, kept_at],
+        np.array([phase.min(axis=0), phase.max(axis=0)])[:, kept_at],
+    )
+
+
+def _joint_band(case: _Case, hertz: FloatArray) -> Band:
+    """Return the response from torque to the motor's velocity, in continuous time."""
+    joints = linear_joints(case.interval.joint, [*case.interval.at(case.points), *case.interval.others])
+    s = 2j * math.pi * hertz
+    eye = np.eye(joints.A.shape[1])
+    found = np.empty((len(joints.A), hertz.size), dtype=np.complex128)
+    for i, (A, B) in enumerate(zip(joints.A, joints.B, strict=True)):
+        found[i] = np.linalg.solve(
+            s[:, np.newaxis, np.newaxis] * eye - A, np.broadcast_to(B[:, np.newaxis], (hertz.size, B.size, 1))
+        )[:, 1, 0]
+    return _band(hertz, found)

@@ -1,0 +1,195 @@
+"""The sampled loop and its margins, against python-control, against eigenvalues, and against finer sampling."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError
+from jointid.model.controllers import PID, POSITION, Cascade, Controller, FirstOrder, Notch, SampledLaw, scaled
+from jointid.model.friction import AsymmetricFriction
+from jointid.model.joints import FlexibleJoint, RigidJoint
+from jointid.model.linear import frequency_response, linear_joints
+from jointid.paper.margins import random_drive
+from jointid.paper.servo import SERVO
+from jointid.paper.twin import CONTROLLERS, TABLE_2
+from jointid.tuning.loop import spectral_radius
+from jointid.tuning.margins import NAMES, all_margins, grid, of_row
+from jointid.tuning.plant import sampled_joints
+from jointid.tuning.worst import bench
+
+PERIOD = 1e-3
+RIGID = {"inertia": 105.0, "viscous": 200.0, "coulomb": 20.0, "offset": 0.0}
+
+
+def other(joint: FlexibleJoint | RigidJoint, values: dict[str, float], law: SampledLaw) -> Any:
+    """The loop cut open as python-control has it; the law has no delay."""
+    import control
+
+    linear = linear_joints(joint, [values])
+    outputs = np.eye(linear.B.shape[1])[:1]
+    plant = control.sample_system(control.ss(linear.A[0], linear.B[0][:, np.newaxis], outputs, 0), law.period, "zoh")
+    feedback, _ = law.split()
+    out = law.output
+    made = control.ss(
+        feedback.A[0],
+        feedback.B[0][:, [POSITION]],
+        feedback.C[0][[out]],
+        feedback.D[0][[out]][:, [POSITION]],
+        law.period,
+    )
+    return -made * plant
+
+
+LAWS: list[tuple[str, Controller]] = [
+    ("the paper's", CONTROLLERS["L19"]),
+    (
+        "P-PI",
+        replace(
+            CONTROLLERS["L19"], ki=20.0, velocity_filter=FirstOrder(1e-3), torque_filters=(Notch(31.0, 15.0, 0.2),)
+        ),
+    ),
+    ("PID", PID(kp=8e5, kd=1.2e4, ki=1e6)),
+]
+
+
+@pytest.mark.filterwarnings("ignore:stability_margins. Falling back")  # to a response, of polynomials of high order
+@pytest.mark.parametrize(("joint", "values"), [(FlexibleJoint(), dict(TABLE_2)), (RigidJoint(), RIGID)])
+@pytest.mark.parametrize(("name", "controller"), LAWS)
+def test_margins_are_those_of_python_control(
+    joint: FlexibleJoint | RigidJoint, values: dict[str, float], name: str, controller: Controller
+) -> None:
+    import control
+
+    law = controller.law(PERIOD)
+    found = of_row(bench(joint, [values], law).margins(law)[0])
+    loop = other(joint, values, law)
+    gains, phases, distance, _, rates, _ = control.stability_margins(loop, returnall=True)
+    assert found.gain == pytest.approx(min(g for g in gains if g > 1), rel=3e-3), name
+    assert math.degrees(found.phase) == pytest.approx(min(map(abs, phases)), rel=3e-3)
+    assert found.modulus == pytest.approx(min(distance), rel=3e-3)
+    delays = [math.radians(phase % 360) / rate for phase, rate in zip(phases, rates, strict=True)]
+    assert found.delay == pytest.approx(min(delays), rel=3e-3)
+
+
+def test_the_response_is_that_of_python_control() -> None:
+    law = CONTROLLERS["L19"].law(PERIOD)
+    seen = bench(FlexibleJoint(), [dict(TABLE_2)], law)
+    some = slice(0, None, 50)
+    expected = other(FlexibleJoint(), dict(TABLE_2), law)(np.exp(2j * math.pi * seen.hertz[some] * PERIOD))
+    np.testing.assert_allclose(seen.response(law)[0, some], expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.25, 1.0, 1.75, 3.0])
+def test_a_delay_of_part_of_a_period_is_sampled_exactly(late: float) -> None:
+    law = replace(CONTROLLERS["L19"], delay=late * PERIOD).law(PERIOD)
+    linear = linear_joints(FlexibleJoint(), [dict(TABLE_2)])
+    coarse = sampled_joints(linear, law)
+    fine = sampled_joints(linear, replace(law, delay=0.0, period=PERIOD / 4))
+    torque = np.random.default_rng(0).standard_normal(20)
+    put_out = np.concatenate([np.zeros(round(4 * late)), np.repeat(torque, 4)])
+    state, expected = np.zeros(4), []
+    for at in range(4 * torque.size):
+        if at % 4 == 0:
+            expected.append(state)
+        state = fine.transition[0] @ state + fine.new[0] * put_out[at]
+    past = np.concatenate([np.zeros(coarse.whole + 1), torque])
+    state = np.zeros(4)
+    for at, wanted in enumerate(expected):
+        np.testing.assert_allclose(state, wanted, atol=1e-12)
+        state = coarse.transition[0] @ state + coarse.new[0] * past[at + 1] + coarse.old[0] * past[at]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_loop_becomes_unstable_where_its_margins_say(seed: int) -> None:
+    drive = random_drive(seed)
+    controller = drive.loop.controller
+    law = controller.law(drive.period)
+    linear = linear_joints(drive.loop.joint, [drive.truth])
+    margins = of_row(bench(drive.loop.joint, [drive.truth], law).margins(law)[0])
+
+    def stable(law: SampledLaw) -> bool:
+        return bool(spectral_radius(law, sampled_joints(linear, law))[0] < 1)
+
+    assert stable(law)
+    assert stable(scaled(law, 0.99 * margins.gain))
+    assert not stable(scaled(law, 1.01 * margins.gain))
+    if margins.reduction < math.inf:
+        assert stable(scaled(law, 1.01 / margins.reduction))
+        assert not stable(scaled(law, 0.99 / margins.reduction))
+    assert stable(replace(law, delay=law.delay + 0.96 * margins.delay))
+    assert not stable(replace(law, delay=law.delay + 1.04 * margins.delay))
+
+
+def test_a_denser_grid_says_the_same() -> None:
+    drive = random_drive(1)
+    law = drive.loop.controller.law(drive.period)
+    linear = linear_joints(drive.loop.joint, [drive.truth])
+    usual = bench(drive.loop.joint, [drive.truth], law)
+    hertz = np.unique(np.concatenate([grid(linear, law.period), np.geomspace(usual.hertz[0], usual.hertz[-1], 40_000)]))
+    response = -law.split()[0].feedback(hertz) * usual.sampled.response(hertz)
+    np.testing.assert_allclose(usual.margins(law), all_margins(response, hertz), rtol=3e-3)
+
+
+def test_a_loop_that_is_not_stable_has_no_margins() -> None:
+    law = scaled(CONTROLLERS["L19"].law(PERIOD), 20.0)
+    found = of_row(bench(FlexibleJoint(), [dict(TABLE_2)], law).margins(law)[0])
+    assert not found.stable
+    assert str(found) == "not stable"
+    assert tuple(getattr(found, name) for name in NAMES) == (0.0,) * 5
+
+
+def test_an_integral_of_no_weight_does_not_make_a_loop_unstable() -> None:
+    law, without = PID(kp=8e5, kd=1.2e4, ki=0.0).law(PERIOD), PID(kp=8e5, kd=1.2e4, ki=1e-3).law(PERIOD)
+    for one in (law, without):
+        assert of_row(bench(RigidJoint(), [RIGID], one).margins(one)[0]).stable
+
+
+def test_of_two_rates_stability_is_exact_and_margins_are_near() -> None:
+    law = SERVO.law(PERIOD)
+    assert law.phases == 8
+    linear = linear_joints(FlexibleJoint(), [dict(TABLE_2)])
+    gain = of_row(bench(FlexibleJoint(), [dict(TABLE_2)], law).margins(law)[0]).gain
+    sampled = sampled_joints(linear, law)
+    assert (
+        spectral_radius(scaled(law, 0.9 * gain), sampled)[0] < 1 < spectral_radius(scaled(law, 1.1 * gain), sampled)[0]
+    )
+
+
+def test_friction_that_differs_with_the_direction_is_taken_both_ways() -> None:
+    ways = {"viscous_forwards": 50.0, "viscous_backwards": 4000.0, "coulomb_forwards": 20.0, "coulomb_backwards": 20.0}
+    joint = RigidJoint(friction=AsymmetricFriction())
+    law = Cascade(kp=50.0, kv=2e4).law(PERIOD)
+    both = bench(joint, [{"inertia": 100.0, "offset": 0.0} | ways], law).margins(law)
+    each = [
+        bench(RigidJoint(), [{"inertia": 100.0, "viscous": ways[f"viscous_{way}"], "coulomb": 0.0, "offset": 0.0}], law)
+        for way in ("forwards", "backwards")
+    ]
+    np.testing.assert_allclose(both[0], np.min([one.margins(law)[0] for one in each], axis=0), rtol=3e-3)
+
+
+def test_a_rigid_joint_answers_as_one_over_its_impedance() -> None:
+    hertz = np.array([0.1, 1.0, 10.0])
+    s = 2j * math.pi * hertz
+    velocity = 1 / (RIGID["inertia"] * s + RIGID["viscous"])
+    np.testing.assert_allclose(frequency_response(RigidJoint(), RIGID, hertz), velocity, rtol=1e-9)
+    np.testing.assert_allclose(frequency_response(RigidJoint(), RIGID, hertz, "load_position"), velocity / s, rtol=1e-9)
+
+
+def test_a_load_answers_through_spring_and_damper() -> None:
+    hertz, v = np.array([1.0, 30.0, 100.0]), TABLE_2
+    s = 2j * math.pi * hertz
+    tied = v["damping"] * s + v["stiffness"]
+    ratio = tied / (v["load_inertia"] * s**2 + (v["load_viscous"] + v["damping"]) * s + v["stiffness"])
+    motor = frequency_response(FlexibleJoint(), v, hertz, "motor_position")
+    np.testing.assert_allclose(frequency_response(FlexibleJoint(), v, hertz, "load_position"), ratio * motor, rtol=1e-9)
+
+
+def test_a_response_needs_frequencies_and_an_output() -> None:
+    for hertz, output in ((np.array([0.0]), "motor_velocity"), (np.array([1.0]), "torque")):
+        with pytest.raises(MethodError, match="A frequency response is of motor_position"):
+            frequency_response(RigidJoint(), RIGID, hertz, output)  # type: ignore[arg-type]

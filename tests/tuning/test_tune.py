@@ -1,0 +1,277 @@
+"""What is stated and proposed: the worst of an interval is its worst, and what is proposed does what it should."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.answers import dumps, tuning_answer
+from jointid.assessment.detectable import detectable
+from jointid.common.errors import MethodError
+from jointid.data.drive import Drive
+from jointid.data.excitation import trapezoids
+from jointid.data.transmission import Transmission
+from jointid.estimation.estimate import Estimate
+from jointid.estimation.flexible import FlexibleDIDIM
+from jointid.estimation.identify import identify
+from jointid.estimation.idim import IDIM
+from jointid.model.controllers import PD, PID, Cascade, StateSpaceController
+from jointid.model.friction import AsymmetricFriction
+from jointid.model.joints import FlexibleJoint, RigidJoint
+from jointid.paper.margins import random_drive, true_margins
+from jointid.paper.twin import TABLE_2, twin
+from jointid.report.tuning_figure import tuning_figure
+from jointid.simulation.experiment import ClosedLoop
+from jointid.simulation.synthesis import simulated_record
+from jointid.tuning.interval import interval_of, lowest_mode, reach
+from jointid.tuning.margins import NAMES
+from jointid.tuning.proposals import laid_out
+from jointid.tuning.settings import Tuning
+from jointid.tuning.tune import tune
+from jointid.tuning.tuned import Tuned
+from jointid.tuning.worst import bench
+
+PERIOD = 1e-3
+REFERENCE = trapezoids((0.05, 0.12), 0.8, 0.2, PERIOD, duration=6.0)
+RIGID = {"inertia": 100.0, "viscous": 150.0, "coulomb": 20.0, "offset": 3.0}
+
+
+@pytest.fixture(scope="module")
+def estimate() -> Estimate:
+    axis = twin(seed=4)
+    return identify(axis.record.without("motor_position", "load_position"), axis.loop, FlexibleDIDIM(frequency=30.0))
+
+
+@pytest.fixture(scope="module")
+def tuned(estimate: Estimate) -> Tuned:
+    return tune(estimate)
+
+
+def rigid(controller: Cascade | PD | StateSpaceController, joint: RigidJoint | None = None) -> Estimate:
+    """A rigid joint identified under a controller, with a little noise."""
+    loop = ClosedLoop(joint or RigidJoint(), controller)
+    force = 2.0 * np.random.default_rng(1).standard_normal(REFERENCE.size)
+    record = simulated_record(loop, REFERENCE, RIGID, sample_time=PERIOD, disturbance=force)
+    return identify(record.without("motor_position", "load_position"), loop)
+
+
+def test_nothing_in_the_interval_is_worse_than_what_is_stated(estimate: Estimate, tuned: Tuned) -> None:
+    interval = interval_of(estimate, 0.95, PERIOD)
+    points = np.random.default_rng(9).standard_normal((3000, len(interval.names)))
+    points /= np.linalg.norm(points, axis=1)[:, np.newaxis]
+    for loop in (tuned.present, tuned.proposed):
+        assert loop is not None
+        law = loop.controller.law(PERIOD)
+        margins = bench(interval.joint, interval.at(points), law).margins(law)
+        stated = np.array([getattr(loop.worst, name) for name in NAMES])
+        assert np.all(margins >= 0.995 * stated)
+        assert np.all(np.min(margins, axis=0) <= 1.05 * stated)  # and it is no smaller than it must be
+
+
+def test_the_interval_reaches_where_chi_square_says() -> None:
+    assert reach(1, 0.95) == pytest.approx(1.95996, abs=1e-4)
+    assert reach(6, 0.95) == pytest.approx(math.sqrt(12.5916), abs=1e-4)
+
+
+def test_a_twin_bears_what_is_stated_of_it(tuned: Tuned) -> None:
+    truth = dict(TABLE_2)
+    for loop in (tuned.present, tuned.proposed):
+        assert loop is not None
+        law = loop.controller.law(PERIOD)
+        true = bench(FlexibleJoint(), [truth], law).margins(law)[0]
+        assert np.all(true >= np.array([getattr(loop.worst, name) for name in NAMES]))
+
+
+def test_what_is_proposed_keeps_the_margins_and_could_not_be_much_stiffer(estimate: Estimate, tuned: Tuned) -> None:
+    assert tuned.proposed is not None
+    worst, asked = tuned.proposed.worst, tuned.settings
+    assert worst.gain >= 0.995 * asked.gain_margin
+    assert math.degrees(worst.phase) >= 0.995 * asked.phase_margin
+    assert worst.modulus >= 0.995 * asked.modulus
+    controller = tuned.proposed.controller
+    assert isinstance(controller, Cascade)
+    faster = replace(controller, kp=1.1 * controller.kp, kv=1.1 * controller.kv).law(PERIOD)
+    nominal = bench(estimate.joint, [estimate.values], faster).margins(faster)[0]
+    assert np.any(nominal < asked.asked)
+    assert controller.kp * controller.kv > 1.2 * 160.18 * 243.45  # stiffer than it was, and with more phase
+
+
+def test_more_is_asked_and_less_is_given(estimate: Estimate, tuned: Tuned) -> None:
+    calm = tune(estimate, Tuning(phase_margin=60.0))
+    assert calm.proposed is not None and tuned.proposed is not None
+    assert math.degrees(calm.proposed.worst.phase) >= 59.7
+    assert calm.gains[1].after < tuned.gains[1].after
+
+
+def test_a_notch_is_proposed_where_the_mode_limits_the_loop() -> None:
+    drive = random_drive(0)
+    truth = dict(drive.truth) | {"damping": 0.1 * drive.truth["damping"]}
+    slow = Cascade(
+        kp=0.05 * 6.28 * drive.mode, kv=0.1 * 6.28 * drive.mode * (truth["motor_inertia"] + truth["load_inertia"])
+    )
+    late = replace(slow, delay=2 * drive.period)
+    drive = replace(drive, loop=ClosedLoop(drive.loop.joint, late), truth=truth, noise=0.1 * drive.noise)
+    estimate = drive.identified(drive.record(1))
+    with_it, without = tune(estimate), tune(estimate, Tuning(notch=False))
+    assert without.notch is None and with_it.notch is not None
+    assert with_it.notch.notch.frequency == pytest.approx(drive.mode, rel=0.02)
+    assert with_it.proposed is not None and without.proposed is not None
+    stiffness = [math.prod(gain.after for gain in one.gains) for one in (with_it, without)]
+    assert stiffness[0] > 1.2 * stiffness[1]
+    true = true_margins(drive, with_it.proposed.controller)
+    assert all(value >= getattr(with_it.proposed.worst, name) for value, name in zip(true, NAMES, strict=True))
+    assert "notch of the torque" in str(with_it)
+    np.testing.assert_allclose(
+        (with_it.notch.numerator, with_it.notch.denominator), with_it.notch.notch.coefficients(drive.period)
+    )
+
+
+@pytest.mark.parametrize("damping", [0.5, 1.0])
+@pytest.mark.parametrize(
+    "controller",
+    [
+        Cascade(kp=20.0, kv=100.0, ki=3.0, gain=30.0, ratio=-4.0),
+        PD(kp=2e3, kd=100.0, gain=30.0),
+        PID(kp=2e3, kd=100.0, ki=5e3, gain=30.0),
+    ],
+)
+def test_a_layout_has_the_poles_that_its_formula_says(controller: Cascade | PD, damping: float) -> None:
+    inertia, rate, slow = 100.0, 10.0, 1e-5
+    made = laid_out(replace(controller, ki=0.0) if type(controller) is not PD else controller, inertia, rate, damping)
+    # Slow against its period the law is -(proportional + derivative s).
+    response = made.law(slow).feedback(np.array([1e-3, 1.0]))
+    proportional, derivative = -response[0].real, -response[1].imag / (2 * math.pi)
+    assert derivative / inertia == pytest.approx(rate, rel=1e-3)
+    assert proportional / inertia == pytest.approx(rate**2 / (4 * damping**2), rel=1e-3)
+    again = laid_out(laid_out(controller, inertia, rate, damping), inertia, 2 * rate, damping)
+    if isinstance(again, PID | Cascade):
+        first = laid_out(controller, inertia, rate, damping)
+        assert isinstance(first, PID | Cascade)
+        assert again.ki == pytest.approx(first.ki * (8 if isinstance(again, PID) else 2))
+
+
+@pytest.mark.parametrize("ratio", [1.0, -5.0])
+def test_feed_forward_leaves_nothing_to_the_feedback(ratio: float) -> None:
+    controller = Cascade(kp=20.0, kv=2000.0 / ratio**2 / 3.0, gain=3.0, ratio=ratio, velocity_feedforward=1.0)
+    found = tune(rigid(controller))
+    proposed = {f.key: f.after for f in found.feedforward}
+    errors = []
+    for one in (controller, replace(controller, **proposed)):
+        run = simulated_record(ClosedLoop(RigidJoint(), one), REFERENCE, RIGID, sample_time=PERIOD)
+        assert run.motor_position is not None
+        errors.append(float(np.std(run.motor_position.values - REFERENCE)))
+    assert errors[1] < 0.1 * errors[0]
+
+
+def test_feed_forward_is_told_in_the_drives_units() -> None:
+    gear = Transmission(load="prismatic", lead=0.010)
+    controller = Cascade(kp=20.0, kv=2000.0 / gear.torque("motor") ** 2, ratio=gear.torque("motor"))
+    estimate = rigid(controller, RigidJoint(transmission=gear))
+    found = {f.key: f for f in tune(estimate, drive=Drive(rated_torque=2.0, counts_per_turn=4096)).feedforward}
+    motor = gear.torque("motor")  # N of the load per N m of the motor
+    coulomb, inertia = found["coulomb_feedforward"], found["acceleration_feedforward"]
+    assert coulomb.drive == pytest.approx(1000 * coulomb.value / motor / 2.0)
+    one_count = 0.010 / 4096  # m of the load
+    assert inertia.drive == pytest.approx(1000 * inertia.value * one_count / motor / 2.0)
+    assert (coulomb.drive_unit, inertia.drive_unit) == ("per mille", "per mille/(counts/s2)")
+    assert inertia.after == pytest.approx(inertia.value / motor**2)
+    assert "per mille" in str(tune(estimate, drive=Drive(rated_torque=2.0, counts_per_turn=4096)))
+    assert all(f.drive is None for f in tune(estimate, drive=Drive()).feedforward)
+
+
+def test_of_friction_that_differs_the_mean_is_fed_forward() -> None:
+    joint = RigidJoint(friction=AsymmetricFriction())
+    values = {"inertia": 100.0, "viscous_forwards": 100.0, "viscous_backwards": 200.0, "offset": 0.0}
+    values |= {"coulomb_forwards": 30.0, "coulomb_backwards": 20.0}
+    loop = ClosedLoop(joint, Cascade(kp=20.0, kv=2000.0))
+    force = np.random.default_rng(1).standard_normal(REFERENCE.size)
+    record = simulated_record(loop, REFERENCE, values, sample_time=PERIOD, disturbance=force)
+    found = {f.key: f for f in tune(identify(record.without("motor_position", "load_position"), loop)).feedforward}
+    assert found["viscous_feedforward"].after == pytest.approx(150.0, rel=0.1)
+    assert found["coulomb_feedforward"].after == pytest.approx(25.0, rel=0.1)
+    assert found["constant_feedforward"].after == pytest.approx(5.0, rel=0.2)
+
+
+def test_a_rigid_joint_says_up_to_where_it_speaks() -> None:
+    found = tune(rigid(Cascade(kp=50.0, kv=8000.0)))
+    said = "\n".join(found.notes)
+    assert "a rigid joint says nothing beyond the band" in said
+    assert "keeps the asked margins with" in said
+    assert found.proposed is not None and found.proposed.crossover <= 40.0
+    assert lowest_mode([1.0, 2.0, 3.0], [True, False, True]) == 3.0
+    assert lowest_mode([1.0, 2.0], [True, True]) == 1.0
+    assert lowest_mode([1.0, 2.0], [True, False]) is None
+
+
+def test_of_a_state_space_law_only_margins_are_told() -> None:
+    law = StateSpaceController(
+        A=[[0.0]], B={"position": [1.0]}, C=[8e6], D={"reference": 4e5, "position": -8.4e6}, gain=1.0
+    )
+    found = tune(rigid(law))
+    assert found.present.worst.stable and found.proposed is None and not found.gains
+    assert "no gains are proposed for a StateSpaceController" in str(found)
+
+
+def test_what_cannot_be_tuned_is_refused_in_a_sentence(estimate: Estimate) -> None:
+    loop = ClosedLoop(RigidJoint(), Cascade(kp=20.0, kv=2000.0))
+    record = simulated_record(loop, REFERENCE, RIGID, sample_time=PERIOD)
+    with pytest.raises(MethodError, match=r"the controller of .* is not known"):
+        tune(identify(record, RigidJoint(), IDIM()))
+    with pytest.raises(MethodError, match="need the deviations"):
+        tune(replace(estimate, correlation=np.zeros((0, 0))))
+    with pytest.raises(MethodError, match=r"received gain_margin = 0\.5, confidence = 1"):
+        Tuning(gain_margin=0.5, confidence=1.0)
+    with pytest.raises(MethodError, match="false-alarm rate"):
+        detectable(estimate, false_alarm=0.0)
+    impossible = tune(estimate, Tuning(gain_margin=1e6))
+    assert impossible.proposed is None
+    assert "no gains of this structure keep the asked margins" in str(impossible)
+
+
+def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estimate) -> None:
+    wide = tuple(replace(p, std=10 * p.std) if p.std else p for p in estimate.parameters)
+    assert estimate.loop is not None
+    controller = estimate.loop.controller
+    assert isinstance(controller, Cascade)
+    fast = ClosedLoop(
+        estimate.joint, replace(controller, kv=8.2 * controller.kv)
+    )  # 8.5 times as fast it would not be stable
+    found = tune(replace(estimate, parameters=wide, loop=fast), Tuning(notch=False))
+    assert found.present.estimate.stable
+    assert not found.present.worst.stable
+    assert "no margin of it can be stated" in str(found)
+    assert json.loads(dumps(tuning_answer(found)))["present"]["worst"]["stable"] is False
+
+
+def test_a_change_that_is_told_follows_from_both_records(estimate: Estimate) -> None:
+    found = detectable(estimate)
+    spring = found["stiffness"]
+    assert spring.std == estimate["stiffness"].std
+    assert spring.size == pytest.approx((2.575829 + 1.281552) * math.sqrt(2) * spring.std, rel=1e-6)
+    assert spring.limit == pytest.approx(2.575829 * math.sqrt(2) * spring.std, rel=1e-6)
+    assert found["Fv1 + Fv2"].size < 0.3 * found["Fv1"].size
+    assert detectable(estimate, power=0.5)["K12"].size == pytest.approx(spring.limit)
+
+
+def test_the_answer_is_complete_and_finite(tuned: Tuned) -> None:
+    answer = json.loads(dumps(tuning_answer(tuned)))
+    assert answer["schema"] == "jointid.tuning/1"
+    assert answer["present"]["worst"]["gain"] < answer["present"]["estimate"]["gain"]
+    assert answer["present"]["worst"]["reduction"] is None  # it may fall as far as it likes
+    assert {change["name"] for change in answer["detectable"]["changes"]} >= {"stiffness", "total viscous"}
+    assert len(answer["proposed"]["response"]["hertz"]) == len(answer["proposed"]["response"]["size"])
+
+
+def test_the_figure_shows_joint_and_loops_in_their_units(tuned: Tuned) -> None:
+    joint, nyquist, size, phase = tuning_figure(tuned).axes
+    assert joint.get_ylabel() == "motor velocity per torque [m/s per N]"
+    assert [line.get_label() for line in size.lines][:2] == ["as it is", "proposed"]
+    assert len(size.collections) == len(phase.collections) == 2
+    assert nyquist.get_xlabel() == "real part of the loop [1]"
+    low, high = (np.degrees(one) for one in tuned.present.response.phase)
+    shown = np.asarray(phase.lines[0].get_ydata(), dtype=np.float64)
+    assert np.all((shown >= low - 1e-6) & (shown <= high + 1e-6))
