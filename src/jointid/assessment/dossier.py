@@ -15,7 +15,7 @@ import numpy as np
 from jointid.assessment.intervals import intervals
 from jointid.assessment.loop import looked_at
 from jointid.assessment.loopcheck import LoopCheck
-from jointid.assessment.response import FrequencyResponse, frequency_response
+from jointid.assessment.response import FrequencyResponse, response_of
 from jointid.assessment.revealing import Revealing, revealing
 from jointid.assessment.spectra import Spectra, spectra
 from jointid.assessment.validation import Validation, validate
@@ -115,7 +115,7 @@ def dossier(
     validation = part("validation", "simulating the direct test", lambda: validate(estimate, record))
     motion, seen = _motion(estimate, record, validation)
     found = spectra_of(estimate)
-    response = part("response", "computing the frequency response", lambda: frequency_response(estimate))
+    response = part("response", "computing the frequency response", lambda: response_of(estimate))
     wanted = _profiled(estimate) if profiles is None else tuple(profiles)
     followed = part(
         "profiles", "following the criterion", lambda: intervals(estimate, record, wanted, progress=progress)
