@@ -687,11 +687,11 @@ FAULTS = [
     (
         "[record]\nfile = 'run.xyz'\n" + SMALLEST,
         'record.file: run.xyz has the suffix ".xyz", which names no known format (CSV: .csv, .txt, .tsv, .dat; '
-        "MAT: .mat; NPY: .npy).",
+        "MAT: .mat; NPY: .npy; HDF5: .h5, .hdf5, .hdf; Parquet: .parquet, .pq; TDMS: .tdms; ROS 2 bag: .mcap, .db3).",
     ),
     (
         "[record]\nfile = 'run.mat'\ndecimal = ','\n" + SMALLEST,
-        "record.file: Reading MAT has no option decimal; it has: none.",
+        "record.file: Reading MAT has no option decimal; it has: version.",
     ),
     (
         SMALLEST + "[filtering]\nborders = [1, 2, 3]",

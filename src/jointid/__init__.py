@@ -91,6 +91,7 @@ if TYPE_CHECKING:
     from jointid.model.friction import AsymmetricFriction, SymmetricFriction
     from jointid.model.gravity import Counterbalance, Gravity
     from jointid.model.joints import FlexibleJoint, RigidJoint, frequencies, rigid_sums
+    from jointid.model.linear import frequency_response
     from jointid.model.parameters import Parameter
     from jointid.paper.twin import Twin, twin
     from jointid.report.channels import channels_figure
@@ -104,7 +105,6 @@ if TYPE_CHECKING:
     from jointid.simulation.synthesis import simulated_record
     from jointid.together.common_estimate import CommonEstimate, RecordShare
     from jointid.together.together import identify_together
-    from jointid.tuning.plant import frequency_response
     from jointid.tuning.settings import Tuning
     from jointid.tuning.tune import tune
     from jointid.tuning.tuned import Tuned
@@ -199,7 +199,7 @@ _HOMES = {
     "simulation.experiment": ("ClosedLoop", "prepare"),
     "simulation.open_loop": ("OpenLoop",),
     "simulation.synthesis": ("simulated_record",),
-    "tuning.plant": ("frequency_response",),
+    "model.linear": ("frequency_response",),
     "tuning.settings": ("Tuning",),
     "tuning.tune": ("tune",),
     "tuning.tuned": ("Tuned",),

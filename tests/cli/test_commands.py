@@ -112,10 +112,15 @@ def test_a_refused_stiffness_ends_with_what_would_show_it(tmp_path: Path, capsys
     write(simulated_record(loop, reference, stiff, sample_time=1e-3, disturbance=force), tmp_path / "record.csv")
     text = JOINT_FILE.replace("frequency = 30.0", "# frequency = 30.0")
     (tmp_path / "joint.toml").write_text(text, encoding="utf-8")
-    assert run("identify", tmp_path / "joint.toml", "-q") == 0
+    assert run("identify", tmp_path / "joint.toml", "-q", "--json", tmp_path / "refused.json") == 0
     said = capsys.readouterr().out
     assert "K12 is at least" in said
     assert "would" in said.strip().splitlines()[-1]
+    assert run("validate", tmp_path / "joint.toml", "--estimate", tmp_path / "refused.json") == 2
+    assert (
+        "which its record did not tell, so it predicts no torque; identify the joint as rigid"
+        in capsys.readouterr().err
+    )
     assert run("advise", tmp_path / "joint.toml", "-q", "--json", tmp_path / "out.json") == 0
     assert json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["sentence"] in capsys.readouterr().out
 

@@ -124,6 +124,11 @@ def test_a_joint_file_that_was_made_by_a_program_is_written_whole() -> None:
     assert loads(made.text).values() == TABLE_2
     with pytest.raises(ji.MethodError, match=r"give it as JointToml\(file=load"):
         ji.export(model(file.joint, TABLE_2), "joint-file")
+    with pytest.raises(ji.MethodError, match="of another joint than the estimate"):
+        ji.export(model(ji.RigidJoint(), RIGID), ji.JointToml(file))
+    geared = loads(JOINT_FILE.replace("[record]", "[transmission]\nratio = 3.0\n\n[record]", 1))
+    with pytest.raises(ji.MethodError, match="asked of the motor side"):
+        ji.export(model(geared.joint, TABLE_2), ji.JointToml(geared), side="motor")
     with pytest.raises(ji.MethodError, match='"start" or "fixed"'):
         ji.JointToml(file, "kept")  # type: ignore[arg-type]
 
@@ -230,6 +235,10 @@ def test_to_the_other_side_and_back_nothing_changes() -> None:
     assert here.on("motor").gravity == replace(ji.Gravity("link"), angle=-0.01)
     assert here.on("motor").motor.directions[2] == pytest.approx(values["motor_coulomb_backwards"] / 100)
     assert (here.gear, here.on("motor").gear) == (-100.0, 1.0)
+
+
+def test_a_joint_that_was_read_can_be_named_anew() -> None:
+    assert ji.export(model(ji.RigidJoint(), RIGID), "modelica", name="Achse 4").text.startswith("model Achse_4 ")
 
 
 def test_ripple_is_said_to_be_left_out() -> None:

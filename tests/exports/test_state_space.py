@@ -130,6 +130,9 @@ def test_the_file_says_what_is_lost_and_where_its_numbers_come_from() -> None:
     values |= {"gravity_constant": 9.0, "counterbalance_rate": 50.0}
     system = ji.state_space(model(weighing, values))
     assert system.A[1, 0] == 25.0  # what carries more the further it goes pushes away
+    flexible = TABLE_2 | {"offset": 0.0, "gravity_constant": 9.0, "counterbalance_rate": 50.0}
+    both = ji.state_space(model(ji.FlexibleJoint(gravity=held), flexible))
+    assert both.A[3, 2] == -(TABLE_2["stiffness"] - 50.0) / TABLE_2["load_inertia"]
     assert any("constant load" in one for one in ji.export(model(weighing, values), "state-space").lost)
 
 

@@ -13,12 +13,13 @@ from jointid.common.errors import MethodError
 from jointid.model.controllers import PID, POSITION, Cascade, Controller, FirstOrder, Notch, SampledLaw, scaled
 from jointid.model.friction import AsymmetricFriction
 from jointid.model.joints import FlexibleJoint, RigidJoint
+from jointid.model.linear import frequency_response, linear_joints
 from jointid.paper.margins import random_drive
 from jointid.paper.servo import SERVO
 from jointid.paper.twin import CONTROLLERS, TABLE_2
 from jointid.tuning.loop import spectral_radius
 from jointid.tuning.margins import NAMES, all_margins, grid, of_row
-from jointid.tuning.plant import frequency_response, linear_joints, sampled_joints
+from jointid.tuning.plant import sampled_joints
 from jointid.tuning.worst import bench
 
 PERIOD = 1e-3

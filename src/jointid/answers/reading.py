@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from pathlib import Path
 from typing import Literal, get_args
@@ -16,6 +17,8 @@ from jointid.model.effects import effect_parameters
 from jointid.model.joints import Joint
 from jointid.simulation.experiment import ClosedLoop
 
+_LARGEST = 2**26  # bytes
+
 
 def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
     """Return the identified joint of an estimate written by `write`.
@@ -26,13 +29,19 @@ def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> 
         loop: the closed loop; used when the estimate came from DIDIM.
 
     Raises:
-        RecordError: the file is no estimate, or belongs to another model, or to another side of its transmission.
+        RecordError: the file is no estimate, belongs to another model or to another side of its transmission, or
+            refuses a value, without which no torque can be predicted.
     """
     answer = read_answer(path)
     if (told := answer.get("transmission")) != (declared := transmission_answer(joint.transmission)):
         raise RecordError(
             f"{path} was identified with {_geared(told)}, and this joint has {_geared(declared)}; correct "
             "[transmission], or identify with this joint file first."
+        )
+    if refused := _refused(answer, joint):
+        raise RecordError(
+            f"{path} refuses {', '.join(refused)}, which its record did not tell, so it predicts no torque; identify "
+            "the joint as rigid."
         )
     try:
         return _identified(answer, joint, loop)
@@ -41,6 +50,14 @@ def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> 
             f"{path} is no estimate of schema {ESTIMATE_SCHEMA} for a {joint.kind} {joint.model} joint with these "
             "parameters in these units; identify with this joint file first."
         ) from None
+
+
+def _refused(answer: Json, joint: Joint) -> list[str]:
+    """Return the parameters of the joint that an answer has without a value."""
+    found = answer.get("parameters")
+    told = found if isinstance(found, dict) else {}
+    given = {p.name: told.get(p.name) for p in joint.parameters}
+    return [name for name, one in given.items() if isinstance(one, dict) and one.get("value", 0.0) is None]
 
 
 def _geared(transmission: object) -> str:
@@ -73,7 +90,9 @@ def read_answer(path: str | os.PathLike[str]) -> Json:
     """
     remedy = "give the file that identify --json wrote"
     try:
-        answer = json.loads(Path(path).read_text(encoding="utf-8"))
+        if (size := Path(path).stat().st_size) > _LARGEST:
+            raise RecordError(f"{path} has {size} bytes, which no answer has (at most {_LARGEST}); {remedy}.")
+        answer = json.loads(Path(path).read_text(encoding="utf-8-sig"), parse_constant=_no_number)
     except OSError as error:
         raise RecordError(f"{path} cannot be read ({error.strerror}); {remedy}.") from None
     except (ValueError, RecursionError):
@@ -81,6 +100,11 @@ def read_answer(path: str | os.PathLike[str]) -> Json:
     if not isinstance(answer, dict):
         raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {remedy}.")
     return answer
+
+
+def _no_number(name: str) -> float:
+    """Refuse NaN and Infinity, which no answer holds and JSON does not know."""
+    raise ValueError(name)
 
 
 def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
@@ -92,6 +116,8 @@ def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identifi
     effects = tuple(read_effect(effect) for effect in answer.get("effects", []))
     every = (*joint.parameters, *effect_parameters(effects))
     values = {p.name: float(found[p.name]["value"]) for p in every}
+    if not all(math.isfinite(value) for value in (*values.values(), float(answer["delay"]))):
+        raise ValueError
     given = answer["filtering"]
     filtering = Filtering(
         given["position_cutoff"],

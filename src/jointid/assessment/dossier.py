@@ -7,7 +7,7 @@ a sentence says why.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias, TypeVar
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from jointid.assessment.intervals import intervals
 from jointid.assessment.loop import looked_at
 from jointid.assessment.loopcheck import LoopCheck
-from jointid.assessment.response import FrequencyResponse, frequency_response
+from jointid.assessment.response import FrequencyResponse, response_of
 from jointid.assessment.revealing import Revealing, revealing
 from jointid.assessment.spectra import Spectra, spectra
 from jointid.assessment.validation import Validation, validate
@@ -108,13 +108,14 @@ def dossier(
             return None
 
     check = None
-    if loop and not any(v.subject == "loop" for v in estimate.verdicts):
+    if loop:
         progress("checking loop and log")
-        estimate, check = looked_at(estimate, record)
+        said = [v for v in estimate.verdicts if v.subject != "loop"]  # it is said once
+        estimate, check = looked_at(replace(estimate, verdicts=tuple(said)), record)
     validation = part("validation", "simulating the direct test", lambda: validate(estimate, record))
     motion, seen = _motion(estimate, record, validation)
     found = spectra_of(estimate)
-    response = part("response", "computing the frequency response", lambda: frequency_response(estimate))
+    response = part("response", "computing the frequency response", lambda: response_of(estimate))
     wanted = _profiled(estimate) if profiles is None else tuple(profiles)
     followed = part(
         "profiles", "following the criterion", lambda: intervals(estimate, record, wanted, progress=progress)

@@ -1,18 +1,11 @@
 """The frequency response of an identified joint: from the motor's torque to the velocities of its two sides.
 
-Of the linear part, viscous friction and no Coulomb friction (1), (2)::
-
-    rigid      H = 1 / (ZZ s + Fv)
-    flexible   H1 = s (ZZ2 s^2 + (F12 + Fv2) s + K12) / D      H12 = s (F12 s + K12) / D
-               D  = (ZZ1 s^2 + (F12 + Fv1) s + K12) (ZZ2 s^2 + (F12 + Fv2) s + K12) - (F12 s + K12)^2
-
-Its band is that of the estimate's covariance to first order, of the logarithm of H, so that it never passes 0. Where
-friction depends on the direction, it is that of the mean of both.
+Of the linear part (`model.linear`), moving forwards. Its band is that of the estimate's covariance to first order, of
+the logarithm of the response, so that it never passes 0.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -22,6 +15,7 @@ from jointid.common.errors import MethodError
 from jointid.data.record import FloatArray
 from jointid.estimation.estimate import Estimate
 from jointid.model.joints import Joint, frequencies
+from jointid.model.linear import OUTPUTS, ComplexArray, frequency_response
 from jointid.model.parameters import POSITION_UNIT
 
 _LINES = 400
@@ -65,7 +59,7 @@ class FrequencyResponse:
     modes: Mapping[str, float]
 
 
-def frequency_response(estimate: Estimate) -> FrequencyResponse:
+def response_of(estimate: Estimate) -> FrequencyResponse:
     """Return the frequency response of an estimate, with the band of its covariance.
 
     Raises:
@@ -82,11 +76,11 @@ def frequency_response(estimate: Estimate) -> FrequencyResponse:
     frequency = np.unique(np.concatenate([grid, [f for f in modes.values() if f > _LOWEST]]))
     free = [p for p in estimate.parameters if p.free and p.of_joint and p.std is not None and p.name in values]
     covariance = _covariance(estimate, [p.name for p in free])
-    at = responses(joint, values, frequency)
+    at = _velocities(joint, values, frequency)
     slopes = []
     for p in free:
         step = _STEP * (abs(p.value or 0.0) or p.std or 1.0)
-        moved = responses(joint, values | {p.name: values[p.name] + step}, frequency)
+        moved = _velocities(joint, values | {p.name: values[p.name] + step}, frequency)
         slopes.append([np.log(after / before).real / step for after, before in zip(moved, at, strict=True)])
     curves = []
     for i, (side, H) in enumerate(zip(("motor", "load"), at, strict=False)):
@@ -98,24 +92,10 @@ def frequency_response(estimate: Estimate) -> FrequencyResponse:
     return FrequencyResponse(frequency, tuple(curves), unit, modes)
 
 
-def responses(joint: Joint, values: Mapping[str, float], frequency: FloatArray) -> tuple[FloatArray, ...]:
-    """Return velocity per torque of the motor, and for a flexible joint of the load, complex, (lines,) each.
-
-    Args:
-        joint: whose equations these are.
-        values: of its parameters, by name.
-        frequency: (lines,) Hz.
-    """
-    s = 2j * math.pi * frequency
-    motor, load, stiffness, damping, *friction = joint.coefficients(values)[:12]
-    viscous, viscous_load = 0.5 * (friction[0] + friction[1]), 0.5 * (friction[4] + friction[5])
-    if joint.model == "rigid":
-        return (1.0 / (motor * s + viscous),)
-    spring = damping * s + stiffness
-    before = motor * s**2 + viscous * s + spring
-    behind = load * s**2 + viscous_load * s + spring
-    D = before * behind - spring**2
-    return s * behind / D, s * spring / D
+def _velocities(joint: Joint, values: Mapping[str, float], frequency: FloatArray) -> list[ComplexArray]:
+    """Return velocity per torque of the motor, and for a flexible joint of the load, (lines,) each."""
+    outputs = OUTPUTS[1 : len(OUTPUTS) if joint.model == "flexible" else 2 : 2]
+    return [frequency_response(joint, values, frequency, output) for output in outputs]
 
 
 def _covariance(estimate: Estimate, names: list[str]) -> FloatArray:

@@ -34,8 +34,6 @@ from jointid.model.parameters import Parameter
 from jointid.simulation.experiment import ClosedLoop
 
 _MOVING = 9.0  # times the residual's variance: what a velocity at the first sample must explain to be believed
-_DECIDED = 0.1  # of the residual's variance: a search that still gains less does not change that decision ...
-_NEAR = 1e-2  # ... if no parameter moves by more than this share either
 _WORSE = 2.0  # times the residual: with an approximate Jacobian, a little worse is no reason to turn back
 
 
@@ -168,16 +166,10 @@ def _searched(problem: Problem, search: Search, settings: DIDIM, start: Start) -
     limits = Limits(settings.tolerance, settings.step_tolerance, foreseen=free and residual)
     state, scaled = _begun(search, settings, start)
     most = max(settings.iterations - scaled, 1)
-    if not free:
-        return _solve(search, settings, state, steps.regressor, limits, most)
-    near = replace(limits, change=max(limits.change, _DECIDED / state.error.size), step=max(limits.step, _NEAR))
-    resting = _solve(search, settings, state, steps.regressor, near, most)
-    if resting.reproduced:
+    resting = _solve(search, settings, state, steps.regressor, limits, most)
+    if not free or resting.reproduced:
         return resting
-    moving = _moving(problem, search, settings, resting.state, start, limits)
-    if moving is not None or near == limits or not resting.converged:
-        return moving or resting
-    return _solve(search, settings, resting.state, steps.newton, limits, settings.iterations)
+    return _moving(problem, search, settings, resting.state, start, limits) or resting
 
 
 def _known(search: Search, state: State) -> Uncertainty:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import Field, dataclass, fields
+from dataclasses import Field, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeAlias
 
@@ -188,7 +188,7 @@ def _set(made: type[Exporter], settings: dict[str, Any]) -> Exporter:
 def _model(estimate: Known, name: str | None) -> JointModel:
     match estimate:
         case JointModel():
-            return estimate
+            return estimate if name is None else replace(estimate, name=name)
         case Estimate():
             answer = estimate_answer(estimate)
         case CommonEstimate():

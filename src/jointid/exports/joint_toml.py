@@ -72,7 +72,7 @@ class JointToml:
         written = "\n".join(["[parameters]", *(f"# {line}" for line in head), *lines, ""])
         before = file.path.parent
         made = with_paths(_filled(file, filled, written), before, before if self.folder is None else self.folder)
-        loads(made)
+        loads(made)  # which refuses what could not be read again
         return made
 
     def _file(self, model: JointModel) -> JointFile:
@@ -81,8 +81,13 @@ class JointToml:
                 "A joint file is made from the one the joint was identified with, which has its record and controller; "
                 "give it as JointToml(file=load(...))."
             )
-        transmission = self.file.joint.transmission
-        if model.side != (None if transmission is None else transmission.side):
+        if self.file.joint != model.joint:
+            raise MethodError(
+                "The joint file is of another joint than the estimate: their model, kind, friction, gravity or "
+                "transmission differ; give the one it was identified with."
+            )
+        transmission = model.joint.transmission
+        if transmission is not None and model.side != transmission.side:
             raise MethodError(
                 f"The numbers are asked of the {model.side} side, and this joint file has them on the other; leave the "
                 "side out, or change transmission.side in it and identify again."

@@ -19,11 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from jointid.common.errors import ExtraError, MethodError
+from jointid.common.errors import MethodError
+from jointid.common.extras import extra
 from jointid.common.text import number
 from jointid.data.record import FloatArray
 from jointid.exports.joint_model import JointModel
 from jointid.exports.provenance import effects_left_out, friction_shift, uneven_viscous
+from jointid.model.linear import OUTPUTS, drive_matrices, held
 from jointid.model.parameters import Quantity, unit_of
 
 _SNAP = 1e-9  # of a period: a delay closer than this to a whole number of them is one
@@ -78,16 +80,16 @@ class StateSpace:
         whole = math.floor(delay / period + _SNAP)
         late = max(delay - whole * period, 0.0)
         late = late if late > _SNAP * period else 0.0
-        before, held_before = self._held(late)
-        after, held_after = self._held(period - late)
+        before, held_before = held(self.A, self.B[:, 0], late)
+        after, held_after = held(self.A, self.B[:, 0], period - late)
         order, waiting = len(self.A), whole + (late > 0)
         A, B = np.zeros((order + waiting, order + waiting)), np.zeros((order + waiting, 1))
         A[:order, :order] = after @ before
         for lag, column in ((whole, held_after), (whole + 1, after @ held_before)):
             if lag == 0:
-                B[:order] = column
+                B[:order, 0] = column
             elif lag <= waiting:
-                A[:order, order + lag - 1 : order + lag] = column
+                A[:order, order + lag - 1] = column
         if waiting:
             B[order, 0] = 1.0
             A[order + 1 :, order:-1] = np.eye(waiting - 1)
@@ -95,16 +97,6 @@ class StateSpace:
         names = tuple(f"torque_{i + 1}" for i in range(waiting))
         states = (*self.states, *names)
         return StateSpace(A, B, C, self.D, self.units, states, self.inputs, self.outputs, period, delay)
-
-    def _held(self, seconds: float) -> tuple[FloatArray, FloatArray]:
-        """Return how the states go on in that time, and what a torque of 1 adds: one exponential gives both."""
-        from scipy.linalg import expm
-
-        order = len(self.A)
-        both = np.zeros((order + 1, order + 1))
-        both[:order, :order], both[:order, order:] = self.A, self.B
-        exponential = np.asarray(expm(both * seconds))
-        return exponential[:order, :order], exponential[:order, order:]
 
     def scipy(self) -> Any:
         """Return it as SciPy's `StateSpace`: of `lti`, or of `dlti` where there is a period."""
@@ -119,10 +111,7 @@ class StateSpace:
         Raises:
             ExtraError: python-control is not there.
         """
-        try:
-            import control
-        except ImportError:
-            raise ExtraError('python-control is not installed; it comes with pip install "jointid[models]".') from None
+        control = extra("control", "models", "A state space for python-control")
         dt = 0 if self.period is None else self.period
         names = {"states": list(self.states), "inputs": list(self.inputs), "outputs": list(self.outputs)}
         return control.ss(self.A, self.B, self.C, self.D, dt, **names)
@@ -136,22 +125,12 @@ def linear_part(model: JointModel) -> StateSpace:
     """
     motor, load, weight = model.motor, model.load, model.weight
     rate = 0.0 if weight is None else weight.rate
-    if load is None:
-        A = np.array([[0.0, 1.0], [-rate / motor.inertia, -motor.viscous / motor.inertia]])
-        states: tuple[str, ...] = ("motor_position", "motor_velocity")
-    else:
-        K, F = model.stiffness, model.damping
-        A = np.array(
-            [
-                [0.0, 1.0, 0.0, 0.0],
-                [-K / motor.inertia, -(F + motor.viscous) / motor.inertia, K / motor.inertia, F / motor.inertia],
-                [0.0, 0.0, 0.0, 1.0],
-                [K / load.inertia, F / load.inertia, -(K + rate) / load.inertia, -(F + load.viscous) / load.inertia],
-            ]
-        )
-        states = ("motor_position", "motor_velocity", "load_position", "load_velocity")
-    B = np.zeros((len(A), 1))
-    B[1, 0] = 1.0 / motor.inertia
+    masses = (motor,) if load is None else (motor, load)
+    A, b = drive_matrices(
+        [mass.inertia for mass in masses], [mass.viscous for mass in masses], model.stiffness, model.damping, rate
+    )
+    states: tuple[str, ...] = OUTPUTS[: len(A)]
+    B = b[:, np.newaxis]
     quantities = (Quantity.POSITION, Quantity.VELOCITY)
     units = {name: unit_of(quantities[i % 2], model.kind, model.torque_unit) for i, name in enumerate(states)}
     units["torque"] = model.torque_unit

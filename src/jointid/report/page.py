@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jointid.answers.reports import REPORT_ELEMENT
+from jointid.common.extras import extra
 from jointid.report.document import MARKS, Document, Heading, Picture, written
-from jointid.report.plots import missing, script
+from jointid.report.plots import PURPOSE, script
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -79,15 +80,12 @@ def inert(json: str) -> str:
 
 
 def _environment() -> Environment:
-    try:
-        from jinja2 import Environment, FileSystemLoader, StrictUndefined
-        from markupsafe import Markup
-    except ImportError:
-        raise missing("jinja2") from None
+    jinja2 = extra("jinja2", "report", PURPOSE)
+    from markupsafe import Markup
 
-    made = Environment(
-        autoescape=True, loader=FileSystemLoader(Path(__file__).parent), undefined=StrictUndefined, trim_blocks=True,
-        lstrip_blocks=True,
+    made: Environment = jinja2.Environment(
+        autoescape=True, loader=jinja2.FileSystemLoader(Path(__file__).parent), undefined=jinja2.StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     filters: dict[str, Any] = {
         "base64": lambda data: base64.b64encode(data).decode("ascii"),
@@ -102,9 +100,8 @@ def _environment() -> Environment:
 
 
 def _clauses(text: str) -> list[str]:
-    """Return a verdict's clauses, which semicolons separate but for those in brackets; each begins a line."""
-    found = re.split(r"; (?![^(]*\))", text)
-    return [f"{clause[:1].upper()}{clause[1:]}" for clause in found]
+    """Return a verdict's clauses, which semicolons separate but for those in brackets."""
+    return re.split(r"; (?![^(]*\))", text)
 
 
 def _hash(text: str) -> str:

@@ -100,7 +100,7 @@ def torque_chart(given: Dossier) -> Chart:
         f"Measured and {names.predicted} {names.quantity} lie on each other where the model is right; below them their "
         f"difference, {100 * estimate.relative_error:.2f} % of the measured, on a scale of its own"
         + ("" if motion is None else f", and the {given.seen} velocity of the motor")
-        + ". Zoom one panel and the others follow."
+        + ". On a screen, zooming one of the last panels zooms the others."
         + _kept(t.size, time.size)
     )
     return Chart("torque", caption, tuple(panels))

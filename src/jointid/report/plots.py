@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jointid.common.errors import ExtraError
+from jointid.common.extras import extra
 from jointid.data.record import FloatArray
 from jointid.report.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, said
 
 if TYPE_CHECKING:
     from bokeh.plotting import figure
+
+PURPOSE = "A report as a page (Markdown and figures do without)"
+"""What the extra is needed for."""
 
 _FONT = "system-ui, sans-serif"
 _GREY = "#555555"
@@ -26,19 +29,8 @@ def script() -> str:
     Raises:
         ExtraError: bokeh is not installed.
     """
-    try:
-        from bokeh.resources import Resources
-    except ImportError:
-        raise missing("bokeh") from None
-    return str(Resources(mode="inline", components=["bokeh"], minified=True).js_raw[0])
-
-
-def missing(package: str) -> ExtraError:
-    """Return the error that says which extra brings a package of the report."""
-    return ExtraError(
-        f'The report as a page needs {package}, which is not installed; install it with pip install "jointid[report]", '
-        "or write the report as Markdown and figures, which need neither."
-    )
+    found = extra("bokeh.resources", "report", PURPOSE).Resources(mode="inline", components=["bokeh"], minified=True)
+    return str(found.js_raw[0])
 
 
 def plot(chart: Chart) -> str:
@@ -47,12 +39,10 @@ def plot(chart: Chart) -> str:
     Raises:
         ExtraError: bokeh is not installed.
     """
-    try:
-        from bokeh.embed import json_item
-        from bokeh.layouts import gridplot
-        from bokeh.models import Range1d
-    except ImportError:
-        raise missing("bokeh") from None
+    json_item = extra("bokeh.embed", "report", PURPOSE).json_item
+    from bokeh.layouts import gridplot
+    from bokeh.models import Range1d
+
     ranges: dict[str, Any] = {}
     figures = []
     sources = _Sources()
@@ -75,7 +65,7 @@ def _extent(chart: Chart, group: str) -> tuple[float, float]:
 
 
 def _figure(panel: Panel, x_range: Any, columns: int, sources: _Sources) -> figure:
-    from bokeh.models import Legend, WheelZoomTool
+    from bokeh.models import Legend, PrintfTickFormatter
     from bokeh.plotting import figure
 
     cells = [item for item in panel.items if isinstance(item, Cells)]
@@ -100,13 +90,14 @@ def _figure(panel: Panel, x_range: Any, columns: int, sources: _Sources) -> figu
         tools="" if cells else "pan,box_zoom,xwheel_zoom,reset,save", x_axis_label=panel.x_label or None,
         y_axis_label=panel.y_label or None, **scales,
     )  # fmt: skip
-    for tool in made.select(
-        {"type": WheelZoomTool}
-    ):  # a page must scroll under the pointer: the wheel zooms when asked
-        tool.visible = True
+    # The wheel zooms only once it is chosen: a page must scroll under the pointer.
     made.toolbar.active_drag = None if cells else made.toolbar.tools[1]
     if columns > 2 and not cells and not panel.log_x:
         made.xaxis[0].ticker.desired_num_ticks = _FEW_TICKS
+    if not cells and not panel.log_x:
+        made.xaxis[0].formatter = PrintfTickFormatter(format="%.6g")
+    if not cells and not panel.log_y:
+        made.yaxis[0].formatter = PrintfTickFormatter(format="%.6g")
     legend = []
     for item in panel.items:
         drawn = _item(made, item, sources)

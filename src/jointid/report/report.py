@@ -128,7 +128,7 @@ def report_estimate(
         name: of the joint, for the title.
         profiles: quantities whose criterion is followed, as `intervals` takes them; every free parameter of the joint
             when None, none when empty. Of DIDIM only.
-        loop: whether loop and log are checked, unless the estimate says so already.
+        loop: whether loop and log are checked; see `jointid.assessment.dossier.dossier`.
         progress: is told each step.
 
     Example:

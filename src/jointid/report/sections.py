@@ -47,13 +47,13 @@ def blocks(given: Dossier, charts: dict[str, Chart], repetition: Repetition, *, 
 
     return (
         *_result(given, picture),
-        *_section("torque", picture("torque")),
-        *_section("residual", picture("residual"), tables.bands_table(given.estimate)),
-        *_section("spectra", picture("spectra"), tables.modes_table(given)),
-        *_section("response", picture("response")),
-        *_section("correlation", picture("correlation")),
-        *_section("profiles", picture("profiles"), tables.profiles_table(given)),
-        *_section("convergence", picture("convergence")),
+        *_section("Position" if given.estimate.compared == "position" else _TITLES["torque"], picture("torque")),
+        *_section(_TITLES["residual"], picture("residual"), tables.bands_table(given.estimate)),
+        *_section(_TITLES["spectra"], picture("spectra"), tables.modes_table(given)),
+        *_section(_TITLES["response"], picture("response")),
+        *_section(_TITLES["correlation"], picture("correlation")),
+        *_section(_TITLES["profiles"], picture("profiles"), tables.profiles_table(given)),
+        *_section(_TITLES["convergence"], picture("convergence")),
         *_loop(given),
         *_tests(given),
         *_repeated(given, repetition),
@@ -70,7 +70,11 @@ def _result(given: Dossier, picture: object) -> list[Block]:
         asked = tuple((QUESTIONS.get(v.subject, v.subject.capitalize()), v.good, v.said) for v in estimate.verdicts)
         found.append(Verdicts(asked))
     else:
-        found.append(Paragraph("This method answers no questions of its own; the tests below are what is known."))
+        found.append(
+            Paragraph(
+                "This method is asked no such questions: what is known of its answer is in warnings and intervals."
+            )
+        )
     if estimate.tests:
         found.append(Listing(tuple(f"{test.name}: {test.sentence}" for test in estimate.tests)))
     if estimate.warnings:
@@ -85,8 +89,8 @@ def _result(given: Dossier, picture: object) -> list[Block]:
     return found
 
 
-def _section(name: str, shown: list[Block], *more: Table | None) -> list[Block]:
-    return [Heading(_TITLES[name]), *shown, *(table for table in more if table is not None)]
+def _section(title: str, shown: list[Block], *more: Table | None) -> list[Block]:
+    return [Heading(title), *shown, *(table for table in more if table is not None)]
 
 
 def _loop(given: Dossier) -> list[Block]:
@@ -138,4 +142,6 @@ def _absent(given: Dossier, name: str) -> str:
 
 def _sentence(text: str) -> str:
     """Return a warning as a sentence of its own."""
-    return f"{text[0].upper()}{text[1:]}{'' if text.endswith('.') else '.'}"
+    first = text.split(maxsplit=1)[0]
+    begin = text if "_" in first or len(first) < 3 else f"{text[0].upper()}{text[1:]}"  # kp and log_gain stay
+    return f"{begin}{'' if text.endswith('.') else '.'}"

@@ -117,6 +117,7 @@ def _item(axes: Axes, item: Item) -> None:
         axes.annotate(
             item.label, (item.x, 0.0), xycoords=("data", "axes fraction"), xytext=(3, 4 + 10 * item.row),
             textcoords="offset points", fontsize=7.5, color="0.2",
+            bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
         )  # fmt: skip
     elif isinstance(item, Level):
         axes.axhline(item.y, color="0.35", linewidth=0.8, linestyle=_DASHES[item.dash])

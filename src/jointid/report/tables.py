@@ -38,10 +38,8 @@ def sums_table(estimate: Estimate) -> Table | None:
         header = (*header, f"on the {estimate.other.side} side")
         told = [f"{number(one.value)} {one.combination.unit}" for one in there]
         rows = [(*row, told[i] if i < len(told) else "-") for i, row in enumerate(rows)]
-    return Table(
-        header, tuple(rows), "What is known together: sums and differences, then the best known combinations",
-        words=(0, 3, 4, 5),
-    )  # fmt: skip
+    caption = f"What is known together: {'sums and differences, then ' if physical else ''}the best known combinations"
+    return Table(header, tuple(rows), caption, words=(0, 3, 4, 5))
 
 
 def bounds_table(estimate: Estimate) -> Table | None:

@@ -38,6 +38,11 @@ def result(given: Dossier) -> tuple[str, ...]:
     first = f"From {channels} of {estimate.record} alone, "
     return (
         f"{first}{_finding(estimate)}",
+        *(
+            ()
+            if estimate.converged
+            else (f"The search did not end well, and the values are where it stopped: {estimate.stop}.",)
+        ),
         _fit(estimate),
         *_spring(estimate),
         *_sums(estimate),
@@ -49,7 +54,13 @@ def _finding(estimate: Estimate) -> str:
     """Return what was found of the joint, in one sentence."""
     values = estimate.values
     if "inertia" in values:
-        return f"the moving inertia is {_known(estimate, 'inertia')}; the axis is taken for one rigid mass."
+        friction = [
+            f"{words} friction {_known(estimate, name)}"
+            for name, words in (("viscous", "viscous"), ("coulomb", "Coulomb"))
+            if name in values
+        ]
+        beside = f", with {' and '.join(friction)}" if friction else ""
+        return f"the moving inertia is {_known(estimate, 'inertia')}{beside}; the axis is taken for one rigid mass."
     if "stiffness" in values:
         hertz = f", a free-free mode at {frequencies(values)['free_free']:.1f} Hz" if values["stiffness"] > 0 else ""
         return (

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jointid.report.figures import MEASURED, SIMULATED
+from jointid.report.charts import MEASURED, SIMULATED
 from jointid.tuning.tuned import Band, LoopMargins, Tuned
 
 if TYPE_CHECKING:

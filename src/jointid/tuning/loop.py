@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from jointid.data.record import FloatArray
 from jointid.model.controllers import POSITION, SampledLaw
-from jointid.tuning.plant import ComplexArray, SampledJoints
+from jointid.model.linear import ComplexArray
+from jointid.tuning.plant import SampledJoints
 
 
 def loop_response(law: SampledLaw, position: ComplexArray, hertz: FloatArray) -> ComplexArray:

@@ -14,7 +14,7 @@ import numpy as np
 
 from jointid.common.text import number
 from jointid.data.record import FloatArray
-from jointid.tuning.plant import ComplexArray, LinearJoints
+from jointid.model.linear import ComplexArray, LinearJoints
 
 _LOWEST = 1e-4  # of half the sampling frequency, where a grid begins
 _BASE = 1000  # frequencies without modes

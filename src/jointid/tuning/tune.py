@@ -17,11 +17,11 @@ from jointid.estimation.estimate import Estimate
 from jointid.estimation.stiffness_bounds import DAMPING
 from jointid.model.controllers import PD, PID, Cascade, Controller, Timed
 from jointid.model.joints import FlexibleJoint, RigidJoint, acts_on_whole, frequencies
+from jointid.model.linear import ComplexArray, linear_joints
 from jointid.model.parameters import POSITION_UNIT
 from jointid.tuning.feedforward import feedforward
 from jointid.tuning.interval import Interval, flexible_of, interval_of, lowest_mode, spring
 from jointid.tuning.margins import crossover, of_row
-from jointid.tuning.plant import ComplexArray, linear_joints
 from jointid.tuning.proposals import Layout, kept, stiffest
 from jointid.tuning.settings import Tuning
 from jointid.tuning.totals import totals

@@ -10,9 +10,9 @@ from jointid.common.text import aligned, number
 from jointid.data.record import FloatArray
 from jointid.data.transmission import Transmission, transmission_lines
 from jointid.model.controllers import Controller, Notch
+from jointid.model.linear import ComplexArray
 from jointid.tuning.feedforward import FeedForward
 from jointid.tuning.margins import Margins
-from jointid.tuning.plant import ComplexArray
 from jointid.tuning.settings import Tuning
 
 

@@ -10,10 +10,11 @@ import numpy as np
 from jointid.data.record import FloatArray
 from jointid.model.controllers import SampledLaw
 from jointid.model.joints import Joint
+from jointid.model.linear import ComplexArray, linear_joints
 from jointid.tuning.interval import Interval
 from jointid.tuning.loop import loop_response, spectral_radius
 from jointid.tuning.margins import NAMES, all_margins, grid
-from jointid.tuning.plant import ComplexArray, SampledJoints, linear_joints, sampled_joints
+from jointid.tuning.plant import SampledJoints, sampled_joints
 
 _ROUNDS = 4  # of looking for a worse joint
 _NEAR = 6  # joints looked at around the worst one, for every margin

@@ -47,12 +47,14 @@ def application(folder: Path, host: str = "127.0.0.1", limits: Limits | None = N
         said = f"This is a fault of ours ({type(error).__name__}: {error}); please report it. Your data is kept."
         return HTMLResponse(pages.message_page(None, desk.limits, "The page failed", said), 500)
 
-    return Starlette(
+    made = Starlette(
         routes=_routes(desk),
         middleware=[Middleware(Guard, host=host)],
         exception_handlers={PageError: refused, 404: nothing, 405: nothing, 500: failed},
         lifespan=lambda _: _alive(desk),
     )
+    made.state.desk = desk
+    return made
 
 
 def _routes(desk: Desk) -> list[Route]:

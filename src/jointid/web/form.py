@@ -13,7 +13,7 @@ import tomli_w
 from jointid.common.errors import JointFileError
 from jointid.jointfile import JointFile, dumps
 from jointid.jointfile.wording import dotted
-from jointid.web.fields import EXTRA, EXTRA_LAW, FIELDS, KINDS, LAWS, LEARN, NAMES, WITHOUT, Draft, Field, usual
+from jointid.web.fields import EXTRA, EXTRA_LAW, FIELDS, LAWS, LEARN, NAMES, WITHOUT, Draft, Field, usual
 
 LONGEST = {EXTRA: 100_000}
 _LONGEST = 300  # characters of any other field
@@ -79,9 +79,10 @@ def tables(draft: Draft, file: str) -> dict[str, Any]:
             _put(made, one.key.split("."), _value(one, text))
     if draft.get(_LAW) not in LAWS:
         made.pop("controller", None)
-    if draft.get(_LAW) == WITHOUT:
+    extra = _parsed(draft.get(EXTRA, ""))
+    if draft.get(_LAW) == WITHOUT and _at(extra, ["method", "name"]) is None:
         made.setdefault("method", {})["name"] = "idim"
-    return _merged(made, _parsed(draft.get(EXTRA, "")))
+    return _merged(made, extra)
 
 
 def record_tables(draft: Draft, file: str) -> dict[str, Any]:
@@ -158,9 +159,9 @@ def imported(text: str) -> dict[str, str]:
     """
     rest = _parsed(text)
     draft: dict[str, str] = {}
-    kind = rest.get("joint", {}).get("kind") if isinstance(rest.get("joint"), dict) else None
-    law = rest.get("controller", {}).get("law") if isinstance(rest.get("controller"), dict) else None
-    known = {"joint.kind": kind if kind in KINDS else usual("joint.kind"), _LAW: law or WITHOUT}
+    law = _at(rest, ["controller", "law"])
+    deciding = {name: _at(rest, name.split(".")) for name in ("joint.kind", "joint.model")}
+    known = {name: str(value or usual(name)) for name, value in deciding.items()} | {_LAW: str(law or WITHOUT)}
     if law not in dict(_field(_LAW).choices):
         known[_LAW] = draft[_LAW] = WITHOUT if law is None else EXTRA_LAW
     _drop(rest, ["record", "file"])

@@ -23,6 +23,7 @@ class _Form:
     accept: Callable[[str], object]
     name: str = ""
     size: int = 0
+    whole: bool = False
     _header: bytes = b""
     _value: bytes = b""
     _headers: dict[bytes, bytes] = field(default_factory=dict)
@@ -45,7 +46,7 @@ class _Form:
         from python_multipart.multipart import parse_options_header
 
         _, options = parse_options_header(self._headers.get(b"content-disposition", b""))
-        raw = options.get(b"filename", b"").decode("utf-8", errors="replace")
+        raw = options.get(b"filename", b"").decode("utf-8", errors="replace").replace("%22", '"')  # so forms quote it
         if raw and not self.name:
             self.name = safe_name(raw, "record")
             self.accept(self.name)
@@ -58,6 +59,9 @@ class _Form:
         if self.size > self.bound:
             raise PageError(too_large(self.name, self.bound))
         self._file.write(data[start:end])
+
+    def all_parts(self) -> None:
+        self.whole = True
 
     def end(self) -> None:
         if self._file is not None:
@@ -104,6 +108,7 @@ async def received(
                 "on_headers_finished": form.headers_end,
                 "on_part_data": form.data,
                 "on_part_end": form.end,
+                "on_end": form.all_parts,
             },
         )
         total = 0
@@ -112,7 +117,8 @@ async def received(
             if total > bound + _LARGEST_FORM:
                 raise PageError(too_large(form.name or "The form", bound))
             parser.write(chunk)
-        parser.finalize()
+        if not form.whole:
+            raise PageError("The file did not arrive whole; send it again.")
         if not form.name:
             raise PageError("No file was chosen; choose one first.")
     except FormParserError:

@@ -20,7 +20,6 @@ from jointid.common.errors import FaultsError, JointidError
 
 if TYPE_CHECKING:
     from jointid.data.record import Record
-    from jointid.estimation.estimate import Estimate
     from jointid.jointfile import JointFile
 
 REFUSED = 2
@@ -61,10 +60,11 @@ def check(folder: Path) -> None:
 def identify(folder: Path) -> None:
     """Identify as the joint file says, its controller learned first if `work.json` says so; write all answers."""
     from jointid import answers
-    from jointid.assessment.loop import with_loop_verdict
     from jointid.estimation.flexible import FlexibleDIDIM
     from jointid.estimation.identify import identify as identified
     from jointid.jointfile import load
+    from jointid.report.repetition import repetition
+    from jointid.report.report import report_estimate
     from jointid.simulation import sensitivities
 
     work = _work(folder)
@@ -84,24 +84,14 @@ def identify(folder: Path) -> None:
         parameters=file.parameters,
         progress=_tell,
     )
-    if not isinstance(file.method, FlexibleDIDIM) or file.method.minimiser == "least-squares":
-        _tell("testing the loop as it is declared")
-        estimate = with_loop_verdict(estimate, record)
-    _write(folder / "answer.txt", f"{estimate}\n")
-    _report(folder, work, file, record, estimate)
-    answers.write(answers.estimate_answer(estimate), folder / "answer.json")
-
-
-def _report(folder: Path, work: dict[str, Any], file: JointFile, record: Record, estimate: Estimate) -> None:
-    """Write the report that `jointid report joint.toml` writes of the downloaded files."""
-    from jointid.report.repetition import repetition
-    from jointid.report.report import report_estimate
-
-    _tell("writing the report")
-    told = report_estimate(estimate, record, name=file.name or "", loop=False, progress=_tell)
+    # The paper's search need not end where least squares would, and its loop would be blamed for that.
+    loop = not isinstance(file.method, FlexibleDIDIM) or file.method.minimiser == "least-squares"
+    told = report_estimate(estimate, record, name=file.name or "", loop=loop, progress=_tell)
     again = repetition(folder / "joint.toml", folder / work["file"], {})
     again = replace(again, record_name=work["name"], command="jointid report joint.toml --html report.html")
     _write(folder / "report.html", replace(told, repetition=again).html())
+    _write(folder / "answer.txt", f"{told.estimate}\n")
+    answers.write(answers.estimate_answer(told.estimate), folder / "answer.json")
 
 
 def _learn(folder: Path, work: dict[str, Any]) -> None:

@@ -1,0 +1,189 @@
+"""Identifications of the page: each a process that may crash, be cancelled, or belong to somebody else."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import time
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from jointid.cli.app import main
+from jointid.web.application import application
+from jointid.web.limits import Limits
+from jointid.web.sessions import Run, write_json
+from tests.web.asking import LAW, ORIGIN, Asker, ended, running
+from tests.web.conftest import TRUTH
+from tests.web.testclient import TestClient
+
+
+def process(client: TestClient, run: Run) -> int:
+    """Return the process of an identification that runs."""
+    jobs = client.app.state.desk.jobs  # type: ignore[attr-defined]
+    return int(jobs._jobs[run.folder].process.pid)
+
+
+def alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_from_a_log_to_files_that_repeat_the_answer(
+    client: TestClient, asker: Asker, log: bytes, tmp_path: Path
+) -> None:
+    run = asker.identify(log, **{"joint.name": "<b>axis</b>"})
+    assert ended(run) == "done", run.status
+    page = client.get(f"/runs/{run.number}")
+    assert "<b>axis</b>" not in page.text
+    answer = client.get(f"/runs/{run.number}/answer.json").json()
+    for name, value in TRUTH.items():
+        assert answer["parameters"][name]["value"] == pytest.approx(value, rel=0.02), name
+    archive = zipfile.ZipFile(io.BytesIO(client.get(f"/runs/{run.number}/all.zip").content))
+    assert set(archive.namelist()) == {"joint.toml", "answer.json", "answer.txt", "report.html", "log.csv"}
+    assert archive.read("log.csv") == log
+    archive.extractall(tmp_path / "out")
+    with pytest.raises(SystemExit) as end:
+        main(["identify", str(tmp_path / "out" / "joint.toml"), "--json", str(tmp_path / "again.json"), "-q"])
+    assert end.value.code == 0
+    again = json.loads((tmp_path / "again.json").read_text(encoding="utf-8"))
+    assert again["parameters"] == answer["parameters"]
+    assert again["record"] == answer["record"]
+
+
+def test_the_report_is_shown_in_a_sandbox(client: TestClient, asker: Asker, log: bytes) -> None:
+    run = asker.identify(log)
+    assert ended(run) == "done", run.status
+    answer = client.get(f"/runs/{run.number}/report.html")
+    policy = answer.headers["content-security-policy"]
+    assert policy.startswith("sandbox allow-scripts")
+    assert "allow-same-origin" not in policy
+    assert "connect-src" not in policy  # and so 'none', the default
+    assert "default-src 'none'" in policy
+    assert 'sandbox="allow-scripts' in client.get(f"/runs/{run.number}").text
+    kept = client.get(f"/runs/{run.number}/report.html?download")
+    assert kept.headers["content-disposition"].startswith("attachment")
+    assert kept.content == answer.content
+    events = client.get(f"/runs/{run.number}/events").text
+    assert 'data: "identifying"' in events
+    assert events.rstrip().endswith('event: state\ndata: "done"')
+    later = client.get(f"/runs/{run.number}/events", headers={"last-event-id": "0"}).text
+    assert "id: 0\n" not in later
+    assert "id: 1\n" in later
+
+
+@pytest.mark.slow
+def test_a_controller_that_nobody_knows_is_learned(client: TestClient, asker: Asker, log: bytes) -> None:
+    run = asker.identify(log, **{"controller.law": "learn"})
+    assert ended(run) == "done", run.status
+    answer = client.get(f"/runs/{run.number}/answer.json").json()
+    assert answer["parameters"]["inertia"]["value"] == pytest.approx(TRUTH["inertia"], rel=0.02)
+    text = client.get(f"/runs/{run.number}/joint.toml").text
+    assert 'law = "cascade"' in text
+    assert "P-P" in asker.get(f"/runs/{run.number}")
+
+
+def test_a_process_that_is_killed_leaves_the_page_up(client: TestClient, asker: Asker, log: bytes) -> None:
+    run = asker.identify(log)
+    running(run, "reading the record")
+    os.kill(process(client, run), signal.SIGKILL)
+    assert ended(run) == "failed"
+    assert "signal 9" in asker.get(f"/runs/{run.number}")
+    assert client.get(f"/runs/{run.number}/answer.json").status_code == 404
+    following = asker.identify(log)
+    assert following.number == run.number + 1
+    running(following, "reading the record")
+
+
+def test_what_the_record_does_not_allow_is_said_in_its_sentence(asker: Asker, log: bytes) -> None:
+    run = asker.identify(log, **{"record.channels.torque.sign": "-1"})
+    assert ended(run) == "refused"
+    page = asker.get(f"/runs/{run.number}")
+    assert "It could not be identified" in page
+    assert run.status["sentence"]
+    assert all(sentence in page for sentence in run.status["sentence"].splitlines())
+    assert "Traceback" not in page
+
+
+def test_cancelling_ends_the_process(client: TestClient, asker: Asker, log: bytes) -> None:
+    run, second = asker.identify(log), asker.identify(log)
+    running(run, "reading the record")
+    pid = process(client, run)
+    assert second.status["state"] == "queued"
+    assert asker.post(f"/runs/{second.number}/cancel")[0] == 200
+    assert "You cancelled it" in asker.post(f"/runs/{run.number}/cancel")[1]
+    assert ended(run) == ended(second) == "cancelled"
+    assert not alive(pid)
+    time.sleep(0.3)
+    assert second.lines() == []  # it never began
+
+
+def test_users_do_not_see_each_other(client: TestClient, asker: Asker, log: bytes, folder: Path) -> None:
+    run = asker.identify(log)
+    other = Asker(TestClient(client.app, base_url="http://127.0.0.1:8765"))
+    paths = [f"/runs/{run.number}{rest}" for rest in ("", "/events", "/joint.toml", "/all.zip")]
+    for path in [*paths, "/plot/0.svg"]:
+        assert other.client.get(path).status_code == 404
+    assert other.client.post(f"/runs/{run.number}/cancel", headers=ORIGIN).status_code == 404
+    assert "log.csv" not in other.get("/")
+    assert other.send("mine.csv", log)[0] == 200
+    assert len(list(folder.iterdir())) == 2
+    other.post("/forget")
+    assert run.active
+    assert "log.csv" in asker.get("/")
+    token = next(iter(client.cookies.values()))
+    assert all(token not in path.name for path in folder.iterdir())
+
+
+def test_deleting_ends_what_runs_and_leaves_nothing(client: TestClient, asker: Asker, log: bytes, folder: Path) -> None:
+    run = asker.identify(log)
+    running(run, "reading the record")
+    pid = process(client, run)
+    code, said = asker.post("/forget")
+    assert code == 200
+    assert "Your data is deleted" in said
+    assert list(folder.iterdir()) == []
+    assert not alive(pid)
+    assert "log.csv" not in asker.get("/")
+
+
+def test_only_so_many_wait(asker: Asker, log: bytes, limits: Limits) -> None:
+    for _ in range(limits.runs):
+        asker.identify(log)
+    code, said = asker.post("/joint", LAW)
+    assert code == 422
+    assert "waiting or running" in said
+    assert len(asker.visitor.runs) == limits.runs
+
+
+def test_the_end_of_the_page_ends_what_runs(folder: Path, log: bytes) -> None:
+    with TestClient(application(folder), base_url="http://127.0.0.1:8765") as client:
+        asker = Asker(client)
+        run = asker.identify(log)
+        running(run, "reading the record")
+        pid = process(client, run)
+    assert not alive(pid)
+
+
+def test_a_page_that_begins_again_says_what_was_cut_off(folder: Path, log: bytes) -> None:
+    with TestClient(application(folder), base_url="http://127.0.0.1:8765") as client:
+        asker = Asker(client)
+        run = asker.identify(log)
+        visitor, cookies = asker.visitor, dict(client.cookies)
+    write_json(run.folder / "run.json", {"state": "running", "sentence": ""})
+    with TestClient(application(folder), base_url="http://127.0.0.1:8765", cookies=cookies) as client:
+        assert "stopped before this had ended" in client.get("/runs/1").text
+    os.utime(visitor.folder, (0, 0))
+    with TestClient(application(folder), base_url="http://127.0.0.1:8765", cookies=cookies) as client:
+        for _ in range(100):
+            if not visitor.folder.exists():
+                break
+            time.sleep(0.05)
+        assert not visitor.folder.exists()
+        assert "log.csv" not in client.get("/").text
