@@ -179,7 +179,7 @@ def test_what_is_written_is_read_to_the_last_bit(table: Table, tmp_path_factory:
     try:
         write_table(path, table)
     except RecordError as error:
-        assert "would not be read back" in str(error)
+        assert "would not be read back" in str(error) or "know a formula" in str(error)
         return
     again = read_table(path)
     assert list(again.columns) == list(table.columns)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import RecordError
-from jointid.data.formats import Table, read_blocks, read_table, write_table
+from jointid.data.formats import Table, h5, read_blocks, read_table, write_table
 from tests.data.logged import matlab_dataset, matlab_header
 from tests.data.spoiled import spoiled
 
@@ -136,6 +136,20 @@ def test_what_is_written_carries_checksums(suffix: str, options: dict[str, str],
             continue
         for name in good.keys() & found.keys():
             np.testing.assert_array_equal(found[name], good[name])
+
+
+def test_a_text_over_which_the_library_does_not_come_to_an_end_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        file["q"] = np.arange(3.0)
+        file["q"].attrs["units"] = "rad"
+    assert read_table(path).units == {"q": "rad"}
+    monkeypatch.setattr(h5, "_TEXTS", "while True: pass")
+    monkeypatch.setattr(h5, "_PATIENCE", 0.3)
+    with pytest.raises(RecordError, match=r"run\.h5 cannot be read as HDF5: it is damaged"):
+        read_table(path)
 
 
 # MATLAB's layout

@@ -25,6 +25,9 @@ SECTIONS = (
 )  # fmt: skip
 
 
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+
+
 class Elements(HTMLParser):
     """The elements of a page, as a browser takes it apart."""
 
@@ -230,3 +233,21 @@ def test_a_long_record_says_what_is_left_out() -> None:
     longer = ji.Report(replace(told.dossier, estimate=estimate, motion=None))
     assert f"of {many} samples are drawn" in longer.charts["torque"].caption
     assert "residual" not in longer.charts
+
+
+@pytest.mark.slow
+def test_the_program_of_the_documentation_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (DOCS / "report.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    exec(page.split("```python\n")[1].split("```")[0], {})
+    assert (tmp_path / "report.html").is_file()
+    assert (tmp_path / "figures" / "torque.png").is_file()
+    assert (tmp_path / "markdown" / "report.md").is_file()
+
+
+def test_every_key_of_the_answer_is_documented() -> None:
+    page = (DOCS / "answers.md").read_text(encoding="utf-8")
+    section = page.split("## `jointid.report/1`")[1].split("\n## ")[0]
+    answer = json.loads(reports.rigid().answer())
+    for key in (*answer, *answer["profiles"][0]):
+        assert key == "schema" or f"`{key}`" in section, key

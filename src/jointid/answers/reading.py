@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from pathlib import Path
 from typing import Literal, get_args
@@ -15,6 +16,8 @@ from jointid.estimation.estimate import IdentifiedJoint, MethodName
 from jointid.model.effects import effect_parameters
 from jointid.model.joints import Joint
 from jointid.simulation.experiment import ClosedLoop
+
+_LARGEST = 2**26  # bytes
 
 
 def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
@@ -87,7 +90,9 @@ def read_answer(path: str | os.PathLike[str]) -> Json:
     """
     remedy = "give the file that identify --json wrote"
     try:
-        answer = json.loads(Path(path).read_text(encoding="utf-8"))
+        if (size := Path(path).stat().st_size) > _LARGEST:
+            raise RecordError(f"{path} has {size} bytes, which no answer has (at most {_LARGEST}); {remedy}.")
+        answer = json.loads(Path(path).read_text(encoding="utf-8-sig"), parse_constant=_no_number)
     except OSError as error:
         raise RecordError(f"{path} cannot be read ({error.strerror}); {remedy}.") from None
     except (ValueError, RecursionError):
@@ -95,6 +100,11 @@ def read_answer(path: str | os.PathLike[str]) -> Json:
     if not isinstance(answer, dict):
         raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {remedy}.")
     return answer
+
+
+def _no_number(name: str) -> float:
+    """Refuse NaN and Infinity, which no answer holds and JSON does not know."""
+    raise ValueError(name)
 
 
 def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
@@ -106,6 +116,8 @@ def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identifi
     effects = tuple(read_effect(effect) for effect in answer.get("effects", []))
     every = (*joint.parameters, *effect_parameters(effects))
     values = {p.name: float(found[p.name]["value"]) for p in every}
+    if not all(math.isfinite(value) for value in (*values.values(), float(answer["delay"]))):
+        raise ValueError
     given = answer["filtering"]
     filtering = Filtering(
         given["position_cutoff"],

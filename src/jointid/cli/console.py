@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jointid.common.progress import Progress, silent
+from jointid.common.text import printable
 
 if TYPE_CHECKING:
     from jointid.data.record import Record
@@ -18,13 +19,13 @@ _PATIENCE = 2.0  # seconds after which the simulation is not being loaded but co
 
 
 def show(text: object = "") -> None:
-    """Print an answer."""
-    print(text)  # noqa: T201
+    """Print an answer; nothing that a name in a file may hold reaches the terminal as a command."""
+    print(printable(str(text)))  # noqa: T201
 
 
 def tell(message: str) -> None:
     """Print a line of progress."""
-    print(message, file=sys.stderr, flush=True)  # noqa: T201
+    print(printable(message), file=sys.stderr, flush=True)  # noqa: T201
 
 
 def progress(quiet: bool) -> Progress:

@@ -4,17 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from jointid.common.text import printable
+
+_LONGEST = 4000  # characters of a sentence; what is longer quotes a file that is no record
+
 
 class JointidError(Exception):
     """Base of every error that is the user's to mend; the command line prints it and exits with 2."""
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(printable(message))
 
 
 class FaultsError(JointidError):
     """An error that reports all the faults found at once, one sentence each."""
 
     def __init__(self, faults: str | Iterable[str]) -> None:
-        self.faults: tuple[str, ...] = (faults,) if isinstance(faults, str) else tuple(faults)
+        each = (faults,) if isinstance(faults, str) else tuple(faults)
+        self.faults: tuple[str, ...] = tuple(_sentence(fault) for fault in each)
         super().__init__("\n".join(self.faults))
+
+
+def _sentence(fault: str) -> str:
+    """Return a fault on one line, of a length that can be read."""
+    said = printable(fault).replace("\n", "\\n")
+    return said if len(said) <= _LONGEST else f"{said[: _LONGEST // 2]} ... {said[-_LONGEST // 2 :]}"
 
 
 class RecordError(FaultsError):

@@ -6,6 +6,22 @@ import math
 from collections.abc import Sequence
 
 
+def printable(text: str) -> str:
+    """Return a text without anything that a terminal obeys or that changes how it is read; ends of lines stay.
+
+    Names come from files of others: escapes, bells and marks that turn the direction of writing are spelt out.
+    """
+    if text.isprintable():
+        return text
+    return "".join(mark if mark.isprintable() or mark == "\n" else ascii(mark)[1:-1] for mark in text)
+
+
+def short(text: str, longest: int = 40) -> str:
+    """Return a piece of a file as a sentence can quote it: on one line, and not too long."""
+    said = shown(text[: longest + 1])
+    return said if len(text) <= longest else f"{said[: longest - 3]}..."
+
+
 def number(value: float | None, digits: int = 5) -> str:
     """Return a number with that many significant digits, and a dash for None."""
     if value is None:
@@ -30,5 +46,5 @@ def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequenc
 
 
 def shown(name: str) -> str:
-    """Return a name from a file as it can be printed: what would steer a terminal, or turn the text round, escaped."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape", "backslashreplace").decode() for c in name)
+    """Return a name from a file as it can be printed, on one line; see `printable`."""
+    return printable(name).replace("\n", "\\n")

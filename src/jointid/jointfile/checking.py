@@ -29,6 +29,8 @@ from jointid.model.parameters import Kind
 
 T = TypeVar("T", bound=Table)
 
+_MOST = 1000  # keys of a table, records of a file
+
 _KINDS: tuple[Kind, ...] = ("prismatic", "revolute")
 
 
@@ -38,7 +40,9 @@ def checked(raw: Mapping[str, Any]) -> FileTable:
     Raises:
         JointFileError: with one sentence for each fault.
     """
-    faults: list[str] = []
+    faults = list(_crowded(raw))
+    if faults:  # each of so many would be a sentence
+        raise JointFileError(faults)
     try:
         file = FileTable.model_validate(raw)
     except ValidationError as error:
@@ -159,6 +163,18 @@ class _Draft:
         yield from record_faults(model, self.gravity, self.controller, self.controlled, self.runs)
         if self.together is not None:
             yield from free_faults("together.free", self.together.free, self.controller)
+
+
+def _crowded(raw: Mapping[str, Any], where: str = "The joint file") -> Iterator[str]:
+    """Yield the tables that have more keys, and the lists that have more tables, than anyone writes."""
+    if len(raw) > _MOST:
+        yield f"{where} has {len(raw)} keys; expected at most {_MOST}: is it another kind of file?"
+        return
+    for key, value in raw.items():
+        if isinstance(value, dict):
+            yield from _crowded(value, key)
+        elif isinstance(value, list) and len(value) > _MOST and isinstance(value[0], dict):
+            yield f"{key} lists {len(value)} tables; expected at most {_MOST}: split the joint file."
 
 
 def _part(model: type[T], raw: object) -> T | None:

@@ -20,6 +20,9 @@ from jointid.model.parameters import TORQUE_UNIT
 
 _PLACE = re.compile(r"(?P<reason>.*) \(at (line (?P<line>\d+), column (?P<column>\d+)|end of document)\)", re.DOTALL)
 
+_LARGEST = 2**20  # bytes; a state space of order 100 takes a quarter of it
+_DEEPEST = 256  # points in a key: the parser takes the square of their number
+
 _OF_RECORD = re.compile(r"\s*(\[\s*record\s*\]|\[\[\s*records\s*\]\])")
 _FILE = re.compile(r"""^(\s*file\s*=\s*)("(?:[^"\\\n]|\\.)*"|'[^'\n]*')""", re.MULTILINE)
 _HEADING = r"\s*\[{{1,2}}\s*({0}|\"{0}\"|'{0}')\s*[.\]]"
@@ -35,7 +38,11 @@ def load(path: str | os.PathLike[str]) -> JointFile:
         JointFileError: the file cannot be read, is no TOML, or has faults; `faults` has a sentence for each.
     """
     path = Path(path)
+    if "\0" in str(path):
+        raise JointFileError(f"{path} is no path: it holds a zero byte; correct it.")
     try:
+        if (size := path.stat().st_size) > _LARGEST:
+            raise JointFileError(f"{path} has {size} bytes (a joint file has at most {_LARGEST}); is it the record?")
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise JointFileError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
@@ -217,6 +224,8 @@ def _joined(sections: list[str], written: str, heading: re.Pattern[str]) -> str:
 
 def _parsed(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text."""
+    if any(line.count(".") > _DEEPEST and "," not in line for line in text.splitlines()):
+        raise JointFileError("The joint file nests lists or tables too deeply; no key of it needs that.")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

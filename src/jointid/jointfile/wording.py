@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 _LONGEST = 60  # characters of a value that a sentence shows
+_GUESSED = 100  # characters of a word that another one may be meant by
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _WITHOUT_QUOTES = re.compile(r"\s*([+-]?(\d[\d_]*)?\.?\d+([eE][+-]?\d+)?|true|false)\s*")
 
@@ -70,7 +71,11 @@ def guessed(word: object, known: Iterable[str], otherwise: str) -> str:
     """Return the question whether the nearest of the known words was meant; `otherwise`, if none is near."""
     # Of short words such as kp a wrong case is half the letters: it is not to count.
     spelt = {one.casefold(): one for one in known}
-    match = difflib.get_close_matches(word.casefold(), list(spelt), 1) if isinstance(word, str) else []
+    match = (
+        difflib.get_close_matches(word.casefold(), list(spelt), 1)
+        if isinstance(word, str) and len(word) < _GUESSED
+        else []
+    )
     return f"did you mean {spelt[match[0]]}?" if match else f"{otherwise}."
 
 

@@ -65,7 +65,7 @@ def _extent(chart: Chart, group: str) -> tuple[float, float]:
 
 
 def _figure(panel: Panel, x_range: Any, columns: int, sources: _Sources) -> figure:
-    from bokeh.models import Legend, PrintfTickFormatter, WheelZoomTool
+    from bokeh.models import Legend, PrintfTickFormatter
     from bokeh.plotting import figure
 
     cells = [item for item in panel.items if isinstance(item, Cells)]
@@ -90,10 +90,7 @@ def _figure(panel: Panel, x_range: Any, columns: int, sources: _Sources) -> figu
         tools="" if cells else "pan,box_zoom,xwheel_zoom,reset,save", x_axis_label=panel.x_label or None,
         y_axis_label=panel.y_label or None, **scales,
     )  # fmt: skip
-    for tool in made.select(
-        {"type": WheelZoomTool}
-    ):  # a page must scroll under the pointer: the wheel zooms when asked
-        tool.visible = True
+    # The wheel zooms only once it is chosen: a page must scroll under the pointer.
     made.toolbar.active_drag = None if cells else made.toolbar.tools[1]
     if columns > 2 and not cells and not panel.log_x:
         made.xaxis[0].ticker.desired_num_ticks = _FEW_TICKS

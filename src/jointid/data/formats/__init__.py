@@ -35,7 +35,7 @@ def format_of(path: str | os.PathLike[str], **options: object) -> Format:
     Raises:
         RecordError: no format has this suffix, or the format has no such option; the sentence says which.
     """
-    is_folder = os.fspath(path).endswith(("/", os.sep)) or Path(path).is_dir()
+    is_folder = os.fspath(path).endswith(("/", os.sep)) or os.path.isdir(path)  # noqa: PTH112 - which of a path that cannot be says no
     path = Path(path)
     for entry in FORMATS:
         if path.suffix.lower() in entry.suffixes and not is_folder:
@@ -116,6 +116,8 @@ def read_tables(path: str | os.PathLike[str], rows: int, **options: object) -> I
 @contextmanager
 def _reading(path: Path) -> Iterator[None]:
     """Say in a sentence why a file cannot be read."""
+    if "\0" in str(path):
+        raise RecordError(f"{path} is no path: it holds a zero byte; correct it.")
     try:
         if not path.is_dir() and path.stat().st_size == 0:
             raise RecordError(f"{path.name} is empty (0 bytes); log or copy it again.")

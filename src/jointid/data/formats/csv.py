@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import re
+from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
@@ -18,16 +19,25 @@ from typing import ClassVar
 import numpy as np
 
 from jointid.common.errors import RecordError
+from jointid.common.text import short
 from jointid.common.units import UnitError, unit
 from jointid.data.formats.dialect import BLANKS, Dialect, Fit, is_number, sniff
 from jointid.data.formats.scope import scope_of, scope_table
-from jointid.data.formats.table import Holds, Table
-from jointid.data.formats.textfile import Line, TextFile, is_comment, read_lines, short, stream_lines, text_of
+from jointid.data.formats.table import Holds, Table, WholeError
+from jointid.data.formats.textfile import Line, TextFile, is_comment, read_lines, stream_lines, text_of
 from jointid.data.record import FloatArray
+
+WIDEST = 100_000
+"""Columns that are read: no drive logs so many, and each is an array of its own."""
+
+LONGEST_NAME = 1000
+"""Characters of a column's name."""
 
 _BRACKETED = re.compile(r"\[(.*)\]|\((.*)\)")
 _NO_UNIT = ("", "-")
+_LONG, _LONG_BLOCK = 2**26, 100_000  # bytes of a file that is read in blocks of so many rows
 _BEGINNING = 1000  # lines, that tell how those of a long file are written
+_RUN = ("=", "+", "-", "@")  # with these a cell begins that a spreadsheet program takes for a formula
 _DELIMITER = re.compile(r"[^\w\r\n\".+-]")  # anything but a part of a number, of a name, of a line end
 
 
@@ -77,7 +87,8 @@ class Csv:
 
     The line above the first row of numbers names the columns, be it a comment; a line of units between them
     is joined to the names ("torque [N m]"). A column without a name is called by its number, from "1".
-    Empty cells are NaN. An export of TwinCAT Scope is known by its header; see `jointid.data.formats.scope`.
+    Empty cells are NaN. How the rows of a file of more than 64 MB are written is told by its beginning. An export of
+    TwinCAT Scope is known by its header; see `jointid.data.formats.scope`.
 
     Attributes:
         delimiter: one character, " " for any run of blanks; None finds it.
@@ -109,7 +120,11 @@ class Csv:
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
         try:
-            return self._table(read_lines(path))
+            long = (
+                path.stat().st_size > _LONG
+                and scope_of(text_of(path.name, list(islice(stream_lines(path), 200)))) is None
+            )
+            return self._long_table(path) if long else self._table(read_lines(path))
         except csv.Error as error:
             raise RecordError(f"{path.name} cannot be split into cells ({error}); is it delimited text?") from error
 
@@ -118,7 +133,8 @@ class Csv:
 
         Delimiter and decimal mark are those that it would be read with; where they are not said, a comma and a point,
         and a semicolon beside a decimal comma. Columns called by their own number are written without a name, as they
-        are read. Scalars have no place in delimited text, nor have names that would be read as numbers.
+        are read. Scalars have no place in delimited text, nor have names that would be read as numbers, or that
+        spreadsheet programs would run as formulas.
         """
         if table.scalars:
             scalars = ", ".join(table.scalars)
@@ -142,7 +158,7 @@ class Csv:
             head = list(islice(lines, _BEGINNING))
             text = text_of(path.name, head)
             if scope_of(text) is not None:
-                raise RecordError(
+                raise WholeError(
                     f"{path.name} is an export of TwinCAT Scope, whose rows are no instants: it cannot be read in "
                     "pieces; convert it to NPY."
                 )
@@ -168,6 +184,12 @@ class Csv:
         layout = self._layout(text)
         return Lines(text.name, layout, text.lines[layout.start :]).table()
 
+    def _long_table(self, path: Path) -> Table:
+        """Return the numbers of a file whose text would take several times their memory: block after block."""
+        tables = [block.table() for block in self.blocks(path, _LONG_BLOCK)]
+        names = list(tables[0].columns) if tables else []
+        return Table({name: np.concatenate([one.columns[name] for one in tables]) for name in names}, source=path.name)
+
     def _layout(self, text: TextFile) -> Layout:
         fit = self._fit(text)
         dialect, width = fit.dialect, fit.width
@@ -181,7 +203,17 @@ class Csv:
         unnamed = closed and (header is None or len(header) < width or not header[-1])
         width -= unnamed
         names = [name or str(i) for i, name in enumerate(header or [""] * width, start=1)][:width]
-        twice = sorted({name for name in names if names.count(name) > 1})
+        if width > WIDEST:
+            raise RecordError(
+                f"{text.name} has {width} columns (at most {WIDEST} are read); is it a matrix that lies on its side? "
+                "Write a row for each sample."
+            )
+        if (longest := max(names, key=len)) and len(longest) > LONGEST_NAME:
+            raise RecordError(
+                f'{text.name} has a column name of {len(longest)} characters, "{short(longest)}"; expected at most '
+                f"{LONGEST_NAME}: name it shorter, or give header = false to call the columns by their numbers."
+            )
+        twice = sorted(name for name, count in Counter(names).items() if count > 1)
         if twice:
             raise RecordError(
                 f'{text.name} has more than one column called "{twice[0]}"; rename them, or give '
@@ -308,6 +340,12 @@ def _header(table: Table, delimiter: str) -> list[str]:
     line = delimiter.join(
         f'"{n.replace(chr(34), chr(34) * 2)}"' if s else n for n, s in zip(names, special, strict=True)
     )
+    run = [name for name in names if name.startswith(_RUN)]
+    if run:
+        raise RecordError(
+            f"The column name {run[0]!r} begins with a mark by which spreadsheet programs know a formula, which they "
+            "would run when they open the file; rename the column, or write a .npy or .mat file."
+        )
     refused = [name for name in names if not name.isprintable() or name != name.strip() or is_number(name)]
     if refused:
         raise RecordError(

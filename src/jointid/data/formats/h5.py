@@ -7,7 +7,10 @@ numbers is in memory.
 
 from __future__ import annotations
 
+import json
 import math
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -30,6 +33,14 @@ NUMBERS = "fiub"
 _CHUNK = 2**30  # bytes that are decompressed at once; h5py's own are a mebibyte
 _WIDEST = 1000  # columns of a matrix; one that is wider is a picture
 _MEMBERS = 100_000  # of all groups of a file
+_PATIENCE = 10.0  # seconds for reading the texts of units
+_TEXTS = """
+import json, sys
+import h5py, numpy
+with h5py.File(sys.argv[1], "r") as file:
+    found = [numpy.asarray(file[place].attrs[key]).ravel()[0] for place, key in json.load(sys.stdin)]
+print(json.dumps([text.strip() if isinstance(text, str) else "" for text in found]))
+"""
 _UNITS = ("units", "unit", "Units", "Unit", "UNITS")
 
 Member: TypeAlias = Any
@@ -46,6 +57,7 @@ class Signal(NamedTuple):
         fields: of the columns in a dataset of records, else empty.
         turned: whether the samples run along the second dimension.
         unit: of all of them, None without one.
+        unit_at: name of the attribute with the unit, where that is a text of no fixed length.
     """
 
     place: str
@@ -54,6 +66,7 @@ class Signal(NamedTuple):
     fields: tuple[str, ...] = ()
     turned: bool = False
     unit: str | None = None
+    unit_at: str = ""
 
     def values(self, file: Member, first: int, last: int) -> list[FloatArray]:
         """Return the rows from the first up to the last of every column."""
@@ -159,6 +172,7 @@ def read(path: Path, scan: Scan, name: str) -> Table:
     """
     with _opened(path, name) as file, damage(path, name, REMEDY):
         contents = _checked(path, scan(file))
+        contents.signals = _with_units(path, contents.signals)
         require_size(path, contents.numbers)
         return contents.table(file, path.name, 0, contents.rows)
 
@@ -168,6 +182,7 @@ def blocks(path: Path, rows: int, scan: Scan, name: str) -> Iterator[Rows]:
     with _opened(path, name) as file:
         with damage(path, name, REMEDY):
             contents = _checked(path, scan(file))
+            contents.signals = _with_units(path, contents.signals)
             contents.format = name
         require_size(path, contents.numbers, PIECES)
         for first in range(0, contents.rows, rows):
@@ -248,7 +263,8 @@ def _unfit(shape: tuple[int, ...]) -> str | None:
 def _signal(dataset: Member, name: str, matlab: bool) -> Signal:
     """Return the columns of a vector or a matrix."""
     shape = dataset.shape
-    signal = Signal(dataset.name, (name,), shape[0], unit=_unit(dataset))
+    unit, unit_at = _unit(dataset)
+    signal = Signal(dataset.name, (name,), shape[0], unit=unit, unit_at=unit_at)
     if len(shape) == 1:
         return signal
     # Of a square matrix the samples are its rows, which MATLAB stores as columns.
@@ -258,12 +274,37 @@ def _signal(dataset: Member, name: str, matlab: bool) -> Signal:
     return signal._replace(names=names, rows=rows, turned=turned)
 
 
-def _unit(dataset: Member) -> str | None:
-    """Return the unit that an attribute of a dataset states."""
+def _unit(dataset: Member) -> tuple[str | None, str]:
+    """Return the unit that a dataset states, or the name of the attribute if its text has no fixed length."""
     for key in _UNITS:
-        if key in dataset.attrs and math.prod(dataset.attrs.get_id(key).shape or ()) == 1:
-            value = np.asarray(dataset.attrs[key]).ravel()[0]
-            text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
-            if isinstance(text, str) and text.strip():
-                return text.strip()
-    return None
+        if key not in dataset.attrs or math.prod(dataset.attrs.get_id(key).shape or ()) != 1:
+            continue
+        kind = dataset.attrs.get_id(key).dtype
+        if kind.kind == "O":
+            return None, key
+        if kind.kind == "S":
+            text = np.asarray(dataset.attrs[key]).ravel()[0].decode("utf-8", "replace").strip()
+            return text or None, ""
+    return None, ""
+
+
+def _with_units(path: Path, signals: list[Signal]) -> list[Signal]:
+    """Return the signals with their units; texts of no fixed length are read by another process.
+
+    Where such a text is stored, a damaged file can keep the library going round in a circle, which nothing in this
+    process could end.
+    """
+    asked = [(signal.place, signal.unit_at) for signal in signals if signal.unit_at]
+    if not asked:
+        return signals
+    found = subprocess.run(  # noqa: S603 this Python, and a program that is written here
+        [sys.executable, "-P", "-c", _TEXTS, str(path.absolute())],
+        input=json.dumps(asked),
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        timeout=_PATIENCE,
+        check=True,
+    )
+    texts = iter(json.loads(found.stdout))
+    return [signal._replace(unit=next(texts) or None) if signal.unit_at else signal for signal in signals]

@@ -76,8 +76,10 @@ def _elements(
 
 def _class(member: h5.Member) -> str:
     """Return the class of a variable, "" without one."""
-    value = member.attrs["MATLAB_class"] if "MATLAB_class" in member.attrs else b""  # noqa: SIM401 h5py's get is slow
-    return value.decode("ascii", "replace") if isinstance(value, bytes) else str(value)
+    key = "MATLAB_class"
+    if key not in member.attrs or member.attrs.get_id(key).dtype.kind != "S":  # MATLAB's have a fixed length
+        return ""
+    return bytes(member.attrs[key]).decode("ascii", "replace")
 
 
 def write(path: Path, table: Table) -> None:

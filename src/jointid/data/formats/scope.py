@@ -13,8 +13,9 @@ from itertools import groupby
 import numpy as np
 
 from jointid.common.errors import RecordError
+from jointid.common.text import short
 from jointid.data.formats.table import Table
-from jointid.data.formats.textfile import Line, TextFile, short
+from jointid.data.formats.textfile import Line, TextFile
 from jointid.data.record import FloatArray
 
 _ROWS = frozenset({

@@ -13,9 +13,10 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 
 from jointid.common.errors import RecordError
-from jointid.common.text import shown
+from jointid.common.text import short, shown
 from jointid.data.record import FloatArray
 
+_QUOTED = 100  # characters of a name
 _LISTED = 20  # columns that a message lists; some MAT files have thousands
 
 
@@ -63,7 +64,7 @@ class Table:
         names = list(self.columns)
         close = names if len(names) <= _LISTED else difflib.get_close_matches(wanted, names, _LISTED, cutoff=0.0)
         rest = f" and {len(names) - len(close)} more" if len(close) < len(names) else ""
-        return (", ".join(f'"{shown(name)}"' for name in close) or "none") + rest
+        return (", ".join(f'"{short(name, _QUOTED)}"' for name in close) or "none") + rest
 
     def take(self, names: Iterable[str]) -> Table:
         """Return the table with the columns of these names alone, in their order.

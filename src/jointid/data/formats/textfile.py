@@ -12,6 +12,7 @@ from jointid.common.errors import RecordError
 
 _COMMENTS = ("#", "%", "//")
 _HEAD = 65536  # bytes
+_LONGEST = 2_500_000  # characters of a line: 100,000 numbers of 24
 _SPREADSHEET = "sep="  # "sep=;" is a note from one spreadsheet program to another
 
 
@@ -63,7 +64,9 @@ def read_lines(path: Path) -> TextFile:
         raise RecordError(f"{path.name} holds bytes that are no text; save it as CSV in UTF-8.")
     # str.splitlines would also split at form feeds and other marks that occur inside names.
     every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    return text_of(path.name, [Line(number, line) for number, line in enumerate(every, start=1) if _filled(line)])
+    return text_of(
+        path.name, [_line(path, number, line) for number, line in enumerate(every, start=1) if _filled(line)]
+    )
 
 
 def text_of(name: str, filled: list[Line]) -> TextFile:
@@ -93,17 +96,22 @@ def stream_lines(path: Path) -> Iterator[Line]:
     if "\0" in beginning:
         raise RecordError(f"{path.name} holds bytes that are no text; save it as CSV in UTF-8.")
     with path.open(encoding=encoding, errors="replace") as file:
-        for number, line in enumerate(file, start=1):
+        # Not by iteration: a file may be one line that does not fit into memory.
+        for number, line in enumerate(iter(lambda: file.readline(_LONGEST + 2), ""), start=1):
             text = line.rstrip("\n")
             if _filled(text):
-                yield Line(number, text)
+                yield _line(path, number, text)
+
+
+def _line(path: Path, number: int, text: str) -> Line:
+    """Return a line, unless it is too long to be one of a table."""
+    if len(text) > _LONGEST:
+        raise RecordError(
+            f"{path.name}: line {number} has more than {_LONGEST} characters; expected a row for each sample: is it a "
+            "matrix that lies on its side, or no text?"
+        )
+    return Line(number, text)
 
 
 def _filled(line: str) -> bool:
     return bool(line) and not line.isspace()
-
-
-def short(text: str) -> str:
-    """Return a piece of a file as a sentence can quote it: not too long, and nothing in it that a terminal obeys."""
-    shown = "".join(mark if mark.isprintable() else ascii(mark)[1:-1] for mark in text[:41])
-    return shown if len(text) <= 40 else f"{shown[:37]}..."
