@@ -44,7 +44,7 @@ class Recording:
             visitor.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
             async with self.desk.turn(visitor):
                 incoming, content = visitor.folder / "incoming", request.headers.get("content-type", "")
-                name = await received(request.stream(), content, incoming, self.desk.limits.upload, _require_known)
+                name = await received(request.stream(), content, incoming, self.desk.limits.upload, _accepted)
                 await run_in_threadpool(self._taken, visitor, incoming, name, {})
         except JointidError as error:
             return self.desk.refused(request, visitor, token, error)
@@ -162,13 +162,6 @@ class Recording:
         return Response(column_svg(column, end), media_type="image/svg+xml")
 
 
-def _require_known(name: str) -> None:
-    """Raise a `PageError` for a file that is none by its name; a folder of this machine so called does not count."""
-    known = [suffix for entry in FORMATS for suffix in entry.suffixes]
-    if Path(name).suffix.lower() not in known:
-        raise PageError(f"{name} names no known format; choose a file that ends in {', '.join(known)}.")
-
-
 def _checked_tables(draft: Mapping[str, str], file: str) -> dict[str, Any]:
     """Return the tables that say how the record is read, checked.
 
@@ -178,3 +171,11 @@ def _checked_tables(draft: Mapping[str, str], file: str) -> dict[str, Any]:
     tables = record_tables(draft, file)
     JointFile.of(tables)
     return tables
+
+
+def _accepted(name: str) -> None:
+    """Raise a `JointidError` for a name whose suffix tells no format; folders, which have none, cannot be sent."""
+    if not Path(name).suffix:
+        known = ", ".join(suffix for entry in FORMATS for suffix in entry.suffixes)
+        raise PageError(f"{name} has no suffix, which tells its format; expected one of {known}: rename it.")
+    format_of(name)
