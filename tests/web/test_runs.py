@@ -6,6 +6,7 @@ import io
 import json
 import os
 import signal
+import sys
 import time
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
@@ -198,3 +199,16 @@ def test_two_tabs_of_one_visitor_take_turns(client: TestClient, asker: Asker, lo
     with ThreadPoolExecutor() as pool:
         codes = [each.result()[0] for each in [pool.submit(tab) for tab in tabs]]
     assert codes == [200, 200, 200]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux holds a process to a bound of its memory")
+def test_a_record_that_takes_too_much_memory_is_refused_in_a_sentence(folder: Path, log: bytes) -> None:
+    small = application(folder, limits=Limits(memory=200 * 2**20))
+    with TestClient(small, base_url="http://127.0.0.1:8765") as client:
+        asker = Asker(client)
+        assert "too large for the memory" in asker.said("long.csv", b"1,2\n" * 1_000_000)
+        assert asker.send("log.csv", log)[0] == 200
+        asker.post("/draft", {"extra": '[record]\nresample = {method = "linear", sample_time = 1e-6}'})
+        code, said = asker.post("/channels", {"record.channels.torque.unit@prismatic": "N"})
+        assert code == 422
+        assert "jointid long" in said

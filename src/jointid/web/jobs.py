@@ -92,7 +92,7 @@ class Jobs:
         Raises:
             PageError: it refused; the sentences are its own.
         """
-        with self._reading, _Process(action, folder) as process:
+        with self._reading, _Process(action, folder, self._limits.memory) as process:
             try:
                 code = process.wait(self._limits.reading)
             except subprocess.TimeoutExpired:
@@ -120,7 +120,7 @@ class Jobs:
             if job.cancelled.is_set():
                 _cancelled(run)
                 return
-            started = _Process("identify", run.folder)
+            started = _Process("identify", run.folder, self._limits.memory)
             job.process = started.process
         run.update(state="running", sentence="", started=time.time())
         with started as process:
@@ -144,10 +144,10 @@ class Jobs:
 class _Process:
     """A worker, its progress and its complaints going to files in its folder; ended when it is left."""
 
-    def __init__(self, action: str, folder: Path) -> None:
+    def __init__(self, action: str, folder: Path, memory: int) -> None:
         (folder / "fault.json").unlink(missing_ok=True)
         with (folder / "progress.txt").open("wb") as said, (folder / "log.txt").open("wb") as complained:
-            self.process = _started(action, folder, said, complained)
+            self.process = _started(action, folder, memory, said, complained)
 
     def __enter__(self) -> subprocess.Popen[bytes]:
         return self.process
@@ -161,10 +161,10 @@ class _Process:
         self.process.wait(_PATIENCE)
 
 
-def _started(action: str, folder: Path, said: IO[bytes], complained: IO[bytes]) -> subprocess.Popen[bytes]:
+def _started(action: str, folder: Path, memory: int, said: IO[bytes], complained: IO[bytes]) -> subprocess.Popen[bytes]:
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8"}
     return subprocess.Popen(  # noqa: S603
-        [sys.executable, "-m", "jointid.web.worker", action, str(folder.absolute())],
+        [sys.executable, "-m", "jointid.web.worker", action, str(folder.absolute()), str(memory)],
         stdin=subprocess.PIPE,
         stdout=said,
         stderr=complained,

@@ -20,6 +20,8 @@ class Limits:
         runs: identifications that are kept for a visitor.
         at_once: identifications that run at a time; the others wait.
         waiting: identifications that may wait.
+        memory: bytes of address space of each process that reads or identifies, where the system bounds it (not
+            Windows, not macOS); what the compiled simulation reserves is in it.
         seconds: after which an identification is stopped.
         reading: seconds after which the reading of a record is stopped.
         days: after which the folder of a visitor who did not come back is removed.
@@ -32,6 +34,7 @@ class Limits:
     runs: int = 20
     at_once: int = 1
     waiting: int = 20
+    memory: int = 4 * 2**30
     seconds: float = 3600.0
     reading: float = 300.0
     days: float = 7.0

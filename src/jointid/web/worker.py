@@ -1,8 +1,8 @@
-"""The process that does one piece of work for the page: `python -m jointid.web.worker ACTION FOLDER`.
+"""The process that does one piece of work for the page: `python -m jointid.web.worker ACTION FOLDER MEMORY`.
 
-What it reads and how long it computes is the visitor's: whatever becomes of it, the page stays up. It prints its
-progress, a line each, and leaves its answer in the folder; exit code 2 and `fault.json` for what is the visitor's to
-mend. It ends when the page does, whose end it hears on its standard input.
+What it reads and how long it computes is the visitor's: whatever becomes of it, the page stays up, and the memory it
+takes is bounded. It prints its progress, a line each, and leaves its answer in the folder; exit code 2 and `fault.json`
+for what is the visitor's to mend. It ends when the page does, whose end it hears on its standard input.
 """
 
 from __future__ import annotations
@@ -23,6 +23,12 @@ if TYPE_CHECKING:
     from jointid.jointfile import JointFile
 
 REFUSED = 2
+
+_TOO_LARGE = (
+    "The record, or what is asked of it, is too large for the memory that this page gives one visitor; cut the record or "
+    "resample it slower, or use the command line, which has no such bound: jointid identify, or jointid long for a "
+    "record of hours."
+)
 
 
 def look(folder: Path) -> None:
@@ -129,6 +135,16 @@ def _end_with_the_page() -> None:
     os._exit(1)
 
 
+def _bound(memory: int) -> None:
+    """Take no more address space than so many bytes, where the system can hold a process to it."""
+    if sys.platform == "linux":  # macOS knows the bound and does not keep to it, Windows has none
+        import resource
+
+        _, most = resource.getrlimit(resource.RLIMIT_AS)
+        least = memory if most == resource.RLIM_INFINITY else min(memory, most)
+        resource.setrlimit(resource.RLIMIT_AS, (least, least))
+
+
 def main(action: str, folder: Path) -> int:
     """Do one piece of work, and return the exit code."""
     try:
@@ -138,13 +154,12 @@ def main(action: str, folder: Path) -> int:
         _write(folder / "fault.json", json.dumps(faults))
         return REFUSED
     except MemoryError:
-        _write(
-            folder / "fault.json", json.dumps(["The memory of this machine does not suffice; use a shorter record."])
-        )
+        _write(folder / "fault.json", json.dumps([_TOO_LARGE]))
         return REFUSED
     return 0
 
 
 if __name__ == "__main__":
     threading.Thread(target=_end_with_the_page, daemon=True).start()
+    _bound(int(sys.argv[3]))
     sys.exit(main(sys.argv[1], Path(sys.argv[2])))
