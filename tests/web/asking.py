@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from html import unescape
 from pathlib import Path
 
-from jointid.web.sessions import COOKIE, Run, Visitor
+from jointid.web.sessions import Run, Visitor
 from tests.web.testclient import TestClient
 
 ORIGIN = {"origin": "http://127.0.0.1:8765"}
@@ -53,8 +53,9 @@ class Asker:
 
     @property
     def visitor(self) -> Visitor:
-        found = self.client.app.state.desk.sessions.visitor(self.client.cookies[COOKIE])  # type: ignore[attr-defined]
-        assert found is not None
+        desk = self.client.app.state.desk  # type: ignore[attr-defined]
+        found = desk.sessions.visitor(self.client.cookies[desk.cookie])
+        assert isinstance(found, Visitor)
         return found
 
     @property

@@ -8,6 +8,7 @@ import pytest
 
 from jointid.web.application import application
 from jointid.web.limits import Limits
+from jointid.web.sessions import Sessions
 from tests.web.asking import ORIGIN, Asker
 from tests.web.testclient import TestClient
 
@@ -80,9 +81,32 @@ def test_the_cookie_is_for_this_page_alone(client: TestClient, log: bytes) -> No
 
 def test_a_cookie_that_is_not_ours_leads_nowhere(client: TestClient, folder: Path) -> None:
     for token in ("../../etc", "x", "a" * 43):
-        client.cookies.set("jointid_visitor", token)
+        client.cookies.set(client.app.state.desk.cookie, token)  # type: ignore[attr-defined]
         assert client.get("/runs/1").status_code == 404
     assert not list(folder.glob("*")) if folder.exists() else True
+
+
+def test_nobody_is_given_a_cookie_that_somebody_else_chose(client: TestClient, asker: Asker, log: bytes) -> None:
+    name = client.app.state.desk.cookie  # type: ignore[attr-defined]
+    headers = {**ORIGIN, "cookie": f"{name}={'a' * 43}"}
+    answer = client.post("/record", files={"file": ("log.csv", log)}, headers=headers, follow_redirects=False)
+    assert answer.status_code == 303
+    assert client.cookies[name] != "a" * 43
+    assert asker.visitor.record is not None
+    again = client.post("/record", files={"file": ("log.csv", log)}, headers=ORIGIN, follow_redirects=False)
+    assert f"{name}={client.cookies[name]}" in again.headers["set-cookie"]  # one who was here stays who they are
+
+
+def test_pages_of_two_folders_on_one_host_have_cookies_of_their_own(folder: Path, limits: Limits) -> None:
+    names = {Sessions(place, limits).cookie for place in (folder, folder / "..", folder / ".." / folder.name)}
+    assert len(names) == 2
+
+
+def test_a_record_that_is_refused_leaves_no_folder_without_a_cookie(client: TestClient, asker: Asker) -> None:
+    headers = {**ORIGIN, "accept": "application/json"}
+    answer = client.post("/record", files={"file": ("a.csv", b"no numbers")}, headers=headers)
+    assert answer.status_code == 422
+    assert asker.visitor.folder.is_dir()
 
 
 @pytest.mark.parametrize("path", ["/static/../application.py", "/static/%2e%2e/worker.py", "/runs/1/run.json", "/x"])

@@ -17,7 +17,7 @@ import pytest
 from jointid.cli.app import main
 from jointid.web.application import application
 from jointid.web.limits import Limits
-from jointid.web.sessions import Run, write_json
+from jointid.web.sessions import PageError, Run, write_json
 from tests.web.asking import LAW, ORIGIN, Asker, ended, running
 from tests.web.conftest import TRUTH
 from tests.web.testclient import TestClient
@@ -212,3 +212,46 @@ def test_a_record_that_takes_too_much_memory_is_refused_in_a_sentence(folder: Pa
         code, said = asker.post("/channels", {"record.channels.torque.unit@prismatic": "N"})
         assert code == 422
         assert "jointid long" in said
+
+
+def reading(client: TestClient) -> int:
+    """Wait until a record is read, or made, and return the process."""
+    jobs = client.app.state.desk.jobs  # type: ignore[attr-defined]
+    for _ in range(600):
+        if found := [one.pid for one in list(jobs._attended)]:
+            return int(found[0])
+        time.sleep(0.02)
+    raise AssertionError("nothing is read")
+
+
+def test_deleting_ends_what_is_read_and_nothing_comes_back(
+    client: TestClient, asker: Asker, log: bytes, folder: Path
+) -> None:
+    asker.send("log.csv", log)
+    visitor = asker.visitor
+    with ThreadPoolExecutor() as pool:
+        making = pool.submit(asker.post, "/example")
+        pid = reading(client)
+        waiting = pool.submit(asker.send, "late.csv", log)
+        time.sleep(0.2)
+        assert asker.post("/forget")[0] == 200
+        assert not alive(pid)
+        for overtaken in (making, waiting):
+            code, said = overtaken.result()
+            assert code == 422
+            assert "Your data was deleted while this was done" in said
+    with pytest.raises(PageError, match="was deleted"):
+        visitor.save_draft({"extra": ""})
+    with pytest.raises(FileNotFoundError):
+        visitor.new_run(Limits())
+    assert list(folder.iterdir()) == []
+
+
+def test_the_end_of_the_page_ends_what_is_read(client: TestClient, asker: Asker, log: bytes) -> None:
+    with ThreadPoolExecutor() as pool:
+        making = pool.submit(asker.post, "/example")
+        pid = reading(client)
+        client.app.state.desk.jobs.close()  # type: ignore[attr-defined]
+        assert "The page is being stopped" in making.result()[1]
+    assert not alive(pid)
+    assert "The page is being stopped" in asker.said("log.csv", log)

@@ -22,7 +22,7 @@ from jointid.web.limits import Limits
 from jointid.web.ordering import Ordering
 from jointid.web.recording import Recording
 from jointid.web.running import Running
-from jointid.web.sessions import COOKIE, PageError
+from jointid.web.sessions import PageError
 
 _EXPIRE = 3600.0  # seconds between looks for visitors who did not come back
 
@@ -75,10 +75,9 @@ def _routes(desk: Desk) -> list[Route]:
         visitor = desk.known(request)
         if visitor is not None:
             await run_in_threadpool(desk.jobs.forget, visitor)
-            await run_in_threadpool(visitor.forget)
         said = "Nothing of it is kept on this machine."
         answer = HTMLResponse(pages.message_page(None, desk.limits, "Your data is deleted", said))
-        answer.delete_cookie(COOKIE, path="/")
+        answer.delete_cookie(desk.cookie, path="/")
         return answer
 
     async def static(request: Request) -> Response:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from functools import partial
 from pathlib import Path
 from urllib.parse import parse_qsl
 from weakref import WeakValueDictionary
 
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 
@@ -15,7 +19,7 @@ from jointid.web import pages
 from jointid.web.form import cleaned
 from jointid.web.jobs import Jobs
 from jointid.web.limits import Limits
-from jointid.web.sessions import COOKIE, PageError, Sessions, Visitor, new_token
+from jointid.web.sessions import PageError, Sessions, Visitor, new_token
 from jointid.web.upload import too_large
 
 _FORM = 512 * 2**10  # bytes of a form without a file
@@ -30,35 +34,53 @@ class Desk:
         limits: of what is taken.
         sessions: the visitors' folders.
         jobs: their identifications.
+        cookie: the name of their cookie.
     """
 
     def __init__(self, folder: Path, limits: Limits) -> None:
         self.limits = limits
         self.sessions = Sessions(folder, limits)
         self.jobs = Jobs(limits)
+        self.cookie = self.sessions.cookie
         self._turns: WeakValueDictionary[Path, asyncio.Lock] = WeakValueDictionary()
 
-    def turn(self, visitor: Visitor) -> asyncio.Lock:
-        """Return what a request holds while it works on a visitor's files, so that one from another tab waits."""
-        return self._turns.setdefault(visitor.folder, asyncio.Lock())
+    @contextlib.asynccontextmanager
+    async def turn(self, visitor: Visitor) -> AsyncIterator[None]:
+        """Hold a visitor's files while a request works on them, so that one from another tab waits.
+
+        Raises:
+            PageError: the visitor has deleted everything meanwhile.
+        """
+        async with self._turns.setdefault(visitor.folder, asyncio.Lock()):
+            with visitor.there():
+                yield
 
     def known(self, request: Request) -> Visitor | None:
         """Return the visitor who has been here before, None where there is nothing of them."""
-        visitor = self.sessions.visitor(request.cookies.get(COOKIE))
+        visitor = self.sessions.visitor(request.cookies.get(self.cookie))
         if visitor is None or not visitor.folder.is_dir():
             return None
         visitor.touch()
         return visitor
 
     def visitor(self, request: Request) -> tuple[Visitor, str]:
-        """Return the visitor and their cookie, a new one if need be."""
-        token = request.cookies.get(COOKIE)
+        """Return the visitor and their cookie; where there is nothing of them both are new, whatever they sent."""
+        known = self.known(request)
+        if known is not None:
+            return known, request.cookies[self.cookie]
+        token = new_token()
         visitor = self.sessions.visitor(token)
-        if visitor is None or token is None:
-            token = new_token()
-            visitor = self.sessions.visitor(token)
-            assert visitor is not None
+        assert visitor is not None
         return visitor, token
+
+    async def admit(self, request: Request, visitor: Visitor, token: str) -> None:
+        """Let a visitor bring a record.
+
+        Raises:
+            PageError: there is no place for it, or the visitor has deleted everything meanwhile.
+        """
+        new = request.cookies.get(self.cookie) != token
+        await run_in_threadpool(partial(self.sessions.admit, visitor, new=new))
 
     def require_small(self, request: Request, bound: int) -> None:
         """Raise a `PageError` where a file is said to be too large before it arrives."""
@@ -88,15 +110,16 @@ class Desk:
 
     def _with_cookie(self, answer: Response, token: str) -> Response:
         age = int(self.limits.days * _DAY)
-        answer.set_cookie(COOKIE, token, max_age=age, path="/", httponly=True, samesite="strict")
+        answer.set_cookie(self.cookie, token, max_age=age, path="/", httponly=True, samesite="strict")
         return answer
 
     def refused(self, request: Request, visitor: Visitor, token: str, error: JointidError) -> Response:
         """Say on step 1 why a record was refused."""
-        if "application/json" in request.headers.get("accept", ""):
-            return JSONResponse({"said": str(error)}, 422)
         known = visitor if visitor.folder.is_dir() else None
-        answer = HTMLResponse(pages.record_page(known, self.limits, str(error).splitlines()), 422)
+        if "application/json" in request.headers.get("accept", ""):
+            answer: Response = JSONResponse({"said": str(error)}, 422)
+        else:
+            answer = HTMLResponse(pages.record_page(known, self.limits, str(error).splitlines()), 422)
         return answer if known is None else self._with_cookie(answer, token)
 
     def nothing(self, request: Request) -> Response:

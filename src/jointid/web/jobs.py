@@ -9,16 +9,18 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import IO
 
 from jointid.web.limits import Limits
-from jointid.web.sessions import PageError, Run, Visitor
+from jointid.web.sessions import GONE, PageError, Run, Visitor
 from jointid.web.worker import REFUSED
 
 _LAST = 2000  # characters of what a failed process said
 _PATIENCE = 5.0  # seconds that a process is given to end
+_ENDING = "The page is being stopped; begin it again, and send this once more."
 
 
 class _Job:
@@ -47,6 +49,8 @@ class Jobs:
         self._pool = ThreadPoolExecutor(limits.at_once, "identification")
         self._reading = threading.BoundedSemaphore(2)
         self._jobs: dict[Path, _Job] = {}
+        self._attended: dict[subprocess.Popen[bytes], Path] = {}
+        self._closed = False
         self._lock = threading.Lock()
 
     def submit(self, run: Run) -> None:
@@ -68,31 +72,48 @@ class Jobs:
             job = self._jobs.get(run.folder)
         if job is not None:
             job.stop()
-            if run.status["state"] == "queued":
+            if job.process is None:
                 _cancelled(run)
             else:
                 job.ended.wait(2 * _PATIENCE)
 
     def forget(self, visitor: Visitor) -> None:
-        """End all that a visitor has running."""
-        for run in visitor.runs:
-            self.cancel(run)
+        """End all that a visitor has running, the reading of a record included, and remove their folder."""
+        self._end(visitor.folder)  # first: some systems keep a folder in which a process works
+        visitor.forget()
+        self._end(visitor.folder)  # what began in between
+
+    def _end(self, folder: Path) -> None:
+        with self._lock:
+            jobs = [job for job in self._jobs.values() if folder in job.run.folder.parents]
+            readings = [process for process, place in self._attended.items() if place == folder]
+        for process in readings:
+            process.kill()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(_PATIENCE)
+        for job in jobs:
+            if not job.cancelled.is_set():
+                self.cancel(job.run)
 
     def close(self) -> None:
         """End everything; what waits is not begun."""
         with self._lock:
-            jobs = list(self._jobs.values())
+            self._closed = True
+            jobs, readings = list(self._jobs.values()), list(self._attended)
+        for process in readings:
+            process.kill()
         for job in jobs:
             job.stop()
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def attend(self, action: str, folder: Path) -> None:
-        """Have a short piece of work done, and wait for it.
+        """Have a short piece of work done in a visitor's folder, and wait for it.
 
         Raises:
-            PageError: it refused; the sentences are its own.
+            PageError: it refused; the sentences are its own. Or the visitor or the page is gone meanwhile.
+            FileNotFoundError: the folder is not there.
         """
-        with self._reading, _Process(action, folder, self._limits.memory) as process:
+        with self._reading, self._begun(action, folder) as process:
             try:
                 code = process.wait(self._limits.reading)
             except subprocess.TimeoutExpired:
@@ -100,8 +121,25 @@ class Jobs:
                 raise PageError(
                     f"Reading this record takes longer than {self._limits.reading:.0f} s; send a shorter one."
                 ) from None
+        if not folder.is_dir():
+            raise PageError(GONE)
         if code:
-            raise PageError("\n".join(_sentences(code, folder)))
+            raise PageError(_ENDING if self._closed else "\n".join(_sentences(code, folder)))
+
+    @contextlib.contextmanager
+    def _begun(self, action: str, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+        """Begin a process that a deletion, or the end of the page, ends."""
+        with self._lock:  # whoever ends all that runs finds it, or comes first
+            if self._closed:
+                raise PageError(_ENDING)
+            started = _Process(action, folder, self._limits.memory)
+            self._attended[started.process] = folder
+        try:
+            with started as process:
+                yield process
+        finally:
+            with self._lock:
+                del self._attended[started.process]
 
     def _follow(self, job: _Job) -> None:
         run = job.run

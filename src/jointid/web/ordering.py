@@ -45,8 +45,9 @@ class Ordering:
         try:
             self.desk.require_small(request, self.desk.limits.joint_file)
             content = request.headers.get("content-type", "")
-            name = await received(request.stream(), content, path, self.desk.limits.joint_file, _require_toml)
-            draft = imported(path.read_text(encoding="utf-8-sig"))
+            with visitor.there():
+                name = await received(request.stream(), content, path, self.desk.limits.joint_file, _require_toml)
+                draft = imported(path.read_text(encoding="utf-8-sig"))
         except (JointidError, UnicodeDecodeError) as error:
             said = str(error) if isinstance(error, JointidError) else "The joint file is not text in UTF-8; save it so."
             if "application/json" in request.headers.get("accept", ""):
@@ -69,12 +70,13 @@ class Ordering:
         run = None
         try:
             order = await run_in_threadpool(ordered, draft, record["name"])
-            run = visitor.new_run(self.desk.limits)
-            _linked(visitor.folder / record["file"], run.folder / record["file"])
-            (run.folder / "joint.toml").write_text(order.text, encoding="utf-8", newline="\n")
-            work = {"file": record["file"], "name": record["name"], "learn": order.learn}
-            write_json(run.folder / "work.json", work)
-            self.desk.jobs.submit(run)
+            with visitor.there():
+                run = visitor.new_run(self.desk.limits)
+                _linked(visitor.folder / record["file"], run.folder / record["file"])
+                (run.folder / "joint.toml").write_text(order.text, encoding="utf-8", newline="\n")
+                work = {"file": record["file"], "name": record["name"], "learn": order.learn}
+                write_json(run.folder / "work.json", work)
+                self.desk.jobs.submit(run)
         except JointFileError as error:
             faults = told(error, draft, {EXTRA, *(one.name for one in JOINT_STEP)})
         except PageError as error:

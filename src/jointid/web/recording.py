@@ -40,9 +40,8 @@ class Recording:
         visitor, token = self.desk.visitor(request)
         try:
             self.desk.require_small(request, self.desk.limits.upload)
-            self.desk.sessions.require_place(visitor)
-            visitor.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
             async with self.desk.turn(visitor):
+                await self.desk.admit(request, visitor, token)
                 incoming, content = visitor.folder / "incoming", request.headers.get("content-type", "")
                 name = await received(request.stream(), content, incoming, self.desk.limits.upload, _accepted)
                 await run_in_threadpool(self._taken, visitor, incoming, name, {})
@@ -56,9 +55,8 @@ class Recording:
 
         visitor, token = self.desk.visitor(request)
         try:
-            self.desk.sessions.require_place(visitor)
-            visitor.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
             async with self.desk.turn(visitor):
+                await self.desk.admit(request, visitor, token)
                 await run_in_threadpool(self.desk.jobs.attend, "example", visitor.folder)
                 made = visitor.folder / "example.csv"
                 await run_in_threadpool(self._taken, visitor, made, made.name, imported(JOINT_FILE))

@@ -22,12 +22,15 @@ from typing import Any
 from jointid.common.errors import JointidError
 from jointid.web.limits import Limits, megabytes
 
-COOKIE = "jointid_visitor"
 _TOKEN = re.compile(r"[A-Za-z0-9_-]{43}")
 _FOLDER = re.compile(r"[0-9a-f]{40}")
+_REMOVED = ".removed-"  # begins the name of a folder on its way out
 _DAY = 86400.0
 ACTIVE = ("queued", "running")
 """States of an identification that has not ended."""
+
+GONE = "Your data was deleted while this was done, and nothing of it is kept; choose the record again."
+"""What is said to a request that a deletion overtook."""
 
 
 class PageError(JointidError):
@@ -85,9 +88,23 @@ class Visitor:
         return read_json(self.folder / "draft.json") or {}
 
     def save_draft(self, draft: Mapping[str, str]) -> None:
-        """Keep what stands in the form."""
-        self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        write_json(self.folder / "draft.json", dict(draft))
+        """Keep what stands in the form.
+
+        Raises:
+            PageError: the visitor has deleted everything meanwhile, and gets no new folder by it.
+        """
+        with self.there():
+            write_json(self.folder / "draft.json", dict(draft))
+
+    @contextlib.contextmanager
+    def there(self) -> Iterator[None]:
+        """Raise a `PageError` where the folder is deleted in the middle of what is done in it."""
+        try:
+            yield
+        except FileNotFoundError:
+            if self.folder.is_dir():
+                raise
+            raise PageError(GONE) from None
 
     @property
     def record(self) -> dict[str, Any] | None:
@@ -122,7 +139,8 @@ class Visitor:
         if len(self.runs) >= limits.runs:
             raise PageError(f"{limits.runs} identifications of yours are waiting or running; cancel one of them first.")
         run = Run(self.folder / "runs" / str(runs[0].number + 1 if runs else 1))
-        run.folder.mkdir(parents=True, mode=0o700)
+        run.folder.parent.mkdir(exist_ok=True, mode=0o700)
+        run.folder.mkdir(mode=0o700)
         return run
 
     def size(self) -> int:
@@ -144,8 +162,15 @@ class Visitor:
             os.utime(self.folder)
 
     def forget(self) -> None:
-        """Remove all of it."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        """Remove all of it; it leads nowhere at once, so that nothing is written into it while it goes."""
+        aside = self.folder.with_name(f"{_REMOVED}{secrets.token_hex(8)}")
+        try:
+            self.folder.rename(aside)
+        except FileNotFoundError:
+            return
+        except OSError:  # Windows keeps the name of a folder in which a file is open
+            aside = self.folder
+        shutil.rmtree(aside, ignore_errors=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +179,12 @@ class Sessions:
 
     root: Path
     limits: Limits
+
+    @property
+    def cookie(self) -> str:
+        """The name of the visitors' cookie, which browsers keep by host alone: each folder has its own."""
+        place = str(self.root.resolve()).encode("utf-8", errors="surrogateescape")
+        return f"jointid_visitor_{hashlib.sha256(place).hexdigest()[:12]}"
 
     def visitor(self, token: str | None) -> Visitor | None:
         """Return the visitor that a cookie belongs to; None for a cookie that is not one of ours."""
@@ -167,14 +198,21 @@ class Sessions:
             if _FOLDER.fullmatch(path.name) and path.is_dir():
                 yield Visitor(path)
 
-    def require_place(self, visitor: Visitor) -> None:
-        """Raise a `PageError` where a further visitor would be too many."""
-        if not visitor.folder.is_dir() and sum(1 for _ in self.all()) >= self.limits.visitors:
+    def admit(self, visitor: Visitor, *, new: bool) -> None:
+        """Let a visitor bring a record: a new one gets a folder, that of one who was here must be there still.
+
+        Raises:
+            PageError: a further visitor would be too many, the folder is full, or it is gone.
+        """
+        if not new and not visitor.folder.is_dir():
+            raise PageError(GONE)
+        if new and sum(1 for _ in self.all()) >= self.limits.visitors:
             raise PageError(
                 f"{self.limits.visitors} visitors have data on this page, and no more are taken; ask one of them to "
                 'press "Delete my data", or come back later.'
             )
         visitor.require_room(self.limits)
+        visitor.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
 
     def expire(self) -> None:
         """Remove the folders of visitors who did not come back, unless something of theirs runs."""
@@ -185,7 +223,9 @@ class Sessions:
                     visitor.forget()
 
     def recover(self) -> None:
-        """Say of each identification that the page was stopped in the middle of that it has ended."""
+        """Say of each identification that the page was stopped in the middle of that it has ended; end removals."""
+        for path in self.root.glob(f"{_REMOVED}*"):
+            shutil.rmtree(path, ignore_errors=True)
         for visitor in self.all():
             for run in visitor.runs:
                 if run.active:

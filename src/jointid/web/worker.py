@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 REFUSED = 2
 
 _TOO_LARGE = (
-    "The record, or what is asked of it, is too large for the memory that this page gives one visitor; cut the record or "
-    "resample it slower, or use the command line, which has no such bound: jointid identify, or jointid long for a "
+    "The record, or what is asked of it, is too large for the memory that this page gives one visitor; cut the record "
+    "or resample it slower, or use the command line, which has no such bound: jointid identify, or jointid long for a "
     "record of hours."
 )
 
