@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import json
 import os
@@ -13,9 +14,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from starlette.concurrency import run_in_threadpool
 
 from jointid.cli.app import main
 from jointid.web.application import application
+from jointid.web.jobs import Jobs
 from jointid.web.limits import Limits
 from jointid.web.sessions import PageError, Run, write_json
 from tests.web.asking import LAW, ORIGIN, Asker, ended, running
@@ -255,3 +258,21 @@ def test_the_end_of_the_page_ends_what_is_read(client: TestClient, asker: Asker,
         assert "The page is being stopped" in making.result()[1]
     assert not alive(pid)
     assert "The page is being stopped" in asker.said("log.csv", log)
+
+
+def test_those_who_wait_to_be_read_keep_no_thread_and_are_only_so_many(tmp_path: Path) -> None:
+    async def asked() -> None:
+        jobs = Jobs(Limits(waiting=45))
+        async with jobs._reading, jobs._reading:  # every place is taken
+            waiting = [asyncio.create_task(jobs.attend("look", tmp_path)) for _ in range(47)]
+            await asyncio.sleep(0)
+            assert await asyncio.wait_for(run_in_threadpool(str, 5), 60) == "5"  # there are 40 threads
+            with pytest.raises(PageError, match="47 records are being read or wait for it"):
+                await jobs.attend("look", tmp_path)
+            for one in waiting:
+                one.cancel()
+            await asyncio.gather(*waiting, return_exceptions=True)
+        with pytest.raises(FileNotFoundError):  # and their places are free again
+            await jobs.attend("look", tmp_path / "gone")
+
+    asyncio.run(asked())

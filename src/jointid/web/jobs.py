@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import os
@@ -13,6 +14,8 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import IO
+
+from starlette.concurrency import run_in_threadpool
 
 from jointid.web.limits import Limits
 from jointid.web.sessions import GONE, PageError, Run, Visitor
@@ -47,7 +50,8 @@ class Jobs:
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self._pool = ThreadPoolExecutor(limits.at_once, "identification")
-        self._reading = threading.BoundedSemaphore(2)
+        self._reading = asyncio.Semaphore(limits.read_at_once)
+        self._readers = 0  # requests whose record is read or waits to be; the event loop's alone
         self._jobs: dict[Path, _Job] = {}
         self._attended: dict[subprocess.Popen[bytes], Path] = {}
         self._closed = False
@@ -106,14 +110,24 @@ class Jobs:
             job.stop()
         self._pool.shutdown(wait=True, cancel_futures=True)
 
-    def attend(self, action: str, folder: Path) -> None:
-        """Have a short piece of work done in a visitor's folder, and wait for it.
+    async def attend(self, action: str, folder: Path) -> None:
+        """Have a short piece of work done in a visitor's folder, and wait for it; those who wait keep no thread.
 
         Raises:
-            PageError: it refused; the sentences are its own. Or the visitor or the page is gone meanwhile.
+            PageError: it refused; the sentences are its own. Or too many wait, or the visitor or the page is gone.
             FileNotFoundError: the folder is not there.
         """
-        with self._reading, self._begun(action, folder) as process:
+        if self._readers >= self._limits.read_at_once + self._limits.waiting:
+            raise PageError(f"{self._readers} records are being read or wait for it; come back in a while.")
+        self._readers += 1
+        try:
+            async with self._reading:
+                await run_in_threadpool(self._attend, action, folder)
+        finally:
+            self._readers -= 1
+
+    def _attend(self, action: str, folder: Path) -> None:
+        with self._begun(action, folder) as process:
             try:
                 code = process.wait(self._limits.reading)
             except subprocess.TimeoutExpired:

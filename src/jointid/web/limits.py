@@ -19,7 +19,8 @@ class Limits:
         visitors: whose folders are kept at a time.
         runs: identifications that are kept for a visitor.
         at_once: identifications that run at a time; the others wait.
-        waiting: identifications that may wait.
+        read_at_once: records that are read at a time; the others wait.
+        waiting: identifications that may wait, and records to be read.
         memory: bytes of address space of each process that reads or identifies, where the system bounds it (not
             Windows, not macOS); what the compiled simulation reserves is in it.
         seconds: after which an identification is stopped.
@@ -33,6 +34,7 @@ class Limits:
     visitors: int = 100
     runs: int = 20
     at_once: int = 1
+    read_at_once: int = 2
     waiting: int = 20
     memory: int = 4 * 2**30
     seconds: float = 3600.0

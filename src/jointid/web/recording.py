@@ -44,7 +44,7 @@ class Recording:
                 await self.desk.admit(request, visitor, token)
                 incoming, content = visitor.folder / "incoming", request.headers.get("content-type", "")
                 name = await received(request.stream(), content, incoming, self.desk.limits.upload, _accepted)
-                await run_in_threadpool(self._taken, visitor, incoming, name, {})
+                await self._taken(visitor, incoming, name, {})
         except JointidError as error:
             return self.desk.refused(request, visitor, token, error)
         return self.desk.to(request, "/channels", token)
@@ -57,9 +57,9 @@ class Recording:
         try:
             async with self.desk.turn(visitor):
                 await self.desk.admit(request, visitor, token)
-                await run_in_threadpool(self.desk.jobs.attend, "example", visitor.folder)
+                await self.desk.jobs.attend("example", visitor.folder)
                 made = visitor.folder / "example.csv"
-                await run_in_threadpool(self._taken, visitor, made, made.name, imported(JOINT_FILE))
+                await self._taken(visitor, made, made.name, imported(JOINT_FILE))
         except JointidError as error:
             return self.desk.refused(request, visitor, token, error)
         return self.desk.to(request, "/channels", token)
@@ -74,19 +74,19 @@ class Recording:
                 raise PageError("There is no record yet; choose one.")
             visitor.save_draft(kept)
             async with self.desk.turn(visitor):
-                await run_in_threadpool(self._looked, visitor, visitor.folder / record["file"], kept)
+                await self._looked(visitor, visitor.folder / record["file"], kept)
         except JointidError as error:
             return self.desk.refused(request, visitor, token, error)
         return self.desk.to(request, "/channels", token)
 
-    def _taken(self, visitor: Visitor, incoming: Path, name: str, draft: Mapping[str, str]) -> None:
+    async def _taken(self, visitor: Visitor, incoming: Path, name: str, draft: Mapping[str, str]) -> None:
         """Put a file that has arrived in the record's place, and look what is in it."""
         kept = {k: v for k, v in visitor.draft.items() if not k.startswith("record.")} if not draft else {}
         suffix = Path(name).suffix.lower()
         fresh = visitor.folder / f"fresh{suffix}"
         incoming.replace(fresh)
         try:
-            self._looked(visitor, fresh, {})
+            await self._looked(visitor, fresh, {})
         except PageError:
             if format_of(fresh).name != _WITH_OPTIONS:
                 fresh.unlink(missing_ok=True)
@@ -112,12 +112,12 @@ class Recording:
         )
         visitor.save_draft(draft)
 
-    def _looked(self, visitor: Visitor, path: Path, draft: Mapping[str, str]) -> None:
+    async def _looked(self, visitor: Visitor, path: Path, draft: Mapping[str, str]) -> None:
         options = record_tables({one.name: draft.get(one.name, "") for one in TEXT}, path.name)["record"]
         chosen = {key: value for key, value in options.items() if key != "file"}
         (visitor.folder / "preview.json").unlink(missing_ok=True)
         write_json(visitor.folder / "work.json", {"file": path.name, "options": chosen})
-        self.desk.jobs.attend("look", visitor.folder)
+        await self.desk.jobs.attend("look", visitor.folder)
 
     async def channels(self, request: Request) -> Response:
         """Show step 2."""
@@ -139,7 +139,7 @@ class Recording:
             work = {"file": record["file"], "name": record["name"], "tables": tables}
             async with self.desk.turn(visitor):
                 write_json(visitor.folder / "work.json", work)
-                await run_in_threadpool(self.desk.jobs.attend, "check", visitor.folder)
+                await self.desk.jobs.attend("check", visitor.folder)
         except JointFileError as error:
             faults = told(error, draft, {one.name for one in CHANNEL_STEP})
         except PageError as error:
