@@ -168,6 +168,19 @@ def test_only_so_many_wait(asker: Asker, log: bytes, limits: Limits) -> None:
     assert len(asker.visitor.runs) == limits.runs
 
 
+def test_nobody_takes_all_places_of_the_queue(folder: Path, log: bytes) -> None:
+    with TestClient(application(folder, limits=Limits(waiting_each=2)), base_url="http://127.0.0.1:8765") as client:
+        asker, other = Asker(client), Asker(TestClient(client.app, base_url="http://127.0.0.1:8765"))
+        asker.identify(log)
+        second = asker.identify(log)
+        code, said = asker.post("/joint", LAW)
+        assert code == 422
+        assert "2 identifications of yours are waiting or running" in said
+        other.identify(log)
+        asker.post(f"/runs/{second.number}/cancel")
+        asker.identify(log)
+
+
 def test_the_end_of_the_page_ends_what_runs(folder: Path, log: bytes) -> None:
     with TestClient(application(folder), base_url="http://127.0.0.1:8765") as client:
         asker = Asker(client)

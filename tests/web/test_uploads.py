@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import io
 import pickle
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,7 @@ from jointid.web.limits import Limits
 from jointid.web.names import safe_name
 from jointid.web.sessions import PageError
 from jointid.web.upload import received
-from tests.web.asking import ORIGIN, Asker
+from tests.web.asking import LAW, ORIGIN, Asker
 from tests.web.testclient import TestClient
 
 HOSTILE = '../../<img src=x onerror=alert(1)>".csv'
@@ -174,3 +176,34 @@ def test_a_joint_file_fills_in_the_form_and_is_named(asker: Asker, log: bytes) -
     assert code == 200
     assert "Filled in from my axis+1.toml" in text
     assert asker.visitor.draft["controller.kp"] == "61.5"
+
+
+def test_a_full_folder_takes_nothing_further(client: TestClient, asker: Asker, log: bytes) -> None:
+    desk = client.app.state.desk  # type: ignore[attr-defined]
+    assert asker.send("log.csv", log)[0] == 200
+    asker.visitor.new_run(desk.limits).update(state="done")
+    (asker.visitor.folder / "runs" / "1" / "answer.json").write_text("{}", encoding="utf-8")
+    for bound, said in (({"kept": 1000}, "Your data takes"), ({"everything": 1000}, "The data of all visitors takes")):
+        with bounded(client, bound):
+            assert said in asker.said("more.csv", log)
+            code, page = asker.post("/joint", LAW)
+            assert code == 422
+            assert said in page
+            archive = client.get("/runs/1/all.zip")
+            assert archive.status_code == 422
+            assert said in archive.text
+    assert [run.number for run in asker.visitor.runs] == [1]
+    with bounded(client, {"everything": asker.visitor.size() + desk.limits.upload - 1}):  # what comes has no room
+        assert "The data of all visitors takes" in asker.said("more.csv", log)
+
+
+@contextlib.contextmanager
+def bounded(client: TestClient, bounds: dict[str, int]) -> Iterator[None]:
+    """Have the page keep less."""
+    desk = client.app.state.desk  # type: ignore[attr-defined]
+    usual = desk.sessions
+    desk.sessions = replace(usual, limits=replace(usual.limits, **bounds))
+    try:
+        yield
+    finally:
+        desk.sessions = usual

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator
-from functools import partial
 from pathlib import Path
 from urllib.parse import parse_qsl
 from weakref import WeakValueDictionary
@@ -42,6 +41,7 @@ class Desk:
         self.sessions = Sessions(folder, limits)
         self.jobs = Jobs(limits)
         self.cookie = self.sessions.cookie
+        self._coming = 0  # records that are on their way
         self._turns: WeakValueDictionary[Path, asyncio.Lock] = WeakValueDictionary()
 
     @contextlib.asynccontextmanager
@@ -73,14 +73,21 @@ class Desk:
         assert visitor is not None
         return visitor, token
 
-    async def admit(self, request: Request, visitor: Visitor, token: str) -> None:
-        """Let a visitor bring a record.
+    @contextlib.asynccontextmanager
+    async def admitted(self, request: Request, visitor: Visitor, token: str) -> AsyncIterator[None]:
+        """Let a visitor bring a record, for which there is room as long as it is on its way.
 
         Raises:
             PageError: there is no place for it, or the visitor has deleted everything meanwhile.
         """
         new = request.cookies.get(self.cookie) != token
-        await run_in_threadpool(partial(self.sessions.admit, visitor, new=new))
+        self._coming += 1
+        try:
+            coming = self._coming * self.limits.upload
+            await run_in_threadpool(self.sessions.admit, visitor, coming, new=new)
+            yield
+        finally:
+            self._coming -= 1
 
     def require_small(self, request: Request, bound: int) -> None:
         """Raise a `PageError` where a file is said to be too large before it arrives."""

@@ -61,11 +61,15 @@ class Jobs:
         """Queue an identification.
 
         Raises:
-            PageError: too many wait.
+            PageError: too many wait, of this visitor or of all.
         """
         with self._lock:
-            if len(self._jobs) >= self._limits.waiting + self._limits.at_once:
-                raise PageError(f"{len(self._jobs)} identifications are waiting already; come back in a while.")
+            going = [job for job in self._jobs.values() if not job.cancelled.is_set()]
+            own = sum(job.run.folder.parent == run.folder.parent for job in going)
+            if own >= self._limits.waiting_each:
+                raise PageError(f"{own} identifications of yours are waiting or running; cancel one of them first.")
+            if len(going) >= self._limits.waiting + self._limits.at_once:
+                raise PageError(f"{len(going)} identifications are waiting already; come back in a while.")
             job = self._jobs[run.folder] = _Job(run)
         run.update(state="queued", sentence="Waiting for its turn.", queued=time.time())
         self._pool.submit(self._follow, job)

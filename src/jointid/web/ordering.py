@@ -70,6 +70,7 @@ class Ordering:
         run = None
         try:
             order = await run_in_threadpool(ordered, draft, record["name"])
+            await run_in_threadpool(self.desk.sessions.require_room, visitor)
             with visitor.there():
                 run = visitor.new_run(self.desk.limits)
                 _linked(visitor.folder / record["file"], run.folder / record["file"])

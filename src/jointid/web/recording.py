@@ -40,8 +40,7 @@ class Recording:
         visitor, token = self.desk.visitor(request)
         try:
             self.desk.require_small(request, self.desk.limits.upload)
-            async with self.desk.turn(visitor):
-                await self.desk.admit(request, visitor, token)
+            async with self.desk.turn(visitor), self.desk.admitted(request, visitor, token):
                 incoming, content = visitor.folder / "incoming", request.headers.get("content-type", "")
                 name = await received(request.stream(), content, incoming, self.desk.limits.upload, _accepted)
                 await self._taken(visitor, incoming, name, {})
@@ -55,8 +54,7 @@ class Recording:
 
         visitor, token = self.desk.visitor(request)
         try:
-            async with self.desk.turn(visitor):
-                await self.desk.admit(request, visitor, token)
+            async with self.desk.turn(visitor), self.desk.admitted(request, visitor, token):
                 await self.desk.jobs.attend("example", visitor.folder)
                 made = visitor.folder / "example.csv"
                 await self._taken(visitor, made, made.name, imported(JOINT_FILE))

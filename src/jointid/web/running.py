@@ -66,10 +66,10 @@ class Running:
 
     async def file(self, request: Request) -> Response:
         """Give one of the files of an answer."""
-        _, run = self._run(request)
+        visitor, run = self._run(request)
         name = request.path_params["name"]
-        if run is not None and name == BUNDLE and run.has("answer.json"):
-            path = await run_in_threadpool(_bundled, run)
+        if visitor is not None and run is not None and name == BUNDLE and run.has("answer.json"):
+            path = await self._bundle(visitor, run)
             return FileResponse(path, media_type="application/zip", filename=f"{_stem(run)}.zip")
         if run is None or name not in FILES or not run.has(name):
             return self.desk.nothing(request)
@@ -77,6 +77,14 @@ class Running:
             policy = {"content-security-policy": REPORT_POLICY}
             return FileResponse(run.folder / name, media_type=FILES[name], headers=policy)
         return FileResponse(run.folder / name, media_type=FILES[name], filename=name)
+
+    async def _bundle(self, visitor: Visitor, run: Run) -> Path:
+        """Return the archive of an answer, which is made once."""
+        async with self.desk.turn(visitor):
+            if not run.has(BUNDLE):
+                await run_in_threadpool(self.desk.sessions.require_room, visitor)
+                await run_in_threadpool(_bundled, run)
+        return run.folder / BUNDLE
 
     def _run(self, request: Request) -> tuple[Visitor | None, Run | None]:
         visitor = self.desk.known(request)
@@ -100,16 +108,15 @@ async def _told(run: Run, begin: int) -> AsyncIterator[str]:
         await asyncio.sleep(_EVERY)
 
 
-def _bundled(run: Run) -> Path:
-    """Return an archive of everything: unpacked, `jointid identify joint.toml` in it gives the same numbers."""
+def _bundled(run: Run) -> None:
+    """Make an archive of everything: unpacked, `jointid identify joint.toml` in it gives the same numbers."""
     work = read_json(run.folder / "work.json") or {}
-    path = run.folder / BUNDLE
     beside = run.folder / "bundle.part"
     with zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in (name for name in FILES if run.has(name)):
             archive.write(run.folder / name, name)
         archive.write(run.folder / work["file"], work["name"])
-    return beside.replace(path)
+    beside.replace(run.folder / BUNDLE)
 
 
 def _stem(run: Run) -> str:

@@ -144,17 +144,13 @@ class Visitor:
         return run
 
     def size(self) -> int:
-        """Return the bytes of all its files; one that is linked twice counts once."""
-        found = {(s.st_dev, s.st_ino): s.st_size for s in (p.stat() for p in self.folder.rglob("*") if p.is_file())}
+        """Return the bytes of all its files and folders; one that is linked twice counts once, none that just goes."""
+        found: dict[tuple[int, int], int] = {}
+        with contextlib.suppress(FileNotFoundError):
+            for path in self.folder.rglob("*"):
+                stat = path.lstat()
+                found[stat.st_dev, stat.st_ino] = stat.st_size
         return sum(found.values())
-
-    def require_room(self, limits: Limits) -> None:
-        """Raise a `PageError` where the folder is full."""
-        if self.folder.is_dir() and (size := self.size()) > limits.kept:
-            raise PageError(
-                f"Your data takes {megabytes(size)}, and at most {megabytes(limits.kept)} are kept; press "
-                '"Delete my data" first.'
-            )
 
     def touch(self) -> None:
         """Say that the visitor was here."""
@@ -198,8 +194,13 @@ class Sessions:
             if _FOLDER.fullmatch(path.name) and path.is_dir():
                 yield Visitor(path)
 
-    def admit(self, visitor: Visitor, *, new: bool) -> None:
+    def admit(self, visitor: Visitor, coming: int, *, new: bool) -> None:
         """Let a visitor bring a record: a new one gets a folder, that of one who was here must be there still.
+
+        Args:
+            visitor: who brings it.
+            coming: bytes that may come, those of others that are on their way included.
+            new: whether the visitor was not here before.
 
         Raises:
             PageError: a further visitor would be too many, the folder is full, or it is gone.
@@ -211,8 +212,21 @@ class Sessions:
                 f"{self.limits.visitors} visitors have data on this page, and no more are taken; ask one of them to "
                 'press "Delete my data", or come back later.'
             )
-        visitor.require_room(self.limits)
+        self.require_room(visitor, coming)
         visitor.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+
+    def require_room(self, visitor: Visitor, coming: int = 0) -> None:
+        """Raise a `PageError` where a visitor's folder is full, or all of them are with what is coming, in bytes."""
+        if (size := visitor.size()) > self.limits.kept:
+            raise PageError(
+                f"Your data takes {megabytes(size)}, and at most {megabytes(self.limits.kept)} are kept; press "
+                '"Delete my data" first.'
+            )
+        if (size := sum(one.size() for one in self.all())) + coming > self.limits.everything:
+            raise PageError(
+                f"The data of all visitors takes {megabytes(size)}, and at most {megabytes(self.limits.everything)} "
+                'are kept, with what is on its way; press "Delete my data" if you are done, or come back later.'
+            )
 
     def expire(self) -> None:
         """Remove the folders of visitors who did not come back, unless something of theirs runs."""
