@@ -13,7 +13,7 @@ from jointid.data.formats import Table
 from jointid.jointfile import json_schema, load, loads
 from jointid.paper.twin import JOINT_FILE
 from jointid.web.fields import EXTRA_LAW, FIELDS, JOINT_STEP, LAWS, LEARN, NAMES, WITHOUT
-from jointid.web.form import cleaned, imported, ordered, told
+from jointid.web.form import cleaned, imported, ordered, record_tables, tables, told
 from jointid.web.plots import column_svg
 from jointid.web.preview import preview
 from jointid.web.roles import guessed_roles
@@ -29,6 +29,7 @@ FILLED = {
     "controller.kp": "60",
     "controller.kv": "500",
 }
+MOTOR = {"record.channels.motor_position.column": "q"}
 
 
 def keys(schema: dict[str, Any], inside: dict[str, Any], law: str) -> dict[str, dict[str, Any]]:
@@ -93,7 +94,10 @@ def test_what_is_filled_in_is_what_is_written() -> None:
     [
         ({"controller.kp": "-1"}, "controller.kp", "Position gain kp is -1"),
         ({"controller.kp": "fast"}, "controller.kp", 'is "fast"; expected a number'),
-        ({"controller.kp": "1,5"}, "controller.kp", 'is "1,5"; expected a number'),
+        ({"controller.kp": "1,5"}, "controller.kp", 'is "1,5"; expected a number with a decimal point: write 1.5.'),
+        ({"controller.kp": "1_0"}, "controller.kp", 'is "1_0"; expected a number in plain digits'),
+        ({"controller.gain": "\u0663"}, "controller.gain", "expected a number in plain digits"),
+        ({"controller.law": LEARN, "controller.gain": "1_0", **MOTOR}, "controller.gain", "in plain digits"),
         ({"controller.kp": "nan"}, "controller.kp", "expected a number"),
         ({"controller.kv": ""}, "controller.kv", "Velocity gain kv is missing"),
         ({"controller.law": ""}, "controller.law", "is not chosen"),
@@ -101,8 +105,11 @@ def test_what_is_filled_in_is_what_is_written() -> None:
         ({"controller.law": "made up"}, "controller.law", ""),
         ({"controller.law": "pd"}, "controller.kd", "is missing"),
         ({"joint.friction": "none"}, "joint.friction", 'Friction "none" cannot'),
-        ({"controller.velocity_filter": "0.5; x"}, "controller.velocity_filter", ""),
+        ({"controller.velocity_filter": "0.5; x"}, "controller.velocity_filter", "in plain digits"),
+        ({"controller.velocity_filter": "0,5; 0,5"}, "controller.velocity_filter", "write 0.5."),
         ({"extra": "[parameters"}, "extra", "is not TOML"),
+        ({"extra": '[[records]]\nfile = "/etc/passwd"'}, "extra", "says [[records]], and this page identifies one"),
+        ({"extra": "[together]"}, "extra", "use jointid together for several records"),
         ({"extra": "[controller]\nkp = 3.0"}, "controller.kp", "further lines and in its field"),
     ],
 )
@@ -113,6 +120,24 @@ def test_a_fault_stands_beside_its_field(changes: dict[str, str], name: str, sai
     faults = told(refused.value, draft, {"extra", *(one.name for one in JOINT_STEP)})
     beside = [*faults.beside.get(name, []), *(faults.general if name == "controller.law" else ())]
     assert any(said in sentence for sentence in beside), faults
+
+
+@pytest.mark.parametrize("text", ["12", "-0.5", "+3.", ".5", "1e-3", "2.5E6", " 7 "])
+def test_plain_numbers_are_read(text: str) -> None:
+    draft = {**FILLED, "record.channels.torque.gain": text}
+    assert tables(draft, "a.csv")["record"]["channels"]["torque"]["gain"] == float(text)
+
+
+@pytest.mark.parametrize("said", ["[[records]]\nfile = '/etc/passwd'", "[together]", "[record]\nfile = '/etc/passwd'"])
+def test_no_lines_lead_to_another_file(said: str) -> None:
+    for read in (ordered, record_tables):
+        with pytest.raises(JointFileError):
+            read({**FILLED, "extra": said}, "a.csv")
+    if "[record]" not in said:
+        with pytest.raises(JointFileError, match=r"^The joint file says .* this page identifies one record"):
+            imported(said)
+    else:
+        assert "passwd" not in imported(said)["extra"]
 
 
 def test_a_draft_holds_what_the_form_has_and_no_more() -> None:

@@ -21,6 +21,11 @@ _STAND_IN = {"law": "cascade", "kp": 1.0, "kv": 1.0}
 """A law that stands where the real one is not known yet, to have the rest checked."""
 
 _LAW = "controller.law"
+_SEVERAL = {"records": "[[records]]", "together": "[together]"}
+"""Tables of a joint file that read other records than the visitor's."""
+
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+_COMMA = re.compile(r"([+-]?[0-9]*),([0-9]+)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +75,7 @@ def tables(draft: Draft, file: str) -> dict[str, Any]:
         file: name of the record.
 
     Raises:
-        JointFileError: the further lines are no TOML, or say again what a field says.
+        JointFileError: the further lines are no TOML, name other records, or say again what a field says.
     """
     made: dict[str, Any] = {"record": {"file": file}}
     for one in FIELDS:
@@ -79,7 +84,7 @@ def tables(draft: Draft, file: str) -> dict[str, Any]:
             _put(made, one.key.split("."), _value(one, text))
     if draft.get(_LAW) not in LAWS:
         made.pop("controller", None)
-    extra = _parsed(draft.get(EXTRA, ""))
+    extra = _parsed(draft.get(EXTRA, ""), EXTRA)
     if draft.get(_LAW) == WITHOUT and _at(extra, ["method", "name"]) is None:
         made.setdefault("method", {})["name"] = "idim"
     return _merged(made, extra)
@@ -140,7 +145,8 @@ def told(error: JointFileError, draft: Draft, names: Collection[str]) -> Faults:
         keys = [".".join(parts[:n]) for n in range(len(parts), 0, -1)]
         found = next((shown[k] for key in keys for k in (key, f"{key}.column") if k in shown), None)
         if found is not None:
-            beside.setdefault(found.name, []).append(sentence.replace(place, found.label, 1))
+            said = _no_number(found, draft) or sentence.replace(place, found.label, 1)
+            beside.setdefault(found.name, []).append(said)
         elif place == EXTRA and EXTRA in names:
             beside.setdefault(EXTRA, []).append(sentence)
         else:
@@ -155,9 +161,9 @@ def imported(text: str) -> dict[str, str]:
         text: of the joint file.
 
     Raises:
-        JointFileError: it is no TOML.
+        JointFileError: it is no TOML, or of several records.
     """
-    rest = _parsed(text)
+    rest = _parsed(text, "The joint file")
     draft: dict[str, str] = {}
     law = _at(rest, ["controller", "law"])
     deciding = {name: _at(rest, name.split(".")) for name in ("joint.kind", "joint.model")}
@@ -202,17 +208,39 @@ def _value(one: Field, text: str) -> Any:
     try:
         match one.form:
             case "number":
-                return float(text)
+                return _decimal(text)
             case "numbers":
-                return [float(part) for part in text.replace(";", ",").replace("[", "").replace("]", "").split(",")]
+                return [_decimal(part) for part in text.strip("[]").split(";" if ";" in text else ",")]
             case "sign":
-                return int(text)
+                return {"1": 1, "-1": -1}.get(text, text)
             case "flag":
                 return {"true": True, "false": False}.get(text, text)
             case _:
                 return text
     except ValueError:
         return text
+
+
+def _decimal(text: str) -> float:
+    """Return a plain decimal number; Python reads more as one, such as 1_0 and the digits of other scripts.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not _NUMBER.fullmatch(text.strip()):
+        raise ValueError
+    return float(text)
+
+
+def _no_number(one: Field, draft: Draft) -> str | None:
+    """Return what is said of a text where numbers belong, None where there is nothing to say."""
+    text = draft.get(one.name, one.usual).strip()
+    if one.form not in ("number", "numbers") or not text or not isinstance(_value(one, text), str):
+        return None
+    if comma := _COMMA.search(text):
+        whole, fraction = comma.groups()
+        return f'{one.label} is "{text}"; expected a number with a decimal point: write {whole or 0}.{fraction}.'
+    return f'{one.label} is "{text}"; expected a number in plain digits, such as 12.5 or 1e-3: correct it.'
 
 
 def _shown(one: Field, value: Any) -> str | None:
@@ -281,8 +309,23 @@ def _merged(made: dict[str, Any], extra: Mapping[str, Any], path: tuple[str, ...
     return joined
 
 
-def _parsed(text: str) -> dict[str, Any]:
+def _parsed(text: str, place: str) -> dict[str, Any]:
+    """Return the tables of a text.
+
+    Args:
+        text: of a joint file, or of some lines of one.
+        place: where it stands, which begins the sentence on a fault.
+
+    Raises:
+        JointFileError: it is no TOML, or says what this page does not do.
+    """
     try:
-        return tomllib.loads(text)
+        said = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
-        raise JointFileError(f"extra is not TOML ({error}); correct the further lines.") from None
+        raise JointFileError(f"{place} is not TOML ({error}); correct it.") from None
+    if several := [written for key, written in _SEVERAL.items() if key in said]:
+        raise JointFileError(
+            f"{place} says {' and '.join(several)}, and this page identifies one record, the one that was sent; remove "
+            "that, or use jointid together for several records."
+        )
+    return said
