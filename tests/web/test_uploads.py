@@ -113,6 +113,15 @@ def test_only_formats_that_are_read_are_taken(asker: Asker, log: bytes, name: st
     assert not asker.kept
 
 
+def test_a_name_is_not_looked_for_on_this_machine(
+    asker: Asker, log: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there.run").mkdir()  # where it is looked for, a folder is a bag
+    assert "there.run has the suffix" in asker.said("there.run", log)
+    assert not asker.kept
+
+
 class Boom:
     """An object that would run code when it is unpickled."""
 

@@ -170,8 +170,12 @@ def _checked_tables(draft: Mapping[str, str], file: str) -> dict[str, Any]:
 
 
 def _accepted(name: str) -> None:
-    """Raise a `JointidError` for a name whose suffix tells no format; folders, which have none, cannot be sent."""
-    if not Path(name).suffix:
-        known = ", ".join(suffix for entry in FORMATS for suffix in entry.suffixes)
-        raise PageError(f"{name} has no suffix, which tells its format; expected one of {known}: rename it.")
-    format_of(name)
+    """Raise a `PageError` for a name whose suffix tells no format; that of a folder has none, and cannot be sent.
+
+    The name is the browser's: it is looked at as a text, and never for on this machine.
+    """
+    suffix = Path(name).suffix.lower()
+    known = [known for entry in FORMATS for known in entry.suffixes]
+    if suffix not in known:
+        fact = f'the suffix "{suffix}", which names no known format' if suffix else "no suffix, which tells its format"
+        raise PageError(f"{name} has {fact}; expected one of {', '.join(known)}: rename it.")
