@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from jointid.data.formats import Table
+from jointid.data.outline import Outlining
 from jointid.data.record import FloatArray
 from jointid.web.roles import guessed_roles
 
@@ -38,25 +40,21 @@ def duration(preview: Mapping[str, Any], time: str | None) -> float | None:
 
 
 def _column(name: str, values: FloatArray, *, drawn: bool) -> dict[str, Any]:
-    finite = values[np.isfinite(values)]
+    found = Outlining()
+    found.take(np.where(np.isfinite(values), values, np.nan))
+    if found.missing == found.rows:
+        return {"name": name, "samples": found.rows, "low": None, "high": None, "outline": None}
+    outline = found.outline()
+    sides = zip(*outline.stretches(_PIECES), strict=True)
     return {
         "name": name,
-        "samples": int(values.size),
-        "low": _number(finite.min()) if finite.size else None,
-        "high": _number(finite.max()) if finite.size else None,
-        "outline": _outline(values) if drawn and finite.size else None,
+        "samples": outline.rows,
+        "low": _number(outline.minimum),
+        "high": _number(outline.maximum),
+        "outline": [[_number(value) for value in side] for side in sides] if drawn else None,
     }
 
 
-def _outline(values: FloatArray) -> list[list[float | None]]:
-    """Return the lowest and the highest value of each stretch."""
-    edges = np.linspace(0, values.size, min(_PIECES, values.size) + 1).astype(np.int64)
-    real = np.isfinite(values)
-    low = np.minimum.reduceat(np.where(real, values, np.inf), edges[:-1])
-    high = np.maximum.reduceat(np.where(real, values, -np.inf), edges[:-1])
-    return [[_number(value) for value in side] for side in (low, high)]
-
-
-def _number(value: float | np.floating[Any]) -> float | None:
-    """Return a number with the digits a picture needs; None for one that is not finite."""
-    return float(f"{value:.6g}") if np.isfinite(value) else None
+def _number(value: float | None) -> float | None:
+    """Return a number with the digits a picture needs; None where there is none."""
+    return None if value is None or math.isnan(value) else float(f"{value:.6g}")
