@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -19,14 +20,15 @@ def served(*words: object) -> int:
     return end.value.code
 
 
+def opened(folder: Path, host: str, port: int, tell: Callable[[str], None]) -> None:
+    """Stand in for a page that is served."""
+    tell(f"http://{host}:{port}/")
+
+
 @pytest.mark.parametrize(("host", "warned"), [("127.0.0.1", False), ("localhost", False), ("0.0.0.0", True)])
 def test_only_another_host_than_this_machine_is_warned_of(
     host: str, warned: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def opened(folder: Path, host: str, port: int, tell: object) -> None:
-        assert callable(tell)
-        tell(f"http://{host}:{port}/")
-
     monkeypatch.setattr(serving, "serve", opened)
     assert served("--host", host, "--folder", tmp_path) == 0
     said = capsys.readouterr()
@@ -63,3 +65,14 @@ def test_the_folder_is_its_owners_alone(tmp_path: Path) -> None:
         taken.listen()
         served("--port", taken.getsockname()[1], "--folder", tmp_path / "page")
     assert (tmp_path / "page").stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows tells by other means who may read a folder")
+@pytest.mark.parametrize(("mode", "warned"), [(0o700, False), (0o750, True), (0o701, True), (0o755, True)])
+def test_a_folder_that_others_may_read_is_warned_of(
+    mode: int, warned: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(serving, "serve", opened)
+    tmp_path.chmod(mode)
+    assert served("--folder", tmp_path) == 0
+    assert (f"other users of this machine may read {tmp_path}" in " ".join(capsys.readouterr().err.split())) == warned

@@ -28,6 +28,7 @@ def serve(
     """
     from jointid.cli.console import show, tell
     from jointid.web.limits import LOOPBACK
+    from jointid.web.serving import others_read
     from jointid.web.serving import serve as served
 
     def opened(address: str) -> None:
@@ -36,6 +37,11 @@ def serve(
             tell(
                 f"Warning: {host} lets everyone who reaches this machine use the page, unencrypted and without a "
                 "password; use it in a network you trust, or leave --host out."
+            )
+        if others_read(folder):
+            tell(
+                f"Warning: other users of this machine may read {folder}, and so the records and answers in it; leave "
+                "it to its owner alone (chmod 700), or name another folder by --folder."
             )
         if open_:
             import webbrowser

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import socket
+import stat
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,7 +18,7 @@ def serve(folder: Path, host: str, port: int, opened: Callable[[str], None]) -> 
     """Serve the page until it is interrupted.
 
     Args:
-        folder: in which everything is kept; it is made, and only its owner may read it.
+        folder: in which everything is kept; it is made if it is not there, and then its owner alone may read it.
         host: name or address to listen at.
         port: 0 takes a free one.
         opened: is told the page's address as soon as it can be reached.
@@ -44,6 +46,11 @@ def serve(folder: Path, host: str, port: int, opened: Callable[[str], None]) -> 
     opened(address)
     with listening:
         server.run(sockets=[listening])
+
+
+def others_read(folder: Path) -> bool:
+    """Return whether other users of this machine may list a folder or reach what is in it, where the system tells."""
+    return os.name == "posix" and bool(folder.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO))
 
 
 def _listening(host: str, port: int) -> socket.socket:
