@@ -276,6 +276,11 @@ def profiles_chart(given: Dossier) -> Chart | None:
         "criterion has risen. The interval ends where the line passes 2; the dashed line is what the table's interval, "
         "by the slopes at the estimate alone, takes it for. Where the two part, the profile is to be believed."
     )
+    if any(one.improved for one in shown):
+        caption += (
+            " Rigid DIDIM ends where the simulated motion's regressor sees nothing more in the error, which is not quite "
+            "where the squares are least: a profile may go below the estimate, by less than its interval."
+        )
     return Chart("profiles", caption, panels, columns=3)
 
 
