@@ -80,6 +80,19 @@ def identified(file: JointFile, record: Path | None, listener: Progress) -> tupl
     return logged, estimate
 
 
+def with_loop_checked(file: JointFile, logged: Record, estimate: Estimate) -> Estimate:
+    """Return an estimate with the verdict on its loop, where its search ends at a least-squares minimum.
+
+    The paper's search need not, and its loop would be blamed for that.
+    """
+    from jointid.assessment.loop import with_loop_verdict
+    from jointid.estimation.flexible import FlexibleDIDIM
+
+    if isinstance(file.method, FlexibleDIDIM) and file.method.minimiser != "least-squares":
+        return estimate
+    return with_loop_verdict(estimate, logged)
+
+
 def check_outputs(figure: Path | None = None, *files: Path | None) -> None:
     """Refuse, before anything runs, what could not be written after it.
 

@@ -47,9 +47,7 @@ def identify(
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         quiet: say nothing of the progress.
     """
-    from jointid.assessment.loop import with_loop_verdict
-    from jointid.cli.console import check_outputs, identified, progress, show
-    from jointid.estimation.flexible import FlexibleDIDIM
+    from jointid.cli.console import check_outputs, identified, progress, show, with_loop_checked
     from jointid.jointfile import load
 
     listener = progress(quiet)
@@ -66,8 +64,7 @@ def identify(
         drift=drift,
     )
     logged, estimate = identified(file, record, listener)
-    if not isinstance(file.method, FlexibleDIDIM) or file.method.minimiser == "least-squares":
-        estimate = with_loop_verdict(estimate, logged)  # the paper's search need not end where least squares would
+    estimate = with_loop_checked(file, logged, estimate)
     show(estimate)
     if json is not None:
         from jointid import answers

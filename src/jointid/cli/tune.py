@@ -40,7 +40,7 @@ def tune(
         figure: also save the responses of joint and loop, with the interval as a band, as PNG, SVG or PDF.
         quiet: say nothing of the progress.
     """
-    from jointid.cli.console import check_outputs, identified, progress, show
+    from jointid.cli.console import check_outputs, identified, progress, show, with_loop_checked
     from jointid.jointfile import load
     from jointid.tuning.settings import Tuning
     from jointid.tuning.tune import tune as run
@@ -49,7 +49,8 @@ def tune(
     check_outputs(figure, json)
     settings = Tuning(gain_margin, phase_margin, modulus, confidence, notch, false_alarm, power)
     file = load(joint).overridden(method="didim")
-    _, estimate = identified(file, record, listener)
+    logged, estimate = identified(file, record, listener)
+    estimate = with_loop_checked(file, logged, estimate)  # margins are of the loop as it is declared
     tuned = run(estimate, settings, drive=file.drive, progress=listener)
     show(tuned)
     if json is not None:
