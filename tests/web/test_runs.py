@@ -120,6 +120,7 @@ def test_cancelling_ends_the_process(client: TestClient, asker: Asker, log: byte
     assert "You cancelled it" in asker.post(f"/runs/{run.number}/cancel")[1]
     assert ended(run) == ended(second) == "cancelled"
     assert not alive(pid)
+    assert not run.has("answer.json")  # it did not run to its end
     time.sleep(0.3)
     assert second.lines() == []  # it never began
 

@@ -65,32 +65,9 @@ def identified(file: JointFile, record: Path | None, listener: Progress) -> tupl
     Raises:
         JointidError: the record cannot be read, or the joint cannot be identified from it.
     """
-    from jointid.estimation.identify import identify
-
     logged = file.record(record)
     ready(listener)
-    estimate = identify(
-        logged,
-        file.loop or file.joint,
-        file.method,
-        filtering=file.filtering,
-        parameters=file.parameters,
-        progress=listener,
-    )
-    return logged, estimate
-
-
-def with_loop_checked(file: JointFile, logged: Record, estimate: Estimate) -> Estimate:
-    """Return an estimate with the verdict on its loop, where its search ends at a least-squares minimum.
-
-    The paper's search need not, and its loop would be blamed for that.
-    """
-    from jointid.assessment.loop import with_loop_verdict
-    from jointid.estimation.flexible import FlexibleDIDIM
-
-    if isinstance(file.method, FlexibleDIDIM) and file.method.minimiser != "least-squares":
-        return estimate
-    return with_loop_verdict(estimate, logged)
+    return logged, file.identify(logged, listener)
 
 
 def check_outputs(figure: Path | None = None, *files: Path | None) -> None:

@@ -47,7 +47,8 @@ def identify(
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         quiet: say nothing of the progress.
     """
-    from jointid.cli.console import check_outputs, identified, progress, show, with_loop_checked
+    from jointid.assessment.loop import with_loop_verdict
+    from jointid.cli.console import check_outputs, identified, progress, show
     from jointid.jointfile import load
 
     listener = progress(quiet)
@@ -64,7 +65,8 @@ def identify(
         drift=drift,
     )
     logged, estimate = identified(file, record, listener)
-    estimate = with_loop_checked(file, logged, estimate)
+    if file.tells_of_its_loop:
+        estimate = with_loop_verdict(estimate, logged)
     show(estimate)
     if json is not None:
         from jointid import answers

@@ -40,7 +40,8 @@ def tune(
         figure: also save the responses of joint and loop, with the interval as a band, as PNG, SVG or PDF.
         quiet: say nothing of the progress.
     """
-    from jointid.cli.console import check_outputs, identified, progress, show, with_loop_checked
+    from jointid.assessment.loop import with_loop_verdict
+    from jointid.cli.console import check_outputs, identified, progress, show
     from jointid.jointfile import load
     from jointid.tuning.settings import Tuning
     from jointid.tuning.tune import tune as run
@@ -50,7 +51,8 @@ def tune(
     settings = Tuning(gain_margin, phase_margin, modulus, confidence, notch, false_alarm, power)
     file = load(joint).overridden(method="didim")
     logged, estimate = identified(file, record, listener)
-    estimate = with_loop_checked(file, logged, estimate)  # margins are of the loop as it is declared
+    if file.tells_of_its_loop:  # margins are of the loop as it is declared
+        estimate = with_loop_verdict(estimate, logged)
     tuned = run(estimate, settings, drive=file.drive, progress=listener)
     show(tuned)
     if json is not None:

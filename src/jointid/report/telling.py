@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from jointid.assessment.dossier import Dossier
-from jointid.common.text import number
+from jointid.common.text import interval, number
 from jointid.estimation.estimate import Estimate
 from jointid.model.joints import frequencies
 
@@ -86,8 +86,9 @@ def _known(estimate: Estimate, name: str) -> str:
     p = estimate[name]
     if p.value is None:
         return "an inertia that is not told"
-    spread = " (kept fixed)" if not p.free else "" if p.std is None else f" ± {number(2 * p.std, 2)}"
-    return f"{number(p.value)}{spread} {p.unit}" if p.free else f"{number(p.value)} {p.unit}{spread}"
+    if not p.free:
+        return f"{number(p.value)} {p.unit} (kept fixed)"
+    return f"{number(p.value) if p.std is None else interval(p.value, 2 * p.std)} {p.unit}"
 
 
 def _fit(estimate: Estimate) -> str:
@@ -119,7 +120,7 @@ def _sums(estimate: Estimate) -> tuple[str, ...]:
     if estimate.known is None:
         return ()
     told = [
-        f"{one.combination.formula} = {number(one.value)} ± {number(2 * one.std, 2)} {one.combination.unit}"
+        f"{one.combination.formula} = {interval(one.value, 2 * one.std)} {one.combination.unit}"
         for one in estimate.known.physical
         if one.combination.name.startswith("total") and one.verdict == "well"
     ]

@@ -12,7 +12,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from jointid.common.errors import JointFileError, JointidError
-from jointid.data.formats import format_of
+from jointid.data.formats import FORMATS, format_of
 from jointid.jointfile import JointFile
 from jointid.web import pages
 from jointid.web.desk import Desk
@@ -44,7 +44,7 @@ class Recording:
             visitor.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
             incoming = visitor.folder / "incoming"
             name = await received(
-                request.stream(), request.headers.get("content-type", ""), incoming, self.desk.limits.upload, format_of
+                request.stream(), request.headers.get("content-type", ""), incoming, self.desk.limits.upload, _accepted
             )
             await run_in_threadpool(self._taken, visitor, incoming, name, {})
         except JointidError as error:
@@ -169,3 +169,11 @@ def _checked_tables(draft: Mapping[str, str], file: str) -> dict[str, Any]:
     tables = record_tables(draft, file)
     JointFile.of(tables)
     return tables
+
+
+def _accepted(name: str) -> None:
+    """Raise a `JointidError` for a name whose suffix tells no format; folders, which have none, cannot be sent."""
+    if not Path(name).suffix:
+        known = ", ".join(suffix for entry in FORMATS for suffix in entry.suffixes)
+        raise PageError(f"{name} has no suffix, which tells its format; expected one of {known}: rename it.")
+    format_of(name)
