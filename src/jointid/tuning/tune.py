@@ -31,6 +31,10 @@ from jointid.tuning.worst import bench, worst
 _ROUNDS = 5  # of a proposal, and of looking for a joint that it fails
 _NEARLY = 0.995  # of a margin
 _DRAWN = 600  # frequencies that are kept of a response
+_DOUBTED = {
+    "fit": "the model does not explain the torque, so all of this may be of another joint",
+    "loop": "loop or log are not as declared, and all of this is of the declared one",
+}
 _SHARES, _MODES = (0.3, 0.5, 0.7), 60  # of a spring that a rigid joint may have
 
 
@@ -176,6 +180,13 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
     estimate, found = case.estimate, []
     if not estimate.converged:
         found.append("the identification did not end well, so all of this is of a joint that may be another one")
+    found += [
+        f"{_DOUBTED[v.subject]}: {v.said}" for v in estimate.verdicts if v.good is False and v.subject in _DOUBTED
+    ]
+    if estimate.bounds:
+        found.append(
+            'the stiffness is refused: what stands "at the estimate" is of the softest spring it leaves possible'
+        )
     if not present.worst.stable:
         found.append(
             "the interval holds joints with which the loop as it is would not be stable, though it ran: no margin of "
