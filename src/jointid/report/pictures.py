@@ -142,8 +142,8 @@ def profiles_chart(given: Dossier) -> Chart | None:
     )
     if any(one.improved for one in shown):
         caption += (
-            " Rigid DIDIM ends where the simulated motion's regressor sees nothing more in the error, which is not quite "
-            "where the squares are least: a profile may go below the estimate, by less than its interval."
+            " Rigid DIDIM ends where the simulated motion's regressor sees nothing more in the error, which is not "
+            "quite where the squares are least: a profile may go below the estimate."
         )
     return Chart("profiles", caption, panels, columns=3)
 

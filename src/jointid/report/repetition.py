@@ -67,9 +67,7 @@ def repetition(joint: Path, record: Path, options: Mapping[str, object], html: s
                 digest.update(block)
     except OSError as error:
         why = (error.strerror or type(error).__name__).lower()
-        raise RecordError(
-            f"{error.filename} cannot be opened ({why}); check the path, or name the record with --record."
-        ) from None
+        raise RecordError(f"{error.filename} cannot be opened ({why}); check the path.") from None
     return Repetition(
         record_name=record.name,
         record_sha256=digest.hexdigest(),

@@ -117,8 +117,8 @@ def suspects_table(given: Dossier) -> Table | None:
         for s in given.loop.suspects
     )
     said = (
-        "Every test of loop and log, each as if nothing else were wrong; the sentences above take in, one after the other, "
-        "what was found before them. Friction towards standstill is tested one way only"
+        "Every test of loop and log, each as if nothing else were wrong; the sentences above take in, one after the "
+        "other, what was found before them. Friction towards standstill is tested one way only"
     )
     return Table(("suspect", "more than declared", "± 2 sigma", "statistic", "p"), rows, said)
 

@@ -123,9 +123,7 @@ def _reading(path: Path) -> Iterator[None]:
             raise RecordError(f"{path.name} is empty (0 bytes); log or copy it again.")
         yield
     except OSError as error:
-        raise RecordError(
-            f"{path} cannot be opened ({_reason(error)}); check the path, or name the record with --record."
-        ) from error
+        raise RecordError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
 
 
 def write_table(path: str | os.PathLike[str], table: Table, **options: object) -> None:
