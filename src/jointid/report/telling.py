@@ -85,7 +85,7 @@ def _side(estimate: Estimate) -> tuple[str, ...]:
 def _known(estimate: Estimate, name: str) -> str:
     p = estimate[name]
     if p.value is None:
-        return "an inertia that is not told"
+        return f"{'an inertia' if 'inertia' in name else 'a friction'} that is not told"
     if not p.free:
         return f"{number(p.value)} {p.unit} (kept fixed)"
     return f"{number(p.value) if p.std is None else interval(p.value, 2 * p.std)} {p.unit}"

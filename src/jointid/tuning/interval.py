@@ -142,7 +142,7 @@ def _springs(estimate: Estimate, confidence: float, last: float) -> Interval:
     listed = ", ".join(f"{number(bound.frequency, 3)} Hz at {bound.share:g}" for bound in bounded)
     said = (
         "the stiffness is refused: all springs no softer than its bounds, which are modes by the load's share of the "
-        f"inertia ({listed}; 95 % each), damped by {100 * DAMPING:g} % or more, and the {100 * confidence:g} % "
+        f"inertia ({listed}; 95 % each), damped by {100 * DAMPING:g} %, and the {100 * confidence:g} % "
         "interval of the total inertia"
     )
     if unbounded:

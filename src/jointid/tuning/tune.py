@@ -15,6 +15,7 @@ from jointid.data.drive import Drive
 from jointid.data.record import FloatArray
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.stiffness_bounds import DAMPING
+from jointid.estimation.surroundings import of_law
 from jointid.model.controllers import PD, PID, Cascade, Controller, Timed
 from jointid.model.joints import FlexibleJoint, RigidJoint, acts_on_whole, frequencies
 from jointid.model.linear import ComplexArray, linear_joints
@@ -150,7 +151,7 @@ def _proposed(
         if kept(found.margins[np.newaxis], settings, _NEARLY):
             return layout, case.judged(layout.controller), []
         points = np.concatenate([points, found.points])
-    said = "no gains of this structure keep the asked margins for all joints of the interval"
+    said = "no gains of this structure were found that keep the asked margins for all joints of the interval"
     return None, None, [f"{said}; ask for less, or narrow the interval (jointid advise says how)"]
 
 
@@ -185,8 +186,13 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
     ]
     if estimate.bounds:
         found.append(
-            'the stiffness is refused: what stands "at the estimate" is of the softest spring it leaves possible'
+            'the stiffness is refused: what stands "at the estimate" is of the softest spring it leaves possible, and '
+            "the worst case is that of the springs looked at, each with the friction as it was found: no statement of "
+            "one confidence"
         )
+    held = [p.name for p in estimate.parameters if p.free and not p.of_joint and of_law(p.name)]
+    if held:
+        found.append(f"the interval is of the joint: {', '.join(held)} stand at the values that were found for them")
     if not present.worst.stable:
         found.append(
             "the interval holds joints with which the loop as it is would not be stable, though it ran: no margin of "
@@ -233,7 +239,7 @@ def _with_a_mode(case: _Case, said: str, loop: LoopMargins, asked: bool) -> str:
     if lowest is None:
         return f"{said} with no mode up to half the sampling frequency that is damped by {100 * DAMPING:g} % only"
     where = "any mode above its crossover" if lowest == modes[0] else f"a first mode above {number(lowest, 3)} Hz"
-    return f"{said} with {where}, damped by {100 * DAMPING:g} % or more (load shares {_SHARES[0]} to {_SHARES[-1]})"
+    return f"{said} with {where}, damped by {100 * DAMPING:g} % (load shares {_SHARES[0]} to {_SHARES[-1]})"
 
 
 def _band(hertz: FloatArray, response: ComplexArray) -> Band:
