@@ -89,8 +89,9 @@ def simulate_sensitivities(
     Raises:
         MethodError: a name is none of these, or of a part that is not there, as a `ki` of 0.
     """
-    out = _taped(loop, experiment, values, names, initial)
-    return _derived(loop, experiment, values, names, out, positions)
+    own = tuple(p.name for p in loop.joint.parameters)
+    out = _taped(loop, experiment, values, own, names, initial)
+    return _derived(loop, experiment, values, own, names, out, positions)
 
 
 def simulate_with_sensitivities(
@@ -101,19 +102,21 @@ def simulate_with_sensitivities(
     initial: Initial | None = None,
 ) -> tuple[Simulation, FloatArray]:
     """Return what `simulate` does, and of `simulate_sensitivities` the derivatives of the torque, from one run."""
-    out = _taped(loop, experiment, values, names, initial)
-    return simulation_of(loop, experiment, out), _derived(loop, experiment, values, names, out, positions=False).torque
+    own = tuple(p.name for p in loop.joint.parameters)
+    out = _taped(loop, experiment, values, own, names, initial)
+    derived = _derived(loop, experiment, values, own, names, out, positions=False)
+    return simulation_of(loop, experiment, out), derived.torque
 
 
 def _taped(
     loop: ClosedLoop,
     experiment: Experiment,
     values: Mapping[str, float],
+    own: Sequence[str],
     names: Sequence[str],
     initial: Initial | None,
 ) -> Run:
     """Return a run with its whole tape, in memory that the next one takes."""
-    own = tuple(p.name for p in loop.joint.parameters)
     for name in names:
         if _is_of_law(own, name):
             number(loop.controller, name)
@@ -128,12 +131,12 @@ def _derived(
     loop: ClosedLoop,
     experiment: Experiment,
     values: Mapping[str, float],
+    own: Sequence[str],
     names: Sequence[str],
     out: Run,
     positions: bool,
 ) -> Sensitivities:
     """Return the derivatives of a run."""
-    own = tuple(p.name for p in loop.joint.parameters)
     response = response_of(experiment, out)
     if out.outcome is not Outcome.FINISHED:
         torque = np.zeros((response.torque.size, len(names)))
@@ -208,10 +211,10 @@ def _followed(
     law, width = experiment.feedback, tangents.LANES
     seeds, weights, start = np.zeros((14, width)), np.zeros((3, width)), np.zeros((4, width))
     memory, delay, limits = np.zeros((law.order, width)), np.zeros(width), np.zeros((law.limits.size, width))
-    explicit = []
+    explicit, by_name = [], coefficient_seeds(loop.joint.coefficients, own)
     for j, name in enumerate(names):
-        if name in own:
-            seeds[:, j] = coefficient_seed(loop.joint.coefficients, own, name)
+        if name in by_name:
+            seeds[:, j] = by_name[name]
             if out.gravity is not None:
                 weights[:, j] = gravity_seed(loop.joint, own, name)
             if out.velocity != 0.0 or out.gravity is not None:  # else it begins where the motor is, whatever it is like
@@ -259,12 +262,13 @@ def taped_rows(samples: int) -> int:
     return _TAPED + samples // 16
 
 
-def coefficient_seed(
-    coefficients: Callable[[Mapping[str, float]], FloatArray], own: Sequence[str], name: str
-) -> FloatArray:
-    """Return how the kernels' coefficients depend on a parameter of the joint, of its own: they are linear in it."""
+def coefficient_seeds(
+    coefficients: Callable[[Mapping[str, float]], FloatArray], own: Sequence[str]
+) -> dict[str, FloatArray]:
+    """Return how the kernels' coefficients depend on each of the joint's own parameters: they are linear in them."""
     nothing = dict.fromkeys(own, 0.0)
-    return np.asarray(coefficients(nothing | {name: 1.0}) - coefficients(nothing))
+    constant = coefficients(nothing)
+    return {name: coefficients(nothing | {name: 1.0}) - constant for name in own}
 
 
 def gravity_seed(joint: Joint, own: Sequence[str], name: str) -> FloatArray:
