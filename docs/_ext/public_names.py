@@ -34,8 +34,8 @@ def several(_: Sphinx, what: str, name: str, thing: object, options: object, lin
 def spaced(_: Sphinx, doctree: nodes.document) -> None:
     """Part again, for the reader, what `several` kept together."""
     for text in list(doctree.findall(nodes.Text)):
-        if ",\u200b" in text:
-            text.parent.replace(text, nodes.Text(text.replace(",\u200b", ", ")))
+        if "\u200b" in text:
+            text.parent.replace(text, nodes.Text(text.replace("\u200b", " ")))
 
 
 def told_above(_: Sphinx, what: str, name: str, thing: object, skip: bool, options: object) -> bool | None:

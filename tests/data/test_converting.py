@@ -54,6 +54,16 @@ def test_names_that_fall_together_are_kept_apart(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_table(tmp_path / "run.mat").columns["a_b_3"], [3, 4])
 
 
+def test_long_names_that_are_cut_to_one_are_kept_apart(tmp_path: Path) -> None:
+    source, target = tmp_path / "run.csv", tmp_path / "run.mat"
+    names = [f"{'x' * 70}{i}" for i in range(12)]
+    write_table(source, Table({name: np.array([i, 2.0]) for i, name in enumerate(names)}))
+    made = convert(source, target).columns
+    assert len(set(made.values())) == 12
+    assert made[names[11]] == f"{'x' * 60}_12"
+    assert all(read_table(target).columns[made[name]][0] == i for i, name in enumerate(names))
+
+
 def test_only_the_columns_that_are_asked_for_are_taken(tmp_path: Path) -> None:
     source = tmp_path / "run.h5"
     LOGGED["hdf5"].write(source)

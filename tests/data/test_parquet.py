@@ -117,3 +117,53 @@ def test_a_run_that_was_cut_off_is_refused(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-1000])
     with pytest.raises(RecordError, match=r"run\.tdms ends in the middle of its data|run\.tdms cannot be read as TDMS"):
         read_table(path)
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".tdms"])
+def test_instants_of_several_columns_keep_their_distance(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"run{suffix}"
+    early = np.datetime64("2026-01-01T00:00:00.000000") + np.arange(3) * np.timedelta64(1, "ms")
+    late = early + np.timedelta64(250, "ms")
+    if suffix == ".parquet":
+        pq.write_table(pa.table({"a": pa.array(early), "b": pa.array(late.astype("datetime64[ms]"))}), path)
+    else:
+        with TdmsWriter(path) as writer:
+            writer.write_segment([ChannelObject("", "a", early), ChannelObject("g", "b", late)])
+    found = list(read_table(path).columns.values())
+    np.testing.assert_allclose(found, [[0, 0.001, 0.002], [0.25, 0.251, 0.252]], rtol=1e-12)
+
+
+def test_a_waveform_that_began_later_has_a_later_clock(tmp_path: Path) -> None:
+    path = tmp_path / "run.tdms"
+    begin = np.datetime64("2026-01-01T00:00:00.000000")
+    with TdmsWriter(path) as writer:
+        for name, start in (("trq", begin), ("pos", begin + np.timedelta64(250, "ms"))):
+            properties = {"wf_increment": 1e-3, "wf_start_offset": 0.0, "wf_start_time": start}
+            writer.write_segment([ChannelObject("g", name, np.zeros(3), properties=properties)])
+    table = read_table(path)
+    assert dict(table.clocks) == {"g/trq": "g/trq/time", "g/pos": "g/pos/time"}
+    assert table.columns["g/trq/time"][0] == 0
+    np.testing.assert_allclose(table.columns["g/pos/time"], [0.25, 0.251, 0.252], rtol=1e-12)
+
+
+def test_numbers_in_lists_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "run.parquet"
+    lists = pa.FixedSizeListArray.from_arrays(pa.array(np.zeros(1_000_000)), 1000)
+    pq.write_table(pa.table({"q": lists}), path)
+    monkeypatch.setattr(untrusted.require_size, "__defaults__", (2**20,))
+    with pytest.raises(RecordError, match=r"declares 7\.63 MiB of numbers"):
+        read_table(path)
+
+
+def test_lists_of_any_length_are_not_decoded(tmp_path: Path) -> None:
+    path = tmp_path / "run.parquet"
+    pq.write_table(pa.table({"lists": [[float(i)] * i for i in range(1000)], "q": np.arange(1000.0)}), path)
+    whole = path.read_bytes()
+    at = pq.ParquetFile(path).metadata.row_group(0).column(0)
+    start = at.dictionary_page_offset or at.data_page_offset
+    spoiled = bytearray(whole)
+    spoiled[start : start + at.total_compressed_size] = bytes(at.total_compressed_size)
+    path.write_bytes(bytes(spoiled))
+    table = read_table(path)
+    assert list(table.columns) == ["q"]
+    assert table.passed == {"lists": "its rows are lists of any length"}

@@ -172,6 +172,19 @@ def test_a_topic_that_cannot_be_read_is_told_and_the_others_are_read(tmp_path: P
     assert "/joint_states/elbow/position" in table.columns
 
 
+def test_a_topic_of_two_kinds_is_told_and_not_mixed(tmp_path: Path) -> None:
+    with Writer(tmp_path / "run", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for kind in ("std_msgs/msg/Float64", "std_msgs/msg/Float32"):
+            link = writer.add_connection("/goal", kind, typestore=STORE)
+            for stamp in (10**9, 2 * 10**9):
+                writer.write(link, stamp, STORE.serialize_cdr(T[kind](data=1.0), kind))
+        link = writer.add_connection("/other", "std_msgs/msg/Float64", typestore=STORE)
+        writer.write(link, 10**9, STORE.serialize_cdr(T["std_msgs/msg/Float64"](data=1.0), "std_msgs/msg/Float64"))
+    table = read_table(tmp_path / "run")
+    assert table.passed == {"/goal": "its messages are of more than one kind"}
+    assert list(table.columns) == ["/other/time", "/other"]
+
+
 # Hostile bytes
 # -------------
 
@@ -273,3 +286,27 @@ def test_a_bag_without_numbers_is_refused(tmp_path: Path) -> None:
         read_table(path)
     with pytest.raises(RecordError, match="place for the scalars"):
         write_table(tmp_path / "x.mcap", Table({"q": np.ones(2)}, {"kp": 1.0}))
+
+
+def test_a_topic_with_too_many_parts_or_two_joints_of_one_name_is_told(tmp_path: Path) -> None:
+    twice = T["sensor_msgs/msg/JointState"](
+        header=header(1), name=["a", "a"], position=np.array([1.0, 2.0]), velocity=np.empty(0), effort=np.empty(0)
+    )
+    pose = T["geometry_msgs/msg/Pose"](
+        T["geometry_msgs/msg/Point"](0.0, 0.0, 0.0), T["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    )
+    poses = T["geometry_msgs/msg/PoseArray"](header(1), [pose] * 3000)
+    path = write_bag(
+        tmp_path / "bag",
+        {
+            "/twice": ("sensor_msgs/msg/JointState", [(1, twice), (2, twice)]),
+            "/poses": ("geometry_msgs/msg/PoseArray", [(1, poses)]),
+            "/one": ("sensor_msgs/msg/JointState", [(1, state(1, a=5.0))]),
+        },
+    )
+    table = read_table(path)
+    assert list(table.columns) == ["/one/time", "/one/a/position"]
+    assert table.passed == {
+        "/twice": "a message of it has two numbers called '/twice/a/position'",
+        "/poses": "a message of it has more than 20000 parts",
+    }

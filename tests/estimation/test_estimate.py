@@ -11,7 +11,7 @@ import pytest
 
 from jointid import answers
 from jointid.common.errors import RecordError
-from jointid.common.text import number
+from jointid.common.text import interval, number
 from jointid.data.signals import Filtering
 from jointid.estimation.estimate import Estimate, Iteration, fingerprint, law_fingerprint, relative_error
 from jointid.estimation.estimated import EstimatedParameter
@@ -197,3 +197,15 @@ def test_a_law_with_a_slower_loop_and_no_period_of_its_own_has_a_fingerprint(slo
     first, again, *others = (law_fingerprint(loop) for loop in loops)
     assert first == again
     assert first not in others
+
+
+@pytest.mark.parametrize(
+    ("value", "spread", "said"),
+    [
+        (94.903, 0.92, "94.90 ± 0.92"), (207.53, 27.3, "208 ± 27"), (802861.0, 7353.0, "802861 ± 7353"),
+        (-3.1664, 0.89, "-3.17 ± 0.89"), (5.0, 0.0, "5.0000 ± 0"), (0.0, 1.0, "0 ± 1.0"),
+        (1e-7, 4e-6, "1.0e-07 ± 4.0e-06"),
+    ],
+)  # fmt: skip
+def test_a_value_has_as_many_places_as_its_interval(value: float, spread: float, said: str) -> None:
+    assert interval(value, spread) == said

@@ -149,7 +149,7 @@ def test_a_preview_is_small_and_has_the_peaks() -> None:
     values[54_321], values[7] = 5.0, np.nan
     found = preview(Table({"a": values, "b": np.full(3, np.nan)}))
     first, second = found["columns"]
-    assert (first["low"], first["high"], first["missing"], first["samples"]) == (0.0, 5.0, 1, 100_000)
+    assert (first["low"], first["high"], first["samples"]) == (0.0, 5.0, 100_000)
     assert len(first["outline"][0]) == 400
     assert max(first["outline"][1]) == 5.0
     assert (second["low"], second["outline"]) == (None, None)

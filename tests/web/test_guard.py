@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from jointid.web.application import application
+from jointid.web.limits import Limits
 from tests.web.asking import ORIGIN, Asker
 from tests.web.testclient import TestClient
 
@@ -87,3 +88,20 @@ def test_a_cookie_that_is_not_ours_leads_nowhere(client: TestClient, folder: Pat
 @pytest.mark.parametrize("path", ["/static/../application.py", "/static/%2e%2e/worker.py", "/runs/1/run.json", "/x"])
 def test_only_what_is_meant_to_be_had_is_given(client: TestClient, path: str) -> None:
     assert client.get(path).status_code == 404
+
+
+@pytest.mark.parametrize("digits", [300, 5000])
+def test_a_number_of_many_digits_leads_nowhere(client: TestClient, asker: Asker, log: bytes, digits: int) -> None:
+    asker.send("log.csv", log)
+    for path in (f"/runs/{'9' * digits}", f"/plot/{'9' * digits}.svg"):
+        assert client.get(path).status_code == 404
+
+
+@pytest.mark.parametrize("last", ["9" * 5000, "²"])
+def test_a_place_in_the_progress_that_is_no_number_is_the_beginning(
+    client: TestClient, asker: Asker, log: bytes, limits: Limits, last: str
+) -> None:
+    asker.send("log.csv", log)
+    asker.visitor.new_run(limits).update(state="done")
+    answer = client.get("/runs/1/events", headers={"last-event-id": last.encode("latin-1")})
+    assert "event: state" in answer.text

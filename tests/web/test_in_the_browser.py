@@ -133,6 +133,10 @@ def test_emps_end_to_end(browser: Any, address: str, emps_path: Path, tmp_path: 
     frame = page.frame_locator("iframe")
     frame.get_by_role("heading", level=1).wait_for(timeout=PATIENCE)
     visit.looked_at("5-report")
+    page.locator("iframe").evaluate("frame => frame.scrollIntoView()")
+    frame.get_by_role("heading", name="Verdicts").wait_for()
+    if SHOTS:
+        page.screenshot(path=Path(SHOTS) / f"{width}-6-frame.png")
     with page.expect_download() as downloading:
         page.get_by_role("link", name="Joint file").click()
     joint = tmp_path / "joint.toml"

@@ -8,6 +8,7 @@ import os
 import signal
 import time
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -120,6 +121,7 @@ def test_cancelling_ends_the_process(client: TestClient, asker: Asker, log: byte
     assert "You cancelled it" in asker.post(f"/runs/{run.number}/cancel")[1]
     assert ended(run) == ended(second) == "cancelled"
     assert not alive(pid)
+    assert not run.has("answer.json")  # it did not run to its end
     time.sleep(0.3)
     assert second.lines() == []  # it never began
 
@@ -187,3 +189,12 @@ def test_a_page_that_begins_again_says_what_was_cut_off(folder: Path, log: bytes
             time.sleep(0.05)
         assert not visitor.folder.exists()
         assert "log.csv" not in client.get("/").text
+
+
+def test_two_tabs_of_one_visitor_take_turns(client: TestClient, asker: Asker, log: bytes) -> None:
+    asker.send("log.csv", log)
+    asker.get("/channels")
+    tabs = [lambda: asker.send("one.csv", log), lambda: asker.send("two.csv", log), lambda: asker.post("/channels")]
+    with ThreadPoolExecutor() as pool:
+        codes = [each.result()[0] for each in [pool.submit(tab) for tab in tabs]]
+    assert codes == [200, 200, 200]

@@ -107,7 +107,7 @@ def test_a_size_that_nobody_announced_is_stopped_at_the_bound(tmp_path: Path) ->
 
 @pytest.mark.parametrize("name", ["run.exe", "run.csv.html", "run", "run.pkl", "run.svg"])
 def test_only_formats_that_are_read_are_taken(asker: Asker, log: bytes, name: str) -> None:
-    assert "names no known format" in asker.said(name, log)
+    assert ("names no known format" if "." in name else "has no suffix") in asker.said(name, log)
     assert not asker.kept
 
 
@@ -166,3 +166,11 @@ def test_a_full_page_takes_no_further_visitor(client: TestClient, asker: Asker, 
         assert asker.send("log.csv", log)[0] == 200
     client.cookies.clear()
     assert "visitors have data on this page" in asker.said("log.csv", log)
+
+
+def test_a_joint_file_fills_in_the_form_and_is_named(asker: Asker, log: bytes) -> None:
+    asker.send("log.csv", log)
+    code, text = asker.send("my axis+1.toml", b'[controller]\nlaw = "cascade"\nkp = 61.5\nkv = 500.0\n', "/jointfile")
+    assert code == 200
+    assert "Filled in from my axis+1.toml" in text
+    assert asker.visitor.draft["controller.kp"] == "61.5"

@@ -65,19 +65,9 @@ def identified(file: JointFile, record: Path | None, listener: Progress) -> tupl
     Raises:
         JointidError: the record cannot be read, or the joint cannot be identified from it.
     """
-    from jointid.estimation.identify import identify
-
     logged = file.record(record)
     ready(listener)
-    estimate = identify(
-        logged,
-        file.loop or file.joint,
-        file.method,
-        filtering=file.filtering,
-        parameters=file.parameters,
-        progress=listener,
-    )
-    return logged, estimate
+    return logged, file.identify(logged, listener)
 
 
 def check_outputs(figure: Path | None = None, *files: Path | None) -> None:

@@ -49,7 +49,6 @@ def identify(
     """
     from jointid.assessment.loop import with_loop_verdict
     from jointid.cli.console import check_outputs, identified, progress, show
-    from jointid.estimation.flexible import FlexibleDIDIM
     from jointid.jointfile import load
 
     listener = progress(quiet)
@@ -66,8 +65,8 @@ def identify(
         drift=drift,
     )
     logged, estimate = identified(file, record, listener)
-    if not isinstance(file.method, FlexibleDIDIM) or file.method.minimiser == "least-squares":
-        estimate = with_loop_verdict(estimate, logged)  # the paper's search need not end where least squares would
+    if file.tells_of_its_loop:
+        estimate = with_loop_verdict(estimate, logged)
     show(estimate)
     if json is not None:
         from jointid import answers

@@ -34,6 +34,14 @@ def number(value: float | None, digits: int = 5) -> str:
     return f"{value:.{digits - 1}e}"
 
 
+def interval(value: float, spread: float) -> str:
+    """Return a value and what it may be off by, ``94.90 ± 0.92``: two digits of the spread, and the value as far."""
+    if not (spread > 0 and value != 0.0 and math.isfinite(value / spread)):
+        return f"{number(value)} ± {number(spread, 2)}"
+    digits = math.floor(math.log10(abs(value))) - math.floor(math.log10(spread)) + 2
+    return f"{number(value, min(max(digits, 2), 9))} ± {number(spread, 2)}"
+
+
 def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[bool]) -> str:
     """Return rows under a header; the columns marked in `right` line up at their right edge."""
     table = [list(header), *[list(row) for row in rows]]

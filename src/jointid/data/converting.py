@@ -102,13 +102,19 @@ def _gathered(source: Path, columns: Sequence[str] | None, options: Mapping[str,
 def _names(names: list[str], writer: Format) -> dict[str, str]:
     """Return what every column is called in the target; no two have one name."""
     made = {name: name for name in names if writer.allowed(name, names) == name}
+    taken = set(made)
     for name in names:
         if name not in made:
-            wanted = made[name] = writer.allowed(name, names)
+            new = wanted = writer.allowed(name, names)
             count = 1
-            while list(made.values()).count(made[name]) > 1:
+            while new in taken:
                 count += 1
-                made[name] = writer.allowed(f"{wanted}_{count}")
+                end = f"_{count}"
+                new = writer.allowed(f"{wanted}{end}")
+                if not new.endswith(end):  # cut off: it is as long as a name may be
+                    new = writer.allowed(f"{wanted[: -len(end)]}{end}")
+            made[name] = new
+            taken.add(new)
     return {name: made[name] for name in names}
 
 

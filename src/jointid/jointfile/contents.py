@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 from jointid.common.errors import JointFileError, MethodError, RecordError
+from jointid.common.progress import Progress, silent
 from jointid.data.checks import CLOCK_TOLERANCE, check_record
 from jointid.data.columns import Column
 from jointid.data.drive import Drive
@@ -18,7 +19,9 @@ from jointid.data.record import Record
 from jointid.data.resampling import Resampling
 from jointid.data.signals import Filtering
 from jointid.data.writing import write
-from jointid.estimation.identify import Method
+from jointid.estimation.estimate import Estimate
+from jointid.estimation.flexible import FlexibleDIDIM
+from jointid.estimation.identify import Method, identify
 from jointid.estimation.idim import IDIM
 from jointid.jointfile import written
 from jointid.jointfile.channels import reachable, torque_unit
@@ -192,6 +195,29 @@ class JointFile:
         gear = self.joint.transmission
         check_record(record, limit=limit, side=None if gear is None else gear.side)
         return record
+
+    def identify(self, record: Record, progress: Progress = silent) -> Estimate:
+        """Identify the joint from a record, as the file says.
+
+        Args:
+            record: what `record` gave.
+            progress: is told each step.
+
+        Raises:
+            JointidError: see `jointid.estimation.identify.identify`.
+        """
+        model = self.loop or self.joint
+        return identify(
+            record, model, self.method, filtering=self.filtering, parameters=self.parameters, progress=progress
+        )
+
+    @property
+    def tells_of_its_loop(self) -> bool:
+        """Whether its estimate is where a check of the loop may begin.
+
+        The paper's search need not end where least squares would, and its loop would be blamed for that.
+        """
+        return not isinstance(self.method, FlexibleDIDIM) or self.method.minimiser == "least-squares"
 
     def log(self, path: str | os.PathLike[str] | None = None) -> Log:
         """Return the record as one that is read in pieces, when it is asked for; see `record`.

@@ -165,17 +165,9 @@ def report_file(
     Raises:
         JointidError: the record cannot be read, or the joint cannot be identified from it.
     """
-    from jointid.estimation.flexible import FlexibleDIDIM
-    from jointid.estimation.identify import identify
-
     logged = file.record(record)
-    estimate = identify(
-        logged, file.loop or file.joint, file.method, filtering=file.filtering, parameters=file.parameters,
-        progress=progress,
-    )  # fmt: skip
-    # The paper's search need not end where least squares would, and its loop would be blamed for that.
-    loop = not isinstance(file.method, FlexibleDIDIM) or file.method.minimiser == "least-squares"
-    found = dossier(estimate, logged, profiles=profiles, loop=loop, progress=progress)
+    estimate = file.identify(logged, progress)
+    found = dossier(estimate, logged, profiles=profiles, loop=file.tells_of_its_loop, progress=progress)
     return Report(found, file.name or "", repetition or Repetition())
 
 

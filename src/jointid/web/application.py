@@ -9,6 +9,7 @@ from pathlib import Path
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
+from starlette.convertors import IntegerConvertor, register_url_convertor
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
@@ -24,6 +25,15 @@ from jointid.web.running import Running
 from jointid.web.sessions import COOKIE, PageError
 
 _EXPIRE = 3600.0  # seconds between looks for visitors who did not come back
+
+
+class _Place(IntegerConvertor):
+    """A number in an address, of few digits: Python refuses to read thousands, and systems to look for such a file."""
+
+    regex = "[0-9]{1,9}"
+
+
+register_url_convertor("place", _Place())
 
 
 def application(folder: Path, host: str = "127.0.0.1", limits: Limits | None = None) -> Starlette:
@@ -86,15 +96,15 @@ def _routes(desk: Desk) -> list[Route]:
         Route("/again", recording.again, methods=["POST"]),
         Route("/channels", recording.channels, methods=["GET"]),
         Route("/channels", recording.save_channels, methods=["POST"]),
-        Route("/plot/{column:int}.svg", recording.plot),
+        Route("/plot/{column:place}.svg", recording.plot),
         Route("/joint", ordering.joint, methods=["GET"]),
         Route("/joint", ordering.save_joint, methods=["POST"]),
         Route("/jointfile", ordering.import_file, methods=["POST"]),
         Route("/draft", ordering.save_draft, methods=["POST"]),
-        Route("/runs/{number:int}", running.run),
-        Route("/runs/{number:int}/events", running.events),
-        Route("/runs/{number:int}/cancel", running.cancel, methods=["POST"]),
-        Route("/runs/{number:int}/{name:str}", running.file),
+        Route("/runs/{number:place}", running.run),
+        Route("/runs/{number:place}/events", running.events),
+        Route("/runs/{number:place}/cancel", running.cancel, methods=["POST"]),
+        Route("/runs/{number:place}/{name:str}", running.file),
         Route("/forget", forget, methods=["POST"]),
         Route("/static/{name:str}", static),
     ]

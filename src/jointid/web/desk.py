@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 from urllib.parse import parse_qsl
+from weakref import WeakValueDictionary
 
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
@@ -34,6 +36,11 @@ class Desk:
         self.limits = limits
         self.sessions = Sessions(folder, limits)
         self.jobs = Jobs(limits)
+        self._turns: WeakValueDictionary[Path, asyncio.Lock] = WeakValueDictionary()
+
+    def turn(self, visitor: Visitor) -> asyncio.Lock:
+        """Return what a request holds while it works on a visitor's files, so that one from another tab waits."""
+        return self._turns.setdefault(visitor.folder, asyncio.Lock())
 
     def known(self, request: Request) -> Visitor | None:
         """Return the visitor who has been here before, None where there is nothing of them."""

@@ -92,7 +92,7 @@ class Jobs:
         Raises:
             PageError: it refused; the sentences are its own.
         """
-        with self._reading, _process(action, folder) as process:
+        with self._reading, _Process(action, folder) as process:
             try:
                 code = process.wait(self._limits.reading)
             except subprocess.TimeoutExpired:
@@ -120,7 +120,7 @@ class Jobs:
             if job.cancelled.is_set():
                 _cancelled(run)
                 return
-            started = _process("identify", run.folder)
+            started = _Process("identify", run.folder)
             job.process = started.process
         run.update(state="running", sentence="", started=time.time())
         with started as process:
@@ -141,7 +141,7 @@ class Jobs:
             run.update(state=state, sentence="\n".join(_sentences(code, run.folder)), ended=time.time())
 
 
-class _process:  # noqa: N801
+class _Process:
     """A worker, its progress and its complaints going to files in its folder; ended when it is left."""
 
     def __init__(self, action: str, folder: Path) -> None:

@@ -6,6 +6,7 @@ import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import quote
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -16,6 +17,7 @@ from jointid.web import pages
 from jointid.web.desk import Desk
 from jointid.web.fields import EXTRA, JOINT_STEP
 from jointid.web.form import Faults, imported, ordered, told
+from jointid.web.names import safe_name
 from jointid.web.sessions import PageError, write_json
 from jointid.web.upload import received
 
@@ -31,7 +33,8 @@ class Ordering:
         visitor = self.desk.known(request)
         if visitor is None or visitor.preview is None:
             return RedirectResponse("/", 303)
-        return HTMLResponse(pages.joint_page(visitor, self.desk.limits, Faults()))
+        name = safe_name(request.query_params.get("imported", ""), "")
+        return HTMLResponse(pages.joint_page(visitor, self.desk.limits, Faults(), name))
 
     async def import_file(self, request: Request) -> Response:
         """Fill in the form from a joint file."""
@@ -53,7 +56,7 @@ class Ordering:
         finally:
             path.unlink(missing_ok=True)
         visitor.save_draft(draft)
-        return self.desk.to(request, f"/joint?imported={name}", token)
+        return self.desk.to(request, f"/joint?imported={quote(name)}", token)
 
     async def save_joint(self, request: Request) -> Response:
         """Check everything, and have it identified."""

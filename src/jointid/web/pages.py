@@ -28,8 +28,6 @@ STATIC = {
 }
 """The files that pages load, all ours."""
 
-_SHOWN = {True: "yes", False: "no", None: "open"}
-
 
 @cache
 def static(name: str) -> bytes:
@@ -93,12 +91,7 @@ def run_page(visitor: Visitor, limits: Limits, run: Run) -> str:
     answer = read_json(run.folder / "answer.json") if status["state"] == "done" else None
     values: dict[str, object] = {}
     if answer is not None:
-        values = {
-            "rows": _rows(answer),
-            "verdicts": _verdicts(answer),
-            "warnings": answer["warnings"],
-            "answer": answer,
-        }
+        values = {"rows": _rows(answer), "answer": answer}
     for name in ("answer", "learned"):
         path = run.folder / f"{name}.txt"
         values[f"{name}_text"] = path.read_text(encoding="utf-8") if path.is_file() else ""
@@ -145,10 +138,6 @@ def _rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:
         words = name.replace("_", " ")
         rows.append({"symbol": p["symbol"], "name": words, "value": value, "spread": spread, "unit": p["unit"]})
     return rows
-
-
-def _verdicts(answer: Mapping[str, Any]) -> list[dict[str, str]]:
-    return [{**verdict, "good": _SHOWN[verdict["good"]]} for verdict in answer["verdicts"]]
 
 
 @cache

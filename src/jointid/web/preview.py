@@ -19,15 +19,14 @@ _PIECES = 400  # of an outline
 def preview(table: Table) -> dict[str, Any]:
     """Return what a table holds, as JSON has it.
 
-    Its keys: `columns`, a list of `name`, `samples`, `low`, `high`, `missing` and `outline`, the lowest and the highest
+    Its keys: `columns`, a list of `name`, `samples`, `low`, `high` and `outline`, the lowest and the highest
     value of up to 400 stretches of equal length, null where a stretch has no number; `more`, how many columns are not
-    listed; `scalars`; and `roles`, the column that each channel probably is.
+    listed; and `roles`, the column that each channel probably is.
     """
     names = list(table.columns)
     columns = [_column(name, table.columns[name], drawn=i < _DRAWN) for i, name in enumerate(names[:_LISTED])]
-    scalars = {name: _number(value) for name, value in list(table.scalars.items())[:_DRAWN]}
     roles = guessed_roles(names[:_LISTED])
-    return {"columns": columns, "more": max(len(names) - _LISTED, 0), "scalars": scalars, "roles": roles}
+    return {"columns": columns, "more": max(len(names) - _LISTED, 0), "roles": roles}
 
 
 def duration(preview: Mapping[str, Any], time: str | None) -> float | None:
@@ -43,7 +42,6 @@ def _column(name: str, values: FloatArray, *, drawn: bool) -> dict[str, Any]:
     return {
         "name": name,
         "samples": int(values.size),
-        "missing": int(values.size - finite.size),
         "low": _number(finite.min()) if finite.size else None,
         "high": _number(finite.max()) if finite.size else None,
         "outline": _outline(values) if drawn and finite.size else None,

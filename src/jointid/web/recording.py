@@ -12,7 +12,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from jointid.common.errors import JointFileError, JointidError
-from jointid.data.formats import format_of
+from jointid.data.formats import FORMATS, format_of
 from jointid.jointfile import JointFile
 from jointid.web import pages
 from jointid.web.desk import Desk
@@ -42,11 +42,10 @@ class Recording:
             self.desk.require_small(request, self.desk.limits.upload)
             self.desk.sessions.require_place(visitor)
             visitor.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            incoming = visitor.folder / "incoming"
-            name = await received(
-                request.stream(), request.headers.get("content-type", ""), incoming, self.desk.limits.upload, format_of
-            )
-            await run_in_threadpool(self._taken, visitor, incoming, name, {})
+            async with self.desk.turn(visitor):
+                incoming, content = visitor.folder / "incoming", request.headers.get("content-type", "")
+                name = await received(request.stream(), content, incoming, self.desk.limits.upload, _accepted)
+                await run_in_threadpool(self._taken, visitor, incoming, name, {})
         except JointidError as error:
             return self.desk.refused(request, visitor, token, error)
         return self.desk.to(request, "/channels", token)
@@ -59,9 +58,10 @@ class Recording:
         try:
             self.desk.sessions.require_place(visitor)
             visitor.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            await run_in_threadpool(self.desk.jobs.attend, "example", visitor.folder)
-            draft = imported(JOINT_FILE)
-            await run_in_threadpool(self._taken, visitor, visitor.folder / "example.csv", "example.csv", draft)
+            async with self.desk.turn(visitor):
+                await run_in_threadpool(self.desk.jobs.attend, "example", visitor.folder)
+                made = visitor.folder / "example.csv"
+                await run_in_threadpool(self._taken, visitor, made, made.name, imported(JOINT_FILE))
         except JointidError as error:
             return self.desk.refused(request, visitor, token, error)
         return self.desk.to(request, "/channels", token)
@@ -75,7 +75,8 @@ class Recording:
             if record is None:
                 raise PageError("There is no record yet; choose one.")
             visitor.save_draft(kept)
-            await run_in_threadpool(self._looked, visitor, visitor.folder / record["file"], kept)
+            async with self.desk.turn(visitor):
+                await run_in_threadpool(self._looked, visitor, visitor.folder / record["file"], kept)
         except JointidError as error:
             return self.desk.refused(request, visitor, token, error)
         return self.desk.to(request, "/channels", token)
@@ -138,8 +139,9 @@ class Recording:
         try:
             tables = await run_in_threadpool(_checked_tables, draft, record["file"])
             work = {"file": record["file"], "name": record["name"], "tables": tables}
-            write_json(visitor.folder / "work.json", work)
-            await run_in_threadpool(self.desk.jobs.attend, "check", visitor.folder)
+            async with self.desk.turn(visitor):
+                write_json(visitor.folder / "work.json", work)
+                await run_in_threadpool(self.desk.jobs.attend, "check", visitor.folder)
         except JointFileError as error:
             faults = told(error, draft, {one.name for one in CHANNEL_STEP})
         except PageError as error:
@@ -169,3 +171,11 @@ def _checked_tables(draft: Mapping[str, str], file: str) -> dict[str, Any]:
     tables = record_tables(draft, file)
     JointFile.of(tables)
     return tables
+
+
+def _accepted(name: str) -> None:
+    """Raise a `JointidError` for a name whose suffix tells no format; folders, which have none, cannot be sent."""
+    if not Path(name).suffix:
+        known = ", ".join(suffix for entry in FORMATS for suffix in entry.suffixes)
+        raise PageError(f"{name} has no suffix, which tells its format; expected one of {known}: rename it.")
+    format_of(name)

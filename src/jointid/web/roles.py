@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from jointid.data.columns import unit_in_name
 from jointid.data.profiles import Profile, profile_named, profile_names
 from jointid.data.record import CHANNELS
 
@@ -46,12 +45,6 @@ def guessed_roles(columns: Iterable[str]) -> dict[str, str]:
         if column is not None:
             found[role] = column
     return found
-
-
-def stated_unit(column: str, known: Iterable[str]) -> str | None:
-    """Return the unit in a column's name, as in "pos [mm]", if it is one of those known."""
-    unit = unit_in_name(column, tuple(known))
-    return unit if unit in tuple(known) else None
 
 
 def _by_usage(role: str, names: list[str]) -> str | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import zipfile
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
@@ -30,6 +31,7 @@ FILES = {
 """What can be downloaded of an answer, beside all of it with the record."""
 
 BUNDLE = "all.zip"
+_LINE = re.compile(r"[0-9]{1,9}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +53,7 @@ class Running:
         if run is None:
             return self.desk.nothing(request)
         last = request.headers.get("last-event-id", "")
-        begin = int(last) + 1 if last.isdigit() else 0
+        begin = int(last) + 1 if _LINE.fullmatch(last) else 0
         return StreamingResponse(_told(run, begin), media_type="text/event-stream")
 
     async def cancel(self, request: Request) -> Response:

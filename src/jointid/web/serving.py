@@ -6,7 +6,7 @@ import socket
 from collections.abc import Callable
 from pathlib import Path
 
-from jointid.common.errors import ExtraError
+from jointid.common.extras import extra
 from jointid.web.sessions import PageError
 
 _GRACE = 2  # seconds that an open connection is given when the page ends
@@ -25,17 +25,11 @@ def serve(folder: Path, host: str, port: int, opened: Callable[[str], None]) -> 
         ExtraError: what serves is not installed.
         PageError: the folder cannot be made, or the address is taken.
     """
-    try:
-        import bokeh  # noqa: F401
-        import jinja2  # noqa: F401
-        import python_multipart  # noqa: F401
-        import uvicorn
+    for module in ("starlette", "python_multipart", "jinja2", "bokeh"):
+        extra(module, "web", "The page")
+    uvicorn = extra("uvicorn", "web", "The page")
+    from jointid.web.application import application
 
-        from jointid.web.application import application
-    except ModuleNotFoundError as error:
-        raise ExtraError(
-            f'The page needs {error.name}, which is not installed; install the extra web: pip install "jointid[web]".'
-        ) from None
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     except OSError as error:

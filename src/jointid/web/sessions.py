@@ -6,6 +6,7 @@ a name of ours, the draft of the form, and a folder for each identification.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -179,8 +180,9 @@ class Sessions:
         """Remove the folders of visitors who did not come back, unless something of theirs runs."""
         oldest = time.time() - self.limits.days * _DAY
         for visitor in self.all():
-            if visitor.folder.stat().st_mtime < oldest and not any(run.active for run in visitor.runs):
-                visitor.forget()
+            with contextlib.suppress(FileNotFoundError):  # they may delete it at the same time
+                if visitor.folder.stat().st_mtime < oldest and not any(run.active for run in visitor.runs):
+                    visitor.forget()
 
     def recover(self) -> None:
         """Say of each identification that the page was stopped in the middle of that it has ended."""

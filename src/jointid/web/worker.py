@@ -60,8 +60,6 @@ def check(folder: Path) -> None:
 def identify(folder: Path) -> None:
     """Identify as the joint file says, its controller learned first if `work.json` says so; write all answers."""
     from jointid import answers
-    from jointid.estimation.flexible import FlexibleDIDIM
-    from jointid.estimation.identify import identify as identified
     from jointid.jointfile import load
     from jointid.report.repetition import repetition
     from jointid.report.report import report_estimate
@@ -76,17 +74,8 @@ def identify(folder: Path) -> None:
     _tell("preparing the simulation; the first time on a machine this takes some 20 s")
     sensitivities.warm_up()
     _tell("identifying")
-    estimate = identified(
-        record,
-        file.loop or file.joint,
-        file.method,
-        filtering=file.filtering,
-        parameters=file.parameters,
-        progress=_tell,
-    )
-    # The paper's search need not end where least squares would, and its loop would be blamed for that.
-    loop = not isinstance(file.method, FlexibleDIDIM) or file.method.minimiser == "least-squares"
-    told = report_estimate(estimate, record, name=file.name or "", loop=loop, progress=_tell)
+    estimate = file.identify(record, _tell)
+    told = report_estimate(estimate, record, name=file.name or "", loop=file.tells_of_its_loop, progress=_tell)
     again = repetition(folder / "joint.toml", folder / work["file"], {})
     again = replace(again, record_name=work["name"], command="jointid report joint.toml --html report.html")
     _write(folder / "report.html", replace(told, repetition=again).html())

@@ -33,9 +33,11 @@ NUMBERS = "fiub"
 _CHUNK = 2**30  # bytes that are decompressed at once; h5py's own are a mebibyte
 _WIDEST = 1000  # columns of a matrix; one that is wider is a picture
 _MEMBERS = 100_000  # of all groups of a file
-_PATIENCE = 10.0  # seconds for reading the texts of units
+_PATIENCE = 10  # seconds for reading the texts of units
 _TEXTS = """
-import json, sys
+import json, signal, sys
+if hasattr(signal, "alarm"):
+    signal.alarm(int(sys.argv[2]))
 import h5py, numpy
 with h5py.File(sys.argv[1], "r") as file:
     found = [numpy.asarray(file[place].attrs[key]).ravel()[0] for place, key in json.load(sys.stdin)]
@@ -222,17 +224,22 @@ def members(group: Member, contents: Contents, path: str, seen: list[int]) -> It
     """
     h5py = extra("h5py", "logs", "HDF5")
     for name in group:
-        seen[0] += 1
-        if seen[0] > _MEMBERS:
-            raise RecordError(
-                f"{Path(group.file.filename).name} has more than {_MEMBERS} datasets and groups; log fewer channels."
-            )
+        count_member(group, seen)
         link = group.get(name, getlink=True)
         if isinstance(link, h5py.HardLink):
             yield name, group[name]
         else:
             other = "another file" if isinstance(link, h5py.ExternalLink) else "another place"
             contents.passed[f"{path}{name}"] = f"a link to {other}, which is not followed"
+
+
+def count_member(member: Member, seen: list[int]) -> None:
+    """Count a dataset or group, or a reference to one; raise a `RecordError` at more than any log has."""
+    seen[0] += 1
+    if seen[0] > _MEMBERS:
+        raise RecordError(
+            f"{Path(member.file.filename).name} has more than {_MEMBERS} datasets and groups; log fewer channels."
+        )
 
 
 def apart(dataset: Member) -> str | None:
@@ -292,13 +299,13 @@ def _with_units(path: Path, signals: list[Signal]) -> list[Signal]:
     """Return the signals with their units; texts of no fixed length are read by another process.
 
     Where such a text is stored, a damaged file can keep the library going round in a circle, which nothing in this
-    process could end.
+    process could end. The other one also ends by itself, in case this one is killed while it waits.
     """
     asked = [(signal.place, signal.unit_at) for signal in signals if signal.unit_at]
     if not asked:
         return signals
     found = subprocess.run(  # noqa: S603 this Python, and a program that is written here
-        [sys.executable, "-P", "-c", _TEXTS, str(path.absolute())],
+        [sys.executable, "-P", "-c", _TEXTS, str(path.absolute()), str(_PATIENCE)],
         input=json.dumps(asked),
         capture_output=True,
         text=True,

@@ -33,6 +33,10 @@ Value: TypeAlias = Any
 """A number, an array, a list of texts, a message (a dictionary) or a list of them; None for text."""
 
 
+class PassedOverError(ValueError):
+    """A message that is sound and whose numbers are no columns; the text says why."""
+
+
 class Field(NamedTuple):
     """One field of a message: its type, its name, and its length: None for one value, -1 for any number."""
 
@@ -54,7 +58,8 @@ class Types:
         """Return the fields of a message.
 
         Raises:
-            ValueError: the bytes are not such a message, or it is too large.
+            ValueError: the bytes are not such a message.
+            PassedOverError: it has more parts than are read.
             KeyError: it needs a type that is not known.
         """
         if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
@@ -129,6 +134,8 @@ class _Decoder:
             size = np.dtype(_NUMBERS[kind]).itemsize
             start = self.take(count * size, size) if count else self.at
             return np.frombuffer(self.data, self.order + _NUMBERS[kind], count, start)
+        if count > len(self.data) - self.at:  # each is a byte long at least
+            raise ValueError("the message is shorter than it says")
         self.spend(count)
         return [self.value(kind, deep) for _ in range(count)]
 
@@ -163,7 +170,7 @@ class _Decoder:
     def spend(self, count: int) -> None:
         self.budget -= count
         if self.budget < 0:
-            raise ValueError("the message has too many parts")
+            raise PassedOverError(f"a message of it has more than {_BUDGET} parts")
 
 
 class Instant(NamedTuple):

@@ -24,6 +24,7 @@ _WIDEST = 1000  # columns of a column of lists
 _SCALARS = b"jointid.scalars"
 _UNITS = (b"units", b"unit")
 _TEXT, _CONTAINER = 2**24, 2**20  # bytes and items of one entry of a file's description
+_ANY_LENGTH = "its rows are lists of any length"
 _REMEDY = "log or copy it again"
 
 Arrow: TypeAlias = Any
@@ -35,8 +36,8 @@ class Parquet:
     """Parquet: a column of numbers, of true and false, or of instants is a column; a null is NaN.
 
     Members of a structure are called "structure.member", those of lists of one length "name[0]", "name[1]", ...
-    Instants are seconds since the first. A column's own metadata "unit" or "units" is its unit. Text, and lists of
-    different lengths, are passed over.
+    Instants are seconds since the first one of the first column of them, so that columns keep their distances. A
+    column's own metadata "unit" or "units" is its unit. Text, and lists of different lengths, are passed over.
     """
 
     name: ClassVar[str] = "Parquet"
@@ -46,7 +47,7 @@ class Parquet:
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
         with _opened(path) as file, damage(path, self.name, _REMEDY):
-            require_size(path, file.metadata.num_rows * file.metadata.num_columns)
+            require_size(path, _declared(file))
             parts = list(_parts(path, file))
         if not parts:
             raise RecordError(f"{path.name} holds no row of numbers; log or copy it again.")
@@ -55,7 +56,7 @@ class Parquet:
     def blocks(self, path: Path, rows: int) -> Iterator[Held]:
         """Yield so many rows after so many."""
         with _opened(path) as file:
-            require_size(path, file.metadata.num_rows * file.metadata.num_columns, PIECES)
+            require_size(path, _declared(file), PIECES)
             parts: list[Table] = []
             found = _parts(path, file)
             while True:
@@ -117,6 +118,14 @@ def _opened(path: Path) -> Iterator[Arrow]:
             yield file
 
 
+def _declared(file: Arrow) -> int:
+    """Return how many numbers a file declares; a row of lists has several in a column."""
+    about = file.metadata
+    groups = (about.row_group(index) for index in range(about.num_row_groups))
+    held = sum(group.column(index).num_values for group in groups for index in range(about.num_columns))
+    return int(max(held, about.num_rows * about.num_columns))
+
+
 @dataclass(slots=True)
 class _Decoding:
     """What is known of a file on its way into tables: where instants begin, and how long lists are.
@@ -124,10 +133,13 @@ class _Decoding:
     Attributes:
         path: of the file.
         begins: the first instant of each column of instants, as its whole number.
+        origin: the first instant of the column of instants that comes first, in ns; None before there is one.
+        passed: what is not read, and why.
     """
 
     path: Path
     begins: dict[str, int] = field(default_factory=dict)
+    origin: int | None = None
     passed: dict[str, str] = field(default_factory=dict)
 
     def columns(self, name: str, array: Arrow) -> Iterator[tuple[str, FloatArray]]:
@@ -151,10 +163,10 @@ class _Decoding:
         elif types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind) or types.is_decimal(kind):
             yield name, _numbers(array)
         elif types.is_list(kind) or types.is_large_list(kind):
-            self.passed[name] = "its rows are lists of any length"
+            self.passed[name] = _ANY_LENGTH
 
     def _instants(self, name: str, array: Arrow) -> FloatArray:
-        """Return seconds since the first instant; a duration's own seconds."""
+        """Return seconds since the first instant of the file; a duration's own seconds."""
         arrow = extra("pyarrow", "logs", "Reading Parquet")
         types = extra("pyarrow.types", "logs", "Reading Parquet")
         unit = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[array.type.unit]
@@ -162,7 +174,10 @@ class _Decoding:
         whole = array.cast(arrow.int32() if types.is_time32(array.type) else arrow.int64())
         counts = whole.fill_null(0).to_numpy(zero_copy_only=False).astype(np.int64)
         if types.is_timestamp(array.type) and not missing.all():
-            counts = counts - self.begins.setdefault(name, int(counts[~missing][0]))
+            begin = self.begins.setdefault(name, int(counts[~missing][0]))
+            here = begin * (10**9 // unit)
+            self.origin = here if self.origin is None else self.origin
+            return np.where(missing, np.nan, (counts - begin) / unit + (here - self.origin) / 1e9)
         return np.where(missing, np.nan, counts / unit)
 
 
@@ -177,8 +192,10 @@ def _numbers(array: Arrow) -> FloatArray:
 
 def _parts(path: Path, file: Arrow) -> Iterator[Table]:
     """Yield the rows of a file, so many at a time."""
-    decoding = _Decoding(path)
+    types = extra("pyarrow.types", "logs", "Reading Parquet")
     schema = file.schema_arrow
+    lists = [entry.name for entry in schema if types.is_list(entry.type) or types.is_large_list(entry.type)]
+    decoding = _Decoding(path, passed=dict.fromkeys(lists, _ANY_LENGTH))
     require_single(path, list(schema.names))
     units = {entry.name: unit for entry in schema if (unit := _unit(entry.metadata))}
     scalars = _scalars(schema.metadata or {})
@@ -194,10 +211,13 @@ def _parts(path: Path, file: Arrow) -> Iterator[Table]:
 
 
 def _may_be_numbers(kind: Arrow) -> bool:
-    """Return whether a column is worth reading; text and bytes are not, which may be long."""
+    """Return whether a column is worth reading; text, bytes and lists of any length are not, which may be long."""
     types = extra("pyarrow.types", "logs", "Reading Parquet")
-    text = (types.is_string, types.is_large_string, types.is_binary, types.is_large_binary, types.is_fixed_size_binary)
-    return not any(test(kind) for test in text)
+    if types.is_struct(kind):
+        return any(_may_be_numbers(kind.field(index).type) for index in range(kind.num_fields))
+    if types.is_dictionary(kind) or types.is_fixed_size_list(kind):
+        return _may_be_numbers(kind.value_type)
+    return bool(types.is_primitive(kind) or types.is_decimal(kind))
 
 
 def _unit(metadata: Mapping[bytes, bytes] | None) -> str:

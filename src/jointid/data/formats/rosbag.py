@@ -17,7 +17,7 @@ from jointid.common.errors import RecordError
 from jointid.data.formats import bagwriting, mcap
 from jointid.data.formats.bagwriting import Stamps
 from jointid.data.formats.mcap import Message, Topic
-from jointid.data.formats.messages import Types, numbers_of, stamp_of, types_of
+from jointid.data.formats.messages import PassedOverError, Types, numbers_of, stamp_of, types_of
 from jointid.data.formats.table import Holds, Table
 from jointid.data.formats.untrusted import damage, require_single, require_size
 from jointid.data.record import FloatArray
@@ -94,8 +94,9 @@ def _stored(file: Path) -> Iterator[Message]:
         base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST)
         base.execute("PRAGMA trusted_schema = OFF")
         tables = dict(base.execute("SELECT name, upper(sql) FROM sqlite_master WHERE type = 'table'"))
-        if any(not str(tables.get(name)).startswith("CREATE TABLE") for name in ("topics", "messages")):
-            raise ValueError("it has no tables of topics and messages")
+        needed = {"topics", "messages"} | ({"message_definitions"} & tables.keys())
+        if any(not str(tables.get(name)).startswith("CREATE TABLE") for name in needed):
+            raise ValueError("it has no tables of topics and messages, or virtual ones")
         texts: dict[str, str] = {}
         if "message_definitions" in tables:
             texts = dict(
@@ -126,7 +127,13 @@ class _Series:
     columns: dict[str, array[float]] = field(default_factory=dict)
 
     def take(self, message: Message) -> int:
-        """Add a message; return how many numbers it added."""
+        """Add a message; return how many numbers it added.
+
+        Raises:
+            ValueError: its bytes are no such message.
+            KeyError: the definition of a type is not there.
+            PassedOverError: it has too many parts, or two numbers of one name.
+        """
         fields = self.types.decode(self.topic.type, message.data)
         stamp, row = stamp_of(fields), len(self.logged)
         self.logged.append(message.time)
@@ -135,6 +142,8 @@ class _Series:
         for path, value in numbers_of(fields, self.topic.name):
             column = self.columns.setdefault(path, array("d"))
             column.extend([np.nan] * (row - len(column)))  # of the messages before, which had no such number
+            if len(column) > row:
+                raise PassedOverError(f"a message of it has two numbers called {path!r}")
             column.append(value)
         if len(self.columns) > _WIDEST:
             raise RecordError(f"The topic {self.topic.name!r} has more than {_WIDEST} numbers; record without it.")
@@ -172,6 +181,10 @@ class _Reading:
         if topic.encoding != "cdr":
             self.passed[topic.name] = f"its messages are in {topic.encoding}, not in CDR"
             return
+        if topic not in self.series and (other := next((t for t in self.series if t.name == topic.name), None)):
+            del self.series[other]
+            self.passed[topic.name] = "its messages are of more than one kind"
+            return
         if topic not in self.series:
             self.series[topic] = _Series(topic, types_of(topic.type, topic.definition))
         try:
@@ -179,6 +192,9 @@ class _Reading:
         except KeyError:
             del self.series[topic]
             self.passed[topic.name] = f"the bag has no definition of {topic.type}"
+        except PassedOverError as error:
+            del self.series[topic]
+            self.passed[topic.name] = str(error)
         require_size(self.path, self.numbers)
 
     def table(self) -> Table:

@@ -19,7 +19,8 @@ from jointid.data.record import FloatArray
 
 _NAMELESS = "Untitled"  # what LabVIEW calls a group that has no name
 _UNITS = ("unit_string", "unit", "units", "Unit")
-_STEP, _OFFSET = "wf_increment", "wf_start_offset"
+_STEP, _OFFSET, _START = "wf_increment", "wf_start_offset", "wf_start_time"
+_UNSET = np.datetime64("1904-01-02")  # LabVIEW counts from the day before; an instant nobody set is that
 _REMEDY = "log or copy it again"
 _SEGMENT = 65536  # rows that are written together
 _SLAB = 2**22  # numbers of all channels that are held: the library reads a segment anew for every part of it
@@ -34,8 +35,8 @@ class Tdms:
 
     Numbers among the properties of the file and of its groups are scalars.
     The property "unit_string" is the unit. A waveform (property wf_increment) has no column for its time: it gets
-    one, called "group/time" if all channels of the group have the same, else "group/channel/time". Instants are seconds
-    since the first of their channel. Text is passed over.
+    one, called "group/time" if all channels of the group have the same, else "group/channel/time". Instants, and the
+    wf_start_time of waveforms, are seconds since the first one of the file. Text is passed over.
     """
 
     name: ClassVar[str] = "TDMS"
@@ -88,7 +89,7 @@ class Tdms:
 
 
 class _Channel(NamedTuple):
-    """One column: a channel, or the time of a waveform, which is computed."""
+    """One column: a channel, or the time of a waveform, which is computed; `late` seconds after the file's first."""
 
     name: str
     rows: int
@@ -96,18 +97,19 @@ class _Channel(NamedTuple):
     unit: str = ""
     clock: str = ""
     is_time: bool = False
+    late: float = 0.0
 
     def values(self, first: int, last: int) -> FloatArray:
         """Return the rows from the first up to the last."""
         if self.is_time:
             step, offset = (float(self.channel.properties.get(key, 0.0)) for key in (_STEP, _OFFSET))
-            return np.asarray(offset + np.arange(first, last) * step)
+            return np.asarray(self.late + offset + np.arange(first, last) * step)
         values = self.channel.read_data(first, last - first)
         if values.size != last - first:
             raise ValueError(f"{values.size} numbers where {last - first} are declared")
         if values.dtype.kind == "M":
             begin = self.channel.read_data(0, 1)[0]
-            return np.asarray((values - begin) / np.timedelta64(1, "ns") / 1e9, dtype=np.float64)
+            return np.asarray((values - begin) / np.timedelta64(1, "ns") / 1e9 + self.late, dtype=np.float64)
         return np.asarray(values, dtype=np.float64)
 
 
@@ -167,25 +169,35 @@ def _opened(path: Path) -> Iterator[_Contents]:
         yield contents
 
 
+def _begin(channel: Nptdms) -> np.datetime64 | None:
+    """Return the instant at which a waveform or a channel of instants begins; None where the file does not say."""
+    is_instants = np.dtype(channel.dtype).kind == "M"
+    found = channel.read_data(0, 1)[0] if is_instants else channel.properties.get(_START)
+    return found if isinstance(found, np.datetime64) and found >= _UNSET else None
+
+
 def _channels(file: Nptdms) -> Iterator[_Channel]:
+    every = [channel for group in file.groups() for channel in group.channels() if len(channel)]
+    begins = {channel.path: begin for channel in every if (begin := _begin(channel)) is not None}
+    late = {path: float((begin - min(begins.values())) / np.timedelta64(1, "s")) for path, begin in begins.items()}
     for group in file.groups():
         prefix = "" if group.name == _NAMELESS else f"{group.name}/"
         channels = [
-            _Channel(f"{prefix}{channel.name}", len(channel), channel, _unit(channel))
+            _Channel(f"{prefix}{channel.name}", len(channel), channel, _unit(channel), late=late.get(channel.path, 0.0))
             for channel in group.channels()
             if len(channel) and np.dtype(channel.dtype).kind in "fiubM"
         ]
         timed = [c for c in channels if float(c.channel.properties.get(_STEP, 0.0)) > 0]
-        clocks = {(c.rows, c.channel.properties[_STEP], c.channel.properties.get(_OFFSET, 0.0)) for c in timed}
+        clocks = {(c.rows, c.channel.properties[_STEP], c.channel.properties.get(_OFFSET, 0.0), c.late) for c in timed}
         names = {channel.name for channel in group.channels()}
         is_common = len(clocks) == 1 and "time" not in names
         if is_common:
-            yield _Channel(f"{prefix}time", timed[0].rows, timed[0].channel, "s", is_time=True)
+            yield timed[0]._replace(name=f"{prefix}time", unit="s", is_time=True)
         for channel in channels:
             clock = (f"{prefix}time" if is_common else f"{channel.name}/time") if channel in timed else ""
             yield channel._replace(clock=clock)
             if clock and not is_common:
-                yield _Channel(clock, channel.rows, channel.channel, "s", is_time=True)
+                yield channel._replace(name=clock, unit="s", is_time=True)
 
 
 def _scalars(file: Nptdms) -> Iterator[tuple[str, float]]:

@@ -1,0 +1,65 @@
+"""`jointid serve`: where it listens, what it says, and what it refuses."""
+
+from __future__ import annotations
+
+import socket
+import sys
+from pathlib import Path
+
+import pytest
+
+from jointid.cli.app import main
+from jointid.web import serving
+
+
+def served(*words: object) -> int:
+    with pytest.raises(SystemExit) as end:
+        main(["serve", *map(str, words)])
+    assert isinstance(end.value.code, int)
+    return end.value.code
+
+
+@pytest.mark.parametrize(("host", "warned"), [("127.0.0.1", False), ("localhost", False), ("0.0.0.0", True)])
+def test_only_another_host_than_this_machine_is_warned_of(
+    host: str, warned: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def opened(folder: Path, host: str, port: int, tell: object) -> None:
+        assert callable(tell)
+        tell(f"http://{host}:{port}/")
+
+    monkeypatch.setattr(serving, "serve", opened)
+    assert served("--host", host, "--folder", tmp_path) == 0
+    said = capsys.readouterr()
+    assert f"http://{host}:8765/" in said.out
+    assert ("without a password" in said.err) == warned
+
+
+@pytest.mark.parametrize("module", ["uvicorn", "starlette", "jinja2", "bokeh", "python_multipart"])
+def test_a_missing_package_names_the_extra(
+    module: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    assert served("--folder", tmp_path) == 2
+    assert f'The page needs the package {module}, which is not there; install it: pip install "jointid[web]".' in (
+        capsys.readouterr().err
+    )
+
+
+def test_an_address_that_is_taken_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        assert served("--port", taken.getsockname()[1], "--folder", tmp_path / "page") == 2
+    assert "choose another --port" in capsys.readouterr().err
+    assert served("--port", 99999, "--folder", tmp_path / "page") == 2
+    (tmp_path / "file").touch()
+    assert served("--folder", tmp_path / "file" / "page") == 2
+    assert "name another one by --folder" in capsys.readouterr().err
+
+
+def test_the_folder_is_its_owners_alone(tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        served("--port", taken.getsockname()[1], "--folder", tmp_path / "page")
+    assert (tmp_path / "page").stat().st_mode & 0o777 == 0o700
