@@ -25,7 +25,7 @@ from jointid.estimation.answer import answer
 from jointid.estimation.descent import Descent, with_free
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.problem import Problem, torque_problem
-from jointid.estimation.regression import least_squares
+from jointid.estimation.regression import solution
 from jointid.estimation.search import End, Limits, Search, State, Step, require_simulated
 from jointid.estimation.starts import Start, given_start, inversion_start, regular_start
 from jointid.inference.repeatable import Uncertainty, uncertainty
@@ -119,12 +119,12 @@ class _Steps:
         """Form (11): solve ``tau = W chi`` for the joint; what surrounds it stays."""
         problem = self.search.problem
         kept = problem.filtered(problem.measured - problem.fixed_torque(state.simulation))
-        chi = least_squares(state.W, kept, tuple(p.name for p in problem.free_joint)).values
+        chi = solution(state.W, kept, tuple(p.name for p in problem.free_joint))
         return np.concatenate([chi, state.x[chi.size :]])
 
     def _residual(self, state: State, J: FloatArray) -> FloatArray:
         names = tuple(p.name for p in self.search.problem.free)
-        return np.asarray(state.x + least_squares(J, state.error, names).values)
+        return np.asarray(state.x + solution(J, state.error, names))
 
 
 def _begun(search: Search, settings: DIDIM, start: Start) -> tuple[State, int]:

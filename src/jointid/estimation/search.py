@@ -7,7 +7,7 @@ a method tells it (`didim`).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
@@ -37,6 +37,7 @@ class State:
         J: (rows, free) the derivatives of the simulated torque, filtered.
         scales: (free of the joint,) what their changes are measured against.
         gain_scale: factor on the simulated controller's gains.
+        norm: of the error.
     """
 
     x: FloatArray
@@ -46,11 +47,10 @@ class State:
     J: FloatArray
     scales: FloatArray
     gain_scale: float = 1.0
+    norm: float = field(init=False)
 
-    @property
-    def norm(self) -> float:
-        """Of the filtered torque error."""
-        return float(np.linalg.norm(self.error))
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "norm", float(np.linalg.norm(self.error)))
 
     @property
     def Z(self) -> FloatArray:  # noqa: N802
