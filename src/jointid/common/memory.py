@@ -42,8 +42,8 @@ class Fresh:
     """Arrays in memory of their own."""
 
     def array(self, name: str, shape: tuple[int, ...], dtype: type = np.float64) -> NDArray[Any]:
-        """Return an array of undefined content that begins with a line of the cache; the name does not matter."""
-        return _aligned(math.prod(shape) * np.dtype(dtype).itemsize).view(dtype).reshape(shape)
+        """Return an array of undefined content; the name does not matter."""
+        return np.empty(shape, dtype)
 
 
 def _aligned(size: int) -> NDArray[np.uint8]:
