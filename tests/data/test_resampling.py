@@ -108,6 +108,9 @@ def test_a_held_torque_is_interpolated_only_when_that_is_asked(saved: Saved) -> 
     assert np.ptp(np.diff(values(asked, "torque"))) < 1e-12
     assert held.resampled is not None
     assert asked.resampled is not None
+    assert held.torque is not None
+    assert asked.torque is not None
+    assert (held.torque.timing, asked.torque.timing) == (ji.Timing.HELD, ji.Timing.SAMPLED)
     assert (held.resampled.methods, asked.resampled.methods) == ({"torque": "hold"}, {"torque": "linear"})
 
 

@@ -172,6 +172,19 @@ def test_a_topic_that_cannot_be_read_is_told_and_the_others_are_read(tmp_path: P
     assert "/joint_states/elbow/position" in table.columns
 
 
+def test_a_topic_of_two_kinds_is_told_and_not_mixed(tmp_path: Path) -> None:
+    with Writer(tmp_path / "run", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for kind in ("std_msgs/msg/Float64", "std_msgs/msg/Float32"):
+            link = writer.add_connection("/goal", kind, typestore=STORE)
+            for stamp in (10**9, 2 * 10**9):
+                writer.write(link, stamp, STORE.serialize_cdr(T[kind](data=1.0), kind))
+        link = writer.add_connection("/other", "std_msgs/msg/Float64", typestore=STORE)
+        writer.write(link, 10**9, STORE.serialize_cdr(T["std_msgs/msg/Float64"](data=1.0), "std_msgs/msg/Float64"))
+    table = read_table(tmp_path / "run")
+    assert table.passed == {"/goal": "its messages are of more than one kind"}
+    assert list(table.columns) == ["/other/time", "/other"]
+
+
 # Hostile bytes
 # -------------
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from jointid.assessment.validation import validate
+from jointid.common.errors import MethodError
 from jointid.data.record import Record
 from jointid.data.signals import Filtering
 from jointid.estimation.didim import DIDIM
@@ -167,3 +168,10 @@ def test_two_records_agree_within_their_intervals(emps: Record, emps_pulses: Rec
     assert 0.3 < float(first["inertia"].std or 0.0) < 0.6
     (repeats,) = (v for v in first.verdicts if v.subject == "repeatable residual")
     assert not repeats.good
+
+
+def test_a_gain_that_was_forgotten_is_thought_of(emps: Record) -> None:
+    assert emps.torque is not None
+    volts = replace(emps, torque=replace(emps.torque, values=emps.torque.values / CONTROLLER.gain))
+    with pytest.raises(MethodError, match=r"inertia 2\.8.* loop is not stable.*check the gain and unit of the torque"):
+        identify(volts, LOOP, DIDIM())

@@ -324,3 +324,15 @@ def test_the_filter_is_refused_where_it_would_alias() -> None:
         identify(made, LOOP, filtering=Filtering(cutoff=60.0, decimation=12))
     with pytest.raises(MethodError, match="600 Hz is not below the Nyquist frequency of 500 Hz"):
         identify(made, LOOP, filtering=Filtering(cutoff=600.0))
+
+
+@pytest.mark.parametrize("form", ["residual", "paper"])
+@pytest.mark.parametrize("state", ["free", "reference"])
+def test_a_search_that_begins_at_the_answer_ends_there(form: str, state: str) -> None:
+    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T).without("motor_position")
+    starts = {p.name: replace(p, start=TRUTH[p.name]) for p in LOOP.joint.parameters}
+    settings = DIDIM(form=form, start="given", scaled_iterations=0, initial_state=state)  # type: ignore[arg-type]
+    estimate = identify(made, LOOP, settings, parameters=starts)
+    assert estimate.converged and estimate.simulations == 1
+    assert estimate.stop == "the torque is reproduced to rounding"
+    assert errors(estimate.values, TRUTH) == 0.0

@@ -251,3 +251,23 @@ def test_every_key_of_the_answer_is_documented() -> None:
     answer = json.loads(reports.rigid().answer())
     for key in (*answer, *answer["profiles"][0]):
         assert key == "schema" or f"`{key}`" in section, key
+
+
+def test_side_and_direction_are_said_of_what_they_change() -> None:
+    gear = ji.Transmission(load="revolute", ratio=10.0)
+    joint = ji.RigidJoint("revolute", ji.AsymmetricFriction(), transmission=gear)
+    loop = ji.ClosedLoop(joint, ji.Cascade(kp=40.0, kv=0.02, ratio=gear.torque("motor")))
+    values = {"inertia": 0.04, "viscous_forwards": 0.05, "coulomb_forwards": 0.1, "offset": 0.0}
+    values |= {"viscous_backwards": 0.08, "coulomb_backwards": 0.2}
+    reference = ji.trapezoids([0.5, 1.0, 2.0], 8.0, 2.0, 1e-3, duration=6.0)
+    record = ji.simulated_record(loop, reference, values, sample_time=1e-3, name="geared")
+    told = ji.report_estimate(ji.identify(record, loop), record, profiles=[], loop=False)
+    result = told.markdown().split("## Verdicts")[0]
+    assert "with viscous friction 0.050000" in result
+    assert re.search(r"viscous friction \S+ ± \S+ N m s/rad forwards, \S+ ± \S+ N m s/rad backwards", result)
+    assert "The transmission is 10:1, without loss (efficiency taken as 1); values are on the load side." in result
+    charts = told.charts
+    assert charts["torque"].panels[1].y_label == "torque, load side [N m]"
+    assert charts["residual"].panels[0].x_label == "velocity, load side [rad/s]"
+    assert "simulated torque lie on each other" in charts["torque"].caption
+    assert "viscous friction of moving forwards" in charts["response"].caption

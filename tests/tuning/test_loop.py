@@ -193,3 +193,13 @@ def test_a_response_needs_frequencies_and_an_output() -> None:
     for hertz, output in ((np.array([0.0]), "motor_velocity"), (np.array([1.0]), "torque")):
         with pytest.raises(MethodError, match="A frequency response is of motor_position"):
             frequency_response(RigidJoint(), RIGID, hertz, output)  # type: ignore[arg-type]
+
+
+def test_a_crossing_above_minus_one_bears_nearly_a_turn_of_delay_and_one_outside_bounds_the_reduction() -> None:
+    late = np.exp(1j * np.radians(170.0))
+    hertz = np.array([1.0, 2.0, 3.0])
+    _, _, phase, delay, _ = all_margins(np.array([[2.0 * late, 0.5 * late, 0.1 + 0j]]), hertz)[0]
+    assert phase == pytest.approx(np.radians(10.0))
+    assert delay == pytest.approx(np.radians(350.0) / (2 * np.pi * 1.5))
+    gain, reduction, *_ = all_margins(np.array([[-1.5 + 0.1j, -1.5 - 0.1j, -0.25 + 0j]]), hertz)[0]
+    assert (gain, reduction) == pytest.approx((4.0, 1.5))

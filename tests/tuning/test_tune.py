@@ -19,9 +19,10 @@ from jointid.estimation.estimate import Estimate
 from jointid.estimation.flexible import FlexibleDIDIM
 from jointid.estimation.identify import identify
 from jointid.estimation.idim import IDIM
+from jointid.inference.verdict import StiffnessBound, Verdict
 from jointid.model.controllers import PD, PID, Cascade, StateSpaceController
 from jointid.model.friction import AsymmetricFriction
-from jointid.model.joints import FlexibleJoint, RigidJoint
+from jointid.model.joints import FlexibleJoint, RigidJoint, frequencies
 from jointid.paper.margins import random_drive, true_margins
 from jointid.paper.twin import TABLE_2, twin
 from jointid.report.tuning_figure import tuning_figure
@@ -229,7 +230,7 @@ def test_what_cannot_be_tuned_is_refused_in_a_sentence(estimate: Estimate) -> No
         detectable(estimate, false_alarm=0.0)
     impossible = tune(estimate, Tuning(gain_margin=1e6))
     assert impossible.proposed is None
-    assert "no gains of this structure keep the asked margins" in str(impossible)
+    assert "no gains of this structure were found that keep the asked margins" in str(impossible)
 
 
 def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estimate) -> None:
@@ -275,3 +276,49 @@ def test_the_figure_shows_joint_and_loops_in_their_units(tuned: Tuned) -> None:
     low, high = (np.degrees(one) for one in tuned.present.response.phase)
     shown = np.asarray(phase.lines[0].get_ydata(), dtype=np.float64)
     assert np.all((shown >= low - 1e-6) & (shown <= high + 1e-6))
+
+
+def test_an_interval_stops_short_of_a_joint_without_a_spring(estimate: Estimate) -> None:
+    wide = tuple(replace(p, std=p.value) if p.name == "stiffness" else p for p in estimate.parameters)
+    interval = interval_of(replace(estimate, parameters=wide), 0.95, PERIOD)
+    joints = interval.at(interval.points(0))
+    assert min(one["stiffness"] for one in joints) == pytest.approx(1e-3 * estimate.values["stiffness"])
+    law = Cascade(kp=10.0, kv=10.0, gain=35.0).law(PERIOD)
+    assert np.all(np.isfinite(bench(interval.joint, joints, law).margins(law)[:, -1]))
+
+
+def without_stiffness(estimate: Estimate) -> Estimate:
+    """The estimate as it is where the record does not show the spring, bounded at one load share of two."""
+    parted = ("motor_", "load_", "stiffness", "damping")
+    lost = tuple(
+        replace(p, value=None, std=None) if p.name.startswith(parted) else p for p in estimate.parameters
+    )  # fmt: skip
+    assert estimate.known is not None
+    sums = tuple(one for one in estimate.known.physical if one.combination.name.startswith("total"))
+    bounds = (StiffnessBound(0.3, 8e5, 30.0), StiffnessBound(0.5, None, None))
+    return replace(estimate, parameters=lost, known=replace(estimate.known, physical=sums), bounds=bounds)
+
+
+def test_of_a_refused_stiffness_the_worst_is_over_all_springs_that_are_left(estimate: Estimate) -> None:
+    found = tune(without_stiffness(estimate), Tuning(notch=False))
+    assert "30.0 Hz at 0.3; 95 % each" in found.interval
+    assert "a share of 0.5 is not looked at" in found.interval
+    assert 'what stands "at the estimate" is of the softest spring' in str(found)
+    interval = interval_of(without_stiffness(estimate), 0.95, PERIOD)
+    modes = [frequencies(one)["free_free"] for one in interval.others]
+    assert min(modes) == pytest.approx(30.0) and max(modes) == pytest.approx(500.0)
+    shares = {round(one["load_inertia"] / (one["motor_inertia"] + one["load_inertia"]), 9) for one in interval.others}
+    assert shares == {0.3}
+    law = found.present.controller.law(PERIOD)
+    margins = bench(interval.joint, interval.others, law).margins(law)
+    stated = [getattr(found.present.worst, name) for name in NAMES]
+    np.testing.assert_allclose(np.min(margins, axis=0), stated)
+    inertia = next(one for one in found.feedforward if one.key == "acceleration_feedforward")
+    assert inertia.value == pytest.approx(estimate.values["motor_inertia"] + estimate.values["load_inertia"])
+
+
+def test_a_model_or_a_loop_in_doubt_is_said_before_its_gains_are_used(estimate: Estimate) -> None:
+    doubts = (Verdict("fit", False, "32 % remains"), Verdict("loop", False, "kv is larger than declared"))
+    said = tune(replace(estimate, verdicts=doubts), Tuning(notch=False)).notes
+    assert "the model does not explain the torque, so all of this may be of another joint: 32 % remains" in said
+    assert "loop or log are not as declared, and all of this is of the declared one: kv is larger than declared" in said

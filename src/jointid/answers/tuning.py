@@ -14,7 +14,10 @@ TUNING_SCHEMA = "jointid.tuning/1"
 
 
 def tuning_answer(tuned: Tuned) -> Json:
-    """Return a tuning as it is written to JSON; a margin that is null has no bound, angles are in degrees."""
+    """Return a tuning as it is written to JSON, angles in degrees.
+
+    A margin that is null has no bound, or is of a loop that is not stable.
+    """
     return {
         "schema": TUNING_SCHEMA,
         "record": tuned.record,
@@ -73,8 +76,12 @@ def _loop(loop: LoopMargins) -> Json:
 
 
 def _margins(found: Margins) -> Json:
+    if not found.stable:  # it has no margins
+        return {"stable": False} | dict.fromkeys(
+            ("gain", "reduction", "phase_degrees", "delay", "distance_from_minus_one")
+        )
     return {
-        "stable": found.stable,
+        "stable": True,
         "gain": found.gain,
         "reduction": found.reduction,
         "phase_degrees": math.degrees(found.phase),

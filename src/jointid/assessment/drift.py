@@ -195,14 +195,14 @@ def _require_alike(before: Told, after: Told) -> None:
         if one != other:
             raise MethodError(
                 f"{before.label} and {after.label} are not of one joint as it was described: the {what} is {one} in "
-                f"the one and {other} in the other; identify both with the same joint file."
+                f"the one and {other} in the other; identify both with the same joint file and options."
             )
     units = {q.name: q.unit for q in before.quantities}
     wrong = [q for q in after.quantities if units.get(q.name, q.unit) != q.unit]
     if wrong:
         raise MethodError(
             f"{wrong[0].name} is in {units[wrong[0].name]} in {before.label} and in {wrong[0].unit} in {after.label}; "
-            "identify both with the same joint file."
+            "identify both with the same joint file and options."
         )
 
 

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 
 def compare_reports(
@@ -14,7 +11,7 @@ def compare_reports(
     /,
     *,
     level: float = 0.05,
-    json: Annotated[Path | None, Parameter()] = None,
+    json: Path | None = None,
 ) -> None:
     """Say what changed between two estimates of the same joint, and whether it is more than their errors.
 

@@ -70,6 +70,7 @@ def demo(
     show(aligned(("symbol", "identified", "2 sigma", "truth", "unit"), rows, (False, True, True, True, False)))
     show()
     show(f"Written to {made}: record.csv, joint.toml, estimate.json, torque.png")
+    show(f"All of it on one page: jointid report {made / 'joint.toml'} --html report.html")
     show(f"Change the joint file, then: jointid identify {made / 'joint.toml'}")
 
 

@@ -40,6 +40,7 @@ def tune(
         figure: also save the responses of joint and loop, with the interval as a band, as PNG, SVG or PDF.
         quiet: say nothing of the progress.
     """
+    from jointid.assessment.loop import with_loop_verdict
     from jointid.cli.console import check_outputs, identified, progress, show
     from jointid.jointfile import load
     from jointid.tuning.settings import Tuning
@@ -49,7 +50,9 @@ def tune(
     check_outputs(figure, json)
     settings = Tuning(gain_margin, phase_margin, modulus, confidence, notch, false_alarm, power)
     file = load(joint).overridden(method="didim")
-    _, estimate = identified(file, record, listener)
+    logged, estimate = identified(file, record, listener)
+    if file.tells_of_its_loop:  # margins are of the loop as it is declared
+        estimate = with_loop_verdict(estimate, logged)
     tuned = run(estimate, settings, drive=file.drive, progress=listener)
     show(tuned)
     if json is not None:

@@ -33,10 +33,9 @@ class Room(threading.local):
         """
         size = math.prod(shape) * np.dtype(dtype).itemsize
         held = self._bytes.get(name)
-        if held is None or not size + _LINE <= held.size <= _WASTE * (size + _LINE):
-            held = self._bytes[name] = np.empty(size + _LINE, dtype=np.uint8)
-        first = -held.ctypes.data % _LINE
-        return held[first : first + size].view(dtype).reshape(shape)
+        if held is None or not size <= held.size <= _WASTE * (size + _LINE):
+            held = self._bytes[name] = _aligned(size)
+        return held[:size].view(dtype).reshape(shape)
 
 
 class Fresh:
@@ -45,3 +44,9 @@ class Fresh:
     def array(self, name: str, shape: tuple[int, ...], dtype: type = np.float64) -> NDArray[Any]:
         """Return an array of undefined content; the name does not matter."""
         return np.empty(shape, dtype)
+
+
+def _aligned(size: int) -> NDArray[np.uint8]:
+    room = np.empty(size + _LINE, dtype=np.uint8)
+    first = -room.ctypes.data % _LINE
+    return room[first : first + size]

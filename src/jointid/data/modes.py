@@ -139,10 +139,10 @@ class Thinning:
         kept[0 if forwards else -1] += 2 * np.real(self.modes.both @ states)
         rows, moved = self.between[0 if forwards else 1], _parts(states)
         begins = range(0, len(between), _BLOCKS)
+        room = _ROOM.array("pushes", (_BLOCKS, len(rows), kept.shape[1]))
         for begin in begins if forwards else reversed(begins):
             block = between[begin : begin + _BLOCKS]
-            pushes = _ROOM.array("pushes", (len(block), len(rows), block.shape[2]))
-            np.matmul(rows, block, out=pushes)
+            pushes = np.matmul(rows, block, out=room[: len(block)])
             add_modes(self.powers, self.weights, pushes, step, moved, kept[begin : begin + len(block) + 1])
         return np.asarray(moved[0] + 1j * moved[1])
 

@@ -38,7 +38,8 @@ class Resampling:
         sample_time: of the record, s.
         method: how sampled channels are taken between their samples: "hold" (the last one), "linear", or "cubic" (the
             spline through all of them, for positions).
-        held: how held channels are taken; what a controller holds is not interpolated unless that is asked for.
+        held: how held channels are taken; what a controller holds is not interpolated unless that is asked for, and is
+            then sampled.
         longest_gap: samples that may be missing in a row; a longer gap is refused.
 
     Raises:
@@ -131,7 +132,9 @@ def resampled_together(
     for name, one in ready.items():
         methods[name] = how.method_for(one.channel.timing)
         values = _taken(one, np.minimum(grid, one.stamps[-1]), methods[name], T)
-        channels[name] = replace(one.channel, values=values, sample_time=T)
+        held_on = one.channel.timing is not Timing.HELD or methods[name] == "hold"
+        timing = one.channel.timing if held_on else Timing.SAMPLED  # of what is interpolated nothing is held
+        channels[name] = replace(one.channel, values=values, sample_time=T, timing=timing)
     done = Resampled(T, methods, how.longest_gap, clocks, {name: one.clock for name, one in logged.items()})
     return channels, done, begin, []
 

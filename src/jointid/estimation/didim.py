@@ -19,13 +19,14 @@ import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
+from jointid.common.text import number
 from jointid.data.record import FloatArray, Record
 from jointid.data.signals import Filtering
 from jointid.estimation.answer import answer
 from jointid.estimation.descent import Descent, with_free
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.problem import Problem, torque_problem
-from jointid.estimation.regression import least_squares
+from jointid.estimation.regression import solution
 from jointid.estimation.search import End, Limits, Search, State, Step, require_simulated
 from jointid.estimation.starts import Start, given_start, inversion_start, regular_start
 from jointid.inference.repeatable import Uncertainty, uncertainty
@@ -34,6 +35,7 @@ from jointid.model.parameters import Parameter
 from jointid.simulation.experiment import ClosedLoop
 
 _MOVING = 9.0  # times the residual's variance: what a velocity at the first sample must explain to be believed
+_AWAY = 1e100  # a derivative so large is of a loop that runs away
 _WORSE = 2.0  # times the residual: with an approximate Jacobian, a little worse is no reason to turn back
 
 
@@ -119,12 +121,20 @@ class _Steps:
         """Form (11): solve ``tau = W chi`` for the joint; what surrounds it stays."""
         problem = self.search.problem
         kept = problem.filtered(problem.measured - problem.fixed_torque(state.simulation))
-        chi = least_squares(state.W, kept, tuple(p.name for p in problem.free_joint)).values
+        chi = solution(state.W, kept, tuple(p.name for p in problem.free_joint))
         return np.concatenate([chi, state.x[chi.size :]])
 
     def _residual(self, state: State, J: FloatArray) -> FloatArray:
-        names = tuple(p.name for p in self.search.problem.free)
-        return np.asarray(state.x + least_squares(J, state.error, names).values)
+        problem = self.search.problem
+        names = tuple(p.name for p in problem.free)
+        if not np.max(np.abs(J)) < _AWAY:
+            told = problem.values(state.x)
+            joint = ", ".join(f"{p.name} {number(told[p.name], 3)} {problem.units[p.name]}" for p in problem.free_joint)
+            raise MethodError(
+                f"With the joint that torque and motion give ({joint}) the declared loop is not stable, and the real "
+                "one was; check the gain and unit of the torque channel, and the gains of the controller."
+            )
+        return np.asarray(state.x + solution(J, state.error, names))
 
 
 def _begun(search: Search, settings: DIDIM, start: Start) -> tuple[State, int]:
@@ -139,10 +149,10 @@ def _begun(search: Search, settings: DIDIM, start: Start) -> tuple[State, int]:
     x = search.problem.vector(start.values)
     state = search.evaluate(x, scale(x) if scaled else 1.0)
     search.note(state, None)
-    for number in range(1, scaled + 1):
+    for count in range(1, scaled + 1):
         require_simulated(state)
         x = steps.inverse_model(state)
-        after = search.evaluate(x, scale(x) if number < scaled else 1.0)
+        after = search.evaluate(x, scale(x) if count < scaled else 1.0)
         search.note(after, state)
         state = after
     return state, scaled

@@ -63,6 +63,24 @@ def least_squares(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> Fit:
         MethodError: fewer rows than parameters, or the columns are collinear; the sentence names those involved.
     """
     rows, count = W.shape
+    values, norms, R = _solved(W, Y, names)
+    residual = Y - W @ values
+    sigma = float(np.linalg.norm(residual) / np.sqrt(rows - count))
+    spread = np.linalg.norm(np.linalg.inv(R), axis=1) / norms
+    error = float(np.linalg.norm(residual) / np.linalg.norm(Y))
+    scale = np.where(values == 0.0, 1.0, np.abs(values))
+    conditioning = Conditioning(*(float(np.linalg.cond(R * by)) for by in (norms, 1.0, norms * scale)))
+    return Fit(values, sigma * spread, residual, sigma, error, conditioning)
+
+
+def solution(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> FloatArray:
+    """Return what `least_squares` does, (parameters,), without what it says of itself: all that a search asks."""
+    return _solved(W, Y, names)[0]
+
+
+def _solved(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the solution, the norms of the columns, and the triangle of the columns divided by them."""
+    rows, count = W.shape
     if rows <= count:
         raise MethodError(
             f"{rows} filtered samples cannot determine {count} parameters; use a longer record or decimate less."
@@ -71,14 +89,7 @@ def least_squares(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> Fit:
     _refuse_idle(norms, names)
     Q, R = np.linalg.qr(W / norms)
     _refuse_collinear(R, names)
-    values = np.linalg.solve(R, Q.T @ Y) / norms
-    residual = Y - W @ values
-    sigma = float(np.linalg.norm(residual) / np.sqrt(rows - count))
-    spread = np.linalg.norm(np.linalg.inv(R), axis=1) / norms
-    error = float(np.linalg.norm(residual) / np.linalg.norm(Y))
-    scale = np.where(values == 0.0, 1.0, np.abs(values))
-    conditioning = Conditioning(*(float(np.linalg.cond(R * by)) for by in (norms, 1.0, norms * scale)))
-    return Fit(values, sigma * spread, residual, sigma, error, conditioning)
+    return np.linalg.solve(R, Q.T @ Y) / norms, norms, R
 
 
 def _refuse_idle(norms: FloatArray, names: tuple[str, ...]) -> None:

@@ -7,7 +7,7 @@ a method tells it (`didim`).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
@@ -37,6 +37,7 @@ class State:
         J: (rows, free) the derivatives of the simulated torque, filtered.
         scales: (free of the joint,) what their changes are measured against.
         gain_scale: factor on the simulated controller's gains.
+        norm: of the error.
     """
 
     x: FloatArray
@@ -46,11 +47,10 @@ class State:
     J: FloatArray
     scales: FloatArray
     gain_scale: float = 1.0
+    norm: float = field(init=False)
 
-    @property
-    def norm(self) -> float:
-        """Of the filtered torque error."""
-        return float(np.linalg.norm(self.error))
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "norm", float(np.linalg.norm(self.error)))
 
     @property
     def Z(self) -> FloatArray:  # noqa: N802
@@ -131,6 +131,10 @@ class Search:
             after = self.evaluate(0.5 * (after.x + state.x))
         return after
 
+    def _reproduced(self, state: State) -> bool:
+        """Whether the torque is met to rounding: there is nothing left that a step could follow."""
+        return state.norm <= _ROUNDING * self.size
+
     def repeat(self, state: State, step: Step, limits: Limits, most: int, worst: float) -> End:
         """Repeat a step until nothing changes, at most so often; where it does not end well, return the best iterate.
 
@@ -140,6 +144,8 @@ class Search:
         best, since = state, 0
         for _ in range(most):
             require_simulated(state)
+            if self._reproduced(state):
+                break
             x = step(state)
             if limits.foreseen and (stop := _arrived(*_foreseen(state, x), limits)):
                 return End(state, stop, converged=True)
@@ -147,13 +153,13 @@ class Search:
             line = self.note(after, state)
             state = after
             best, since = (state, 0) if state.norm < best.norm else (best, since + 1)
-            if state.norm <= _ROUNDING * self.size:
-                return End(state, "the torque is reproduced to rounding", converged=True, reproduced=True)
-            if stop := _arrived(line.change, line.step, limits):
+            if not self._reproduced(state) and (stop := _arrived(line.change, line.step, limits)):
                 return End(state, stop, converged=True)
             if since >= _PATIENCE:
                 break
         require_simulated(best)
+        if self._reproduced(best):
+            return End(best, "the torque is reproduced to rounding", converged=True, reproduced=True)
         last = self.trace[-1]
         return End(
             best,

@@ -30,6 +30,7 @@ from jointid.exports.joint_model import JointModel, Mass
 from jointid.exports.naming import identifier, number
 from jointid.exports.provenance import effects_left_out, friction_shift, remarks, uneven_viscous
 from jointid.model.joints import frequencies
+from jointid.model.parameters import TORQUE_UNIT
 
 _STEPS = 200  # of the simulation in a period of the free-free mode, at least
 _LONGEST = 2.5e-4  # s, of a step
@@ -148,8 +149,9 @@ def _actuators(model: JointModel) -> ET.Element:
 
 def _how(model: JointModel) -> list[str]:
     """Return the remarks on how to drive the model and to build it in."""
-    unit = model.torque_unit if model.gear == 1.0 else "N m of the motor"
-    lines = [f"The control of the actuator torque is the motor's torque in {unit}; the others want no control."]
+    transmission = model.joint.transmission
+    unit = model.torque_unit if transmission is None else TORQUE_UNIT[transmission.motor]
+    lines = [f"The control of the actuator torque is the motor's own torque in {unit}; the others want no control."]
     if model.flexible:
         lines.append(
             "In a robot, motor and load are both children of the link before; the load is the link, and the motor is "

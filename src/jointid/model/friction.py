@@ -55,7 +55,7 @@ class SymmetricFriction:
 
     def columns(self, velocity: FloatArray) -> FloatArray:
         """Return v and sign(v), shape (samples, 2)."""
-        return np.column_stack([velocity, np.sign(velocity)])
+        return np.stack([velocity, np.sign(velocity)]).T
 
     def directions(self, values: Mapping[str, float], prefix: str = "") -> Directions:
         """Return Fv, Fv, Fc, Fc."""
@@ -89,7 +89,7 @@ class AsymmetricFriction:
     def columns(self, velocity: FloatArray) -> FloatArray:
         """Return v and 1 where it is forwards, v and -1 where it is backwards, shape (samples, 4)."""
         forwards, backwards = velocity > 0, velocity < 0
-        return np.column_stack([velocity * forwards, 1.0 * forwards, velocity * backwards, -1.0 * backwards])
+        return np.stack([velocity * forwards, 1.0 * forwards, velocity * backwards, -1.0 * backwards]).T
 
     def directions(self, values: Mapping[str, float], prefix: str = "") -> Directions:
         """Return Fv+, Fv-, Fc+, Fc-."""

@@ -121,8 +121,9 @@ class RigidJoint(_OfOneAxis):
 
         The load of a rigid joint moves with the motor, so its motion is not read.
         """
-        ones, gravity = np.ones_like(motor.velocity), _gravity_columns(self.gravity, motor.position)
-        return np.column_stack([motor.acceleration, self.friction.columns(motor.velocity), ones, gravity])[np.newaxis]
+        friction, gravity = self.friction.columns(motor.velocity), _gravity_columns(self.gravity, motor.position)
+        rows = [motor.acceleration, *friction.T, np.ones_like(motor.velocity), *gravity.T]
+        return np.stack(rows).T[np.newaxis]  # each column is written in one piece
 
     def coefficients(self, values: Mapping[str, float]) -> FloatArray:
         """Return the drive as the simulation sees it (`simulation.kernels`): a motor, and a load nothing moves."""

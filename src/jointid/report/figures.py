@@ -29,7 +29,7 @@ def torque_figure(answer: Estimate | Validation) -> Figure:
     from matplotlib.figure import Figure
 
     unit = answer.torque_unit
-    quantity = {"N": "force", "N m": "torque"}.get(unit, "motor signal") + _side(answer)
+    quantity = torque_word(unit) + _side(answer)
     word = "simulated" if answer.method == "didim" else "inverse model"
     time = np.asarray(np.arange(answer.measured.size) * answer.sample_time, dtype=np.float64)
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
@@ -106,6 +106,11 @@ def _lines(axes: Axes, time: FloatArray, measured: FloatArray, predicted: FloatA
     axes.plot(time, measured - predicted, color=ERROR, linewidth=0.6, label="error" if word else None)
     if word:
         axes.legend(loc="upper right", ncols=3, fontsize=8, framealpha=0.9)
+
+
+def torque_word(unit: str) -> str:
+    """Return what the torque is called in its unit."""
+    return {"N": "force", "N m": "torque"}.get(unit, "motor signal")
 
 
 def liveliest(torque: FloatArray) -> tuple[int, int]:

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.assessment.dossier import Dossier
 from jointid.common.text import number
-from jointid.data.record import FloatArray
 from jointid.estimation.estimate import Estimate
 from jointid.inference.profile import Profile
-from jointid.model.parameters import POSITION_UNIT
 from jointid.report.charts import (
     ERROR,
     LOAD,
@@ -24,149 +20,16 @@ from jointid.report.charts import (
     Band,
     Cells,
     Chart,
-    Dots,
     Item,
     Level,
     Line,
     Mark,
     Panel,
-    strided,
-    thinned,
 )
-from jointid.report.figures import liveliest
+from jointid.report.figures import torque_word
+from jointid.report.signals import Axes, residual_chart, torque_chart
 
-_SAMPLES = 30_000  # of a signal over time that are drawn: 25 s at 1 kHz are drawn as they are
-_MOVING = 4_000  # of the motion, which has no noise to be shown
-_POINTS = 4_000  # of a cloud
-_CELLS = 40  # of the mean over velocity or position
-_FEW = 5  # samples: a cell with fewer has no mean worth a line
 _MODES = {"free_free": "free-free", "motor_locked": "motor locked", "load_locked": "load locked"}
-
-
-@dataclass(frozen=True, slots=True)
-class Axes:
-    """What the compared signal is called: its quantity and unit, and those of the motion."""
-
-    quantity: str
-    unit: str
-    length: str
-    predicted: str
-
-    @classmethod
-    def of(cls, estimate: Estimate) -> Axes:
-        """Return the names of an estimate's signals."""
-        length = POSITION_UNIT[estimate.joint.kind]
-        predicted = "inverse model" if estimate.method == "idim" else "simulated"
-        if estimate.compared == "position":
-            return cls("position", length, length, predicted)
-        words = {"N": "force", "N m": "torque"}.get(estimate.torque_unit, "motor signal")
-        gear = estimate.joint.transmission
-        return cls(words + ("" if gear is None else f", {gear.side} side"), estimate.torque_unit, length, predicted)
-
-
-def torque_chart(given: Dossier) -> Chart:
-    """Return measured and simulated torque, their difference, and the motion, over one time axis."""
-    estimate, motion = given.estimate, given.motion
-    names = Axes.of(estimate)
-    time = np.asarray(np.arange(estimate.measured.size) * estimate.sample_time, dtype=np.float64)
-    error = estimate.measured - estimate.predicted
-    t, measured, predicted, remains = thinned(time, estimate.measured, estimate.predicted, error, most=_SAMPLES)
-    low, high = liveliest(estimate.measured)
-    near = time[low:high]
-    panels = [
-        Panel(
-            "", f"{names.quantity} [{names.unit}]",
-            (
-                Line(near, estimate.measured[low:high], MEASURED, "measured", 1.6),
-                Line(near, estimate.predicted[low:high], SIMULATED, names.predicted, 1.6),
-            ),
-            f"its liveliest part, {near[0]:.1f} to {near[-1]:.1f} s", height=260,
-        ),
-        Panel(
-            "", f"{names.quantity} [{names.unit}]",
-            (Line(t, measured, MEASURED, "measured"), Line(t, predicted, SIMULATED, names.predicted)),
-            "the whole record", height=280, group="time",
-        ),
-        Panel("", f"error [{names.unit}]", (Line(t, remains, ERROR, "error", 0.8),), height=190, group="time"),
-    ]  # fmt: skip
-    if motion is not None:
-        ts, velocity = thinned(time, motion.velocity, most=_MOVING)
-        panels.append(
-            Panel("", f"velocity [{names.length}/s]", (Line(ts, velocity, "#777777"),), height=150, group="time")
-        )
-    last = panels[-1]
-    panels[-1] = Panel("time [s]", last.y_label, last.items, height=last.height + 25, group="time")
-    caption = (
-        f"Measured and {names.predicted} {names.quantity} lie on each other where the model is right; below them their "
-        f"difference, {100 * estimate.relative_error:.2f} % of the measured, on a scale of its own"
-        + ("" if motion is None else f", and the {given.seen} velocity of the motor")
-        + ". On a screen, zooming one of the last panels zooms the others."
-        + _kept(t.size, time.size)
-    )
-    return Chart("torque", caption, tuple(panels))
-
-
-def _kept(kept: int, all_of: int) -> str:
-    if kept == all_of:
-        return ""
-    return f" {kept} of {all_of} samples are drawn, the least and the largest of every stretch: no peak is lost."
-
-
-def residual_chart(given: Dossier) -> Chart | None:
-    """Return the error against velocity and position, with its mean, and its autocorrelation; None without a motion."""
-    estimate, motion = given.estimate, given.motion
-    if motion is None:
-        return None
-    names = Axes.of(estimate)
-    inside = slice(estimate.borders[0], estimate.measured.size - estimate.borders[1])
-    error = (estimate.measured - estimate.predicted)[inside]
-    velocity, position = motion.velocity[inside], motion.position[inside]
-    forwards = velocity > 0.02 * float(np.max(np.abs(velocity), initial=0.0))
-    backwards = velocity < -0.02 * float(np.max(np.abs(velocity), initial=0.0))
-    everywhere = np.ones_like(forwards)
-    label = f"error [{names.unit}]"
-    panels = [
-        Panel(f"velocity [{names.length}/s]", label, _cloud(velocity, error, {"mean": everywhere}), height=280),
-        Panel(
-            f"position [{names.length}]", label,
-            _cloud(position, error, {"mean forwards": forwards, "mean backwards": backwards}), height=280,
-        ),
-    ]  # fmt: skip
-    told = ""
-    if given.validation is not None:
-        found = given.validation
-        lags = np.arange(found.autocorrelation.size, dtype=np.float64)
-        white = np.full(lags.size, found.white_band)
-        panels.append(
-            Panel(
-                "lag [filtered samples]", "autocorrelation",
-                (Band(lags, -white, white, "#999999", "white"), Line(lags, found.autocorrelation, ERROR, dots=True)),
-                height=280,
-            )
-        )  # fmt: skip
-        told = " The last panel is the filtered error's autocorrelation, in the grey band if it were white."
-    caption = (
-        f"The error against the {given.seen} velocity and position of the motor (one sample in "
-        f"{-(-error.size // _POINTS)}), with its mean over all samples. Noise alone has a mean of 0 everywhere: a mean "
-        f"that bends with velocity is friction, one that waves with position is cogging, gravity or a screw's pitch."
-        f"{told}"
-    )
-    return Chart("residual", caption, tuple(panels), columns=len(panels))
-
-
-def _cloud(x: FloatArray, error: FloatArray, of: Mapping[str, NDArray[np.bool_]]) -> tuple[Item, ...]:
-    """Return points, and their means over cells of x for each choice of samples."""
-    items: list[Item] = [Dots(strided(x, _POINTS), strided(error, _POINTS), "#888888")]
-    for (label, chosen), colour in zip(of.items(), (OTHERS[3], OTHERS[0]), strict=False):
-        if np.count_nonzero(chosen) < 2 * _FEW or np.ptp(x[chosen]) == 0:
-            continue
-        edges = np.linspace(x[chosen].min(), x[chosen].max(), _CELLS + 1)
-        cell = np.clip(np.searchsorted(edges, x[chosen], side="right") - 1, 0, _CELLS - 1)
-        count = np.bincount(cell, minlength=_CELLS)
-        mean = np.bincount(cell, error[chosen], _CELLS) / np.maximum(count, 1)
-        enough = count >= _FEW
-        items.append(Line((0.5 * (edges[:-1] + edges[1:]))[enough], mean[enough], colour, label, 2.0))
-    return tuple(items)
 
 
 def spectra_chart(given: Dossier) -> Chart | None:
@@ -180,7 +43,7 @@ def spectra_chart(given: Dossier) -> Chart | None:
     if cutoff is not None:
         marks += (Mark(cutoff, f"fitted up to {cutoff:.3g} Hz", len(marks), "dotted"),)
     panel = Panel(
-        "frequency [Hz]", f"{names.quantity} [{names.unit}/√Hz]",
+        "frequency [Hz]", f"{names.quantity}{names.side} [{names.unit}/√Hz]",
         (
             Line(found.frequency, found.measured, MEASURED, "measured"),
             Line(found.frequency, found.predicted, SIMULATED, names.predicted),
@@ -224,17 +87,18 @@ def response_chart(given: Dossier) -> Chart | None:
         phases.append(Line(found.frequency, curve.phase, colour, "", 1.6, "solid"))
     highest = float(found.frequency[-1])
     marks = _marks(found.modes, highest)
-    quantity = Axes.of(given.estimate).quantity.split(",")[0]
+    names, drive = Axes.of(given.estimate), torque_word(given.estimate.torque_unit)
     panels = (
         Panel(
-            "", f"velocity per {quantity} [{found.unit}]", (*sizes, *marks), log_x=True, log_y=True, height=320,
-            group="frequency",
+            "", f"velocity per {drive}{names.side} [{found.unit}]", (*sizes, *marks), log_x=True, log_y=True,
+            height=320, group="frequency",
         ),
         Panel("frequency [Hz]", "phase [°]", tuple(phases), log_x=True, height=200, group="frequency"),
     )  # fmt: skip
+    way = "" if given.estimate.joint.friction.symmetric else " of moving forwards"
     caption = (
-        "What the identified joint answers to its motor's torque, viscous friction and no Coulomb friction taken in; "
-        "the shaded band is 2 sigma of the estimate."
+        f"What the identified joint answers to its motor's torque, viscous friction{way} and no Coulomb friction taken "
+        "in; the shaded band is 2 sigma of the estimate."
     )
     if found.modes:
         caption += (
@@ -276,6 +140,11 @@ def profiles_chart(given: Dossier) -> Chart | None:
         "criterion has risen. The interval ends where the line passes 2; the dashed line is what the table's interval, "
         "by the slopes at the estimate alone, takes it for. Where the two part, the profile is to be believed."
     )
+    if any(one.improved for one in shown):
+        caption += (
+            " Rigid DIDIM ends where the simulated motion's regressor sees nothing more in the error, which is not "
+            "quite where the squares are least: a profile may go below the estimate."
+        )
     return Chart("profiles", caption, panels, columns=3)
 
 

@@ -66,7 +66,8 @@ def repetition(joint: Path, record: Path, options: Mapping[str, object], html: s
             while block := file.read(_BLOCK):
                 digest.update(block)
     except OSError as error:
-        raise RecordError(f"{error.filename} cannot be read ({error.strerror}); check the path.") from None
+        why = (error.strerror or type(error).__name__).lower()
+        raise RecordError(f"{error.filename} cannot be opened ({why}); check the path.") from None
     return Repetition(
         record_name=record.name,
         record_sha256=digest.hexdigest(),

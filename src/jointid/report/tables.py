@@ -97,7 +97,7 @@ def profiles_table(given: Dossier) -> Table | None:
             number(one.estimate),
             *("no end found" if end is None else number(end, 4) for end in one.interval),
             one.unit,
-            "the estimate was not the minimum" if one.improved else "",
+            "least squares ends lower" if one.improved else "",
         )
         for one in given.profiles
     )
@@ -116,7 +116,11 @@ def suspects_table(given: Dossier) -> Table | None:
         (s.words, f"{s.size:+.3g}", number(2 * s.std, 2), f"{s.statistic:+.1f}", number(s.p_value, 2))
         for s in given.loop.suspects
     )
-    return Table(("suspect", "more than declared", "± 2 sigma", "statistic", "p"), rows, "Every test of loop and log")
+    said = (
+        "Every test of loop and log, each as if nothing else were wrong; the sentences above take in, one after the "
+        "other, what was found before them. Friction towards standstill is tested one way only"
+    )
+    return Table(("suspect", "more than declared", "± 2 sigma", "statistic", "p"), rows, said)
 
 
 def checks_table(checks: tuple[Validation, ...]) -> Table | None:

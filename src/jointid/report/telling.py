@@ -18,6 +18,7 @@ QUESTIONS = {
     "loop": "Are loop and log as declared?",
 }
 _CHANNELS = {"injected": "injected signal"}
+_FRICTIONS = (("viscous", "viscous"), ("coulomb", "Coulomb"))
 _METHODS = {
     "didim": "DIDIM",
     "idim": "IDIM",
@@ -38,6 +39,7 @@ def result(given: Dossier) -> tuple[str, ...]:
     first = f"From {channels} of {estimate.record} alone, "
     return (
         f"{first}{_finding(estimate)}",
+        *_side(estimate),
         *(
             ()
             if estimate.converged
@@ -54,13 +56,9 @@ def _finding(estimate: Estimate) -> str:
     """Return what was found of the joint, in one sentence."""
     values = estimate.values
     if "inertia" in values:
-        friction = [
-            f"{words} friction {_known(estimate, name)}"
-            for name, words in (("viscous", "viscous"), ("coulomb", "Coulomb"))
-            if name in values
-        ]
-        beside = f", with {' and '.join(friction)}" if friction else ""
-        return f"the moving inertia is {_known(estimate, 'inertia')}{beside}; the axis is taken for one rigid mass."
+        friction = " and ".join(_friction(estimate, name, words) for name, words in _FRICTIONS)
+        inertia = _known(estimate, "inertia")
+        return f"the moving inertia is {inertia}, with {friction}; the axis is taken for one rigid mass."
     if "stiffness" in values:
         hertz = f", a free-free mode at {frequencies(values)['free_free']:.1f} Hz" if values["stiffness"] > 0 else ""
         return (
@@ -70,10 +68,24 @@ def _finding(estimate: Estimate) -> str:
     return "the stiffness cannot be told: this record does not show the spring, and no number is given for it."
 
 
+def _friction(estimate: Estimate, name: str, words: str) -> str:
+    """Return one friction of a rigid joint, of each direction where they differ."""
+    if estimate.joint.friction.symmetric:
+        return f"{words} friction {_known(estimate, name)}"
+    ways = [f"{_known(estimate, f'{name}_{way}')} {way}" for way in ("forwards", "backwards")]
+    return f"{words} friction {', '.join(ways)}"
+
+
+def _side(estimate: Estimate) -> tuple[str, ...]:
+    """Return on which side of a transmission all of it is."""
+    gear = estimate.joint.transmission
+    return () if gear is None else (f"The transmission is {gear}.",)
+
+
 def _known(estimate: Estimate, name: str) -> str:
     p = estimate[name]
     if p.value is None:
-        return "an inertia that is not told"
+        return f"{'an inertia' if 'inertia' in name else 'a friction'} that is not told"
     if not p.free:
         return f"{number(p.value)} {p.unit} (kept fixed)"
     return f"{number(p.value) if p.std is None else interval(p.value, 2 * p.std)} {p.unit}"

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jointid.report.charts import MEASURED, SIMULATED
+from jointid.report.charts import LOAD, MEASURED, SIMULATED
 from jointid.tuning.tuned import Band, LoopMargins, Tuned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_PRESENT, _PROPOSED, _JOINT = MEASURED, SIMULATED, "#009E73"  # Okabe-Ito, as in the other figures
+_PRESENT, _PROPOSED, _JOINT = MEASURED, SIMULATED, LOAD
 _SMALLEST = 1e-3  # loop gain that is shown
 _REACH = 2.5  # of the Nyquist plot, about its origin
 

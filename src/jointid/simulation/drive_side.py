@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from jointid.data.record import FloatArray
 from jointid.model.joints import FlexibleJoint, Joint
-from jointid.simulation.sensitivities import by_mode, coefficient_seed, gravity_seed, start_slope, taped_rows
+from jointid.simulation.sensitivities import by_mode, coefficient_seeds, gravity_seed, start_slope, taped_rows
 
 PARTS = 4  # of a sample
 _WALL = 1e200  # a Coulomb force that nothing overcomes, and whose square is still a number
@@ -266,12 +266,12 @@ class _Load:
         width, n = tangents.LANES, self.push.size
         seeds, weights, start = np.zeros((14, width)), np.zeros((3, width)), np.zeros((4, width))
         pushes, own = dict(zip(_PUSHING, self.motion.pushes, strict=True)), [p.name for p in self.joint.parameters]
-        explicit = []
+        explicit, by_name = [], coefficient_seeds(lambda at: _drive(self.joint, at), own)
         for j, name in enumerate(names):
             if name in LOAD_STATE:
                 start[LOAD_STATE.index(name), j] = 1.0
                 continue
-            seeds[:, j] = coefficient_seed(lambda at: _drive(self.joint, at), own, name)
+            seeds[:, j] = by_name[name]
             weights[:, j] = gravity_seed(self.joint, own, name)
             start[:, j] = start_slope(lambda at: _start(self.joint, self.motion, at), self.values, name)
             if name in pushes:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.errors import MethodError
-from jointid.common.memory import Room
+from jointid.common.memory import Fresh, Room
 from jointid.data.record import FloatArray, Tap, Timing
 from jointid.model.controllers import POSITION, SampledLaw, number, respond, with_numbers
 from jointid.model.joints import Joint
@@ -38,7 +38,7 @@ _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial i
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
 _SMALL = 1e-6  # of a joint's value: where steady motion begins is a rational function of it
 _TAPED = 1000  # rows of the tape to begin with
-_ROOM = Room()
+_ROOM, _FRESH = Room(), Fresh()
 _INITIAL = {
     "initial_position": (1.0, 0.0, 0.0),
     "initial_velocity": (0.0, 1.0, 0.0),
@@ -89,8 +89,9 @@ def simulate_sensitivities(
     Raises:
         MethodError: a name is none of these, or of a part that is not there, as a `ki` of 0.
     """
-    out = _taped(loop, experiment, values, names, initial)
-    return _derived(loop, experiment, values, names, out, positions)
+    own = tuple(p.name for p in loop.joint.parameters)
+    out = _taped(loop, experiment, values, own, names, initial)
+    return _derived(loop, experiment, values, own, names, out, positions)
 
 
 def simulate_with_sensitivities(
@@ -101,19 +102,21 @@ def simulate_with_sensitivities(
     initial: Initial | None = None,
 ) -> tuple[Simulation, FloatArray]:
     """Return what `simulate` does, and of `simulate_sensitivities` the derivatives of the torque, from one run."""
-    out = _taped(loop, experiment, values, names, initial)
-    return simulation_of(loop, experiment, out), _derived(loop, experiment, values, names, out, positions=False).torque
+    own = tuple(p.name for p in loop.joint.parameters)
+    out = _taped(loop, experiment, values, own, names, initial)
+    derived = _derived(loop, experiment, values, own, names, out, positions=False)
+    return simulation_of(loop, experiment, out), derived.torque
 
 
 def _taped(
     loop: ClosedLoop,
     experiment: Experiment,
     values: Mapping[str, float],
+    own: Sequence[str],
     names: Sequence[str],
     initial: Initial | None,
 ) -> Run:
     """Return a run with its whole tape, in memory that the next one takes."""
-    own = tuple(p.name for p in loop.joint.parameters)
     for name in names:
         if _is_of_law(own, name):
             number(loop.controller, name)
@@ -128,12 +131,12 @@ def _derived(
     loop: ClosedLoop,
     experiment: Experiment,
     values: Mapping[str, float],
+    own: Sequence[str],
     names: Sequence[str],
     out: Run,
     positions: bool,
 ) -> Sensitivities:
     """Return the derivatives of a run."""
-    own = tuple(p.name for p in loop.joint.parameters)
     response = response_of(experiment, out)
     if out.outcome is not Outcome.FINISHED:
         torque = np.zeros((response.torque.size, len(names)))
@@ -143,18 +146,13 @@ def _derived(
     order = sorted(range(len(names)), key=lambda i: _is_of_law(own, names[i]))
     # The log's tap sees the output, or what is behind the torque's limit where that is another.
     seen = int(experiment.tap is Tap.COMMAND and experiment.law.tap != experiment.law.output)
-    command = np.empty((experiment.periods, len(names)))
-    states = np.empty((experiment.looked.size, 2, len(names) if positions else 0))
-    for begin in range(0, len(names), _lanes()):
+    commands, moved = [], []
+    for begin in range(0, max(len(names), 1), _lanes()):
         block = [names[i] for i in order[begin : begin + _lanes()]]
-        at, width = slice(begin, begin + len(block)), len(block)
         followed = _followed(loop, experiment, values, own, block, out, positions)
-        command[:, at] = followed[seen][:, :width]
-        if positions:
-            states[:, :, at] = followed[2][experiment.looked, ::2, :width]
-    if order != sorted(order):
-        back = np.argsort(order)
-        command, states = command[:, back], states[:, :, back if positions else slice(None)]
+        commands.append(followed[seen][:, : len(block)])
+        moved.append(followed[2][experiment.looked, ::2, : len(block)] if positions else np.empty((0, 2, len(block))))
+    command, states = _joined(commands, order), _joined(moved, order)
     flexible = loop.joint.model == "flexible"
     return Sensitivities(
         response,
@@ -162,6 +160,12 @@ def _derived(
         states[:, 0] if positions else command[:, :0],
         states[:, 1] if positions and flexible else command[:, :0],
     )
+
+
+def _joined(blocks: Sequence[FloatArray], order: Sequence[int]) -> FloatArray:
+    """Return the columns of blocks, the last axis, each where `order` says; one block in order is not copied."""
+    whole = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=-1)
+    return whole if order == sorted(order) else np.asarray(whole[..., np.argsort(order)])
 
 
 def warm_up() -> None:
@@ -207,10 +211,10 @@ def _followed(
     law, width = experiment.feedback, tangents.LANES
     seeds, weights, start = np.zeros((14, width)), np.zeros((3, width)), np.zeros((4, width))
     memory, delay, limits = np.zeros((law.order, width)), np.zeros(width), np.zeros((law.limits.size, width))
-    explicit = []
+    explicit, by_name = [], coefficient_seeds(loop.joint.coefficients, own)
     for j, name in enumerate(names):
-        if name in own:
-            seeds[:, j] = coefficient_seed(loop.joint.coefficients, own, name)
+        if name in by_name:
+            seeds[:, j] = by_name[name]
             if out.gravity is not None:
                 weights[:, j] = gravity_seed(loop.joint, own, name)
             if out.velocity != 0.0 or out.gravity is not None:  # else it begins where the motor is, whatever it is like
@@ -225,10 +229,10 @@ def _followed(
             column, limits[:, j] = _explicit(loop, experiment, out, name)
             explicit.append(column)
     spring, side, dspring, dinertia, dside = by_mode(out.drive, seeds)
-    command = _ROOM.array("slopes", (out.command.size, width))
-    states = _ROOM.array("moved", (len(out.states) if positions else 0, 4, width))
     periods, elements = len(out.command), law.limits.size
-    tapped = _ROOM.array("tapped", (periods if law.tap != law.output else 0, width))
+    command = _FRESH.array("slopes", (periods, width))
+    tapped = _FRESH.array("tapped", (periods if law.tap != law.output else 0, width))
+    states = _ROOM.array("moved", (len(out.states) if positions else 0, 4, width))
     explained = np.stack(explicit, axis=2) if explicit else np.zeros((periods, elements, 0))
     tangents.follow(
         experiment.lengths, experiment.lags, out.states, out.modes, out.tape, int(out.counts[1]), out.command,
@@ -258,12 +262,13 @@ def taped_rows(samples: int) -> int:
     return _TAPED + samples // 16
 
 
-def coefficient_seed(
-    coefficients: Callable[[Mapping[str, float]], FloatArray], own: Sequence[str], name: str
-) -> FloatArray:
-    """Return how the kernels' coefficients depend on a parameter of the joint, of its own: they are linear in it."""
+def coefficient_seeds(
+    coefficients: Callable[[Mapping[str, float]], FloatArray], own: Sequence[str]
+) -> dict[str, FloatArray]:
+    """Return how the kernels' coefficients depend on each of the joint's own parameters: they are linear in them."""
     nothing = dict.fromkeys(own, 0.0)
-    return np.asarray(coefficients(nothing | {name: 1.0}) - coefficients(nothing))
+    constant = coefficients(nothing)
+    return {name: coefficients(nothing | {name: 1.0}) - constant for name in own}
 
 
 def gravity_seed(joint: Joint, own: Sequence[str], name: str) -> FloatArray:

@@ -41,6 +41,7 @@ _NOTHING = (
     1e-200  # what falls below it is 0: near the smallest numbers there are, many machines are a hundred times slower
 )
 _OFTEN = 64  # periods after which that is looked for
+_WIDE = 4 * LANES  # of the derivatives of a state
 _FACTOR = np.array([1.0 / math.factorial(i) for i in range(_ORDER + 1)])
 
 # Rows of the scratch, LANES long: derivatives of the state, what parameters change in the map, the derivatives of the
@@ -142,15 +143,16 @@ def _fill(
             )
         phi[b, 4 * i], phi[b, 4 * i + 1] = motion[0], motion[1]
         phi[b, 4 * i + 2], phi[b, 4 * i + 3] = motion[3], motion[4]
-        M[b, i] = q[_S : _S + 4 * LANES]
+        M[b, _WIDE * i : _WIDE * (i + 1)] = q[_S : _S + _WIDE]
 
 
 @inlined
 def _pushed(q: FloatArray, M: FloatArray, b: int, v1: float, stretch: float, v2: float, s: float) -> None:
     """Write what the parameters change in the map of a part, for the motion there is."""
     m = np.uint64(b)  # Numba looks for negative indices among the signed
-    for i in range(4 * LANES):
-        q[_T + i] = (((M[m, 4, i] + M[m, 0, i] * v1) + M[m, 1, i] * stretch) + M[m, 2, i] * v2) + M[m, 3, i] * s
+    for i in range(_WIDE):
+        moved = (M[m, 4 * _WIDE + i] + M[m, i] * v1) + M[m, _WIDE + i] * stretch
+        q[_T + i] = (moved + M[m, 2 * _WIDE + i] * v2) + M[m, 3 * _WIDE + i] * s
 
 
 @inlined
@@ -173,34 +175,42 @@ def _step(
 
 
 @inlined
-def _period(
-    q: FloatArray, law: _Law, phi: FloatArray, M: FloatArray, b: int, v1: float, stretch: float, v2: float, s: float,
-    at: int, du: FloatArray,
-) -> None:  # fmt: skip
-    """Do what `_control` and `_step` do, at once, for a period of one part that no limit cuts: nearly all of them.
+def _glide(
+    q: FloatArray, law: _Law, phi: FloatArray, M: FloatArray, mode: int, k: int, end: int, limit: float,
+    states: FloatArray, modes: NDArray[np.int8], u: FloatArray, post: FloatArray, explicit: FloatArray,
+    first_explicit: int, du: FloatArray,
+) -> int:  # fmt: skip
+    """Do what `_control` and `_step` do, at once, while the mode lasts and no limit cuts; return the next period.
 
-    One loop whose every value is written once: a machine keeps it in vectors, and no value waits in memory.
+    Nearly all periods are of this kind. One loop whose every value is written once: a machine keeps it in vectors, and
+    no value waits in memory.
     """
-    p00, p01, p02, p03 = phi[b, 0], phi[b, 1], phi[b, 2], phi[b, 3]
-    p10, p11, p12, p13 = phi[b, 4], phi[b, 5], phi[b, 6], phi[b, 7]
-    p20, p21, p22, p23 = phi[b, 8], phi[b, 9], phi[b, 10], phi[b, 11]
-    g0, g1, g2, g3 = phi[b, 12], phi[b, 13], phi[b, 14], phi[b, 15]
-    row = np.uint64(at)
-    _pushed(q, M, b, v1, stretch, v2, s)
-    for j in range(LANES):
-        a0, a1, a2, a3 = q[_S + j], q[_S + LANES + j], q[_S + 2 * LANES + j], q[_S + 3 * LANES + j]
-        z0, z1 = q[_Z + j], q[_Z + LANES + j]
-        d = (law.d * a0 + q[_EXPLICIT + j]) + (law.c0 * z0 + law.c1 * z1)
-        a = a2 - a0
-        q[_S + j] = ((((q[_T + j] + a0) + p00 * a1) + p20 * a3) + p10 * a) + g0 * d
-        q[_S + LANES + j] = (((q[_T + LANES + j] + p01 * a1) + p21 * a3) + p11 * a) + g1 * d
-        q[_S + 2 * LANES + j] = ((((q[_T + 2 * LANES + j] + a2) + p02 * a1) + p22 * a3) + p12 * a) + g2 * d
-        q[_S + 3 * LANES + j] = (((q[_T + 3 * LANES + j] + p03 * a1) + p23 * a3) + p13 * a) + g3 * d
-        q[_Z + j] = law.b0 * a0 + (law.a00 * z0 + law.a01 * z1)
-        q[_Z + LANES + j] = law.b1 * a0 + (law.a10 * z0 + law.a11 * z1)
-        q[_OUT + j] = d
-    for j in range(LANES):
-        du[row, j] = q[_OUT + j]
+    p00, p01, p02, p03 = phi[mode, 0], phi[mode, 1], phi[mode, 2], phi[mode, 3]
+    p10, p11, p12, p13 = phi[mode, 4], phi[mode, 5], phi[mode, 6], phi[mode, 7]
+    p20, p21, p22, p23 = phi[mode, 8], phi[mode, 9], phi[mode, 10], phi[mode, 11]
+    g0, g1, g2, g3 = phi[mode, 12], phi[mode, 13], phi[mode, 14], phi[mode, 15]
+    while k < end and modes[k] == mode and abs(u[k]) < limit:
+        at = np.uint64(k)
+        for i in range(explicit.shape[2]):
+            q[_EXPLICIT + first_explicit + i] = explicit[at, 0, i]
+        v1, stretch, v2, s = states[at, 1], states[at, 2] - states[at, 0], states[at, 3], u[at] + post[at]
+        _pushed(q, M, mode, v1, stretch, v2, s)
+        for j in range(LANES):
+            a0, a1, a2, a3 = q[_S + j], q[_S + LANES + j], q[_S + 2 * LANES + j], q[_S + 3 * LANES + j]
+            z0, z1 = q[_Z + j], q[_Z + LANES + j]
+            d = (law.d * a0 + q[_EXPLICIT + j]) + (law.c0 * z0 + law.c1 * z1)
+            a = a2 - a0
+            q[_S + j] = ((((q[_T + j] + a0) + p00 * a1) + p20 * a3) + p10 * a) + g0 * d
+            q[_S + LANES + j] = (((q[_T + LANES + j] + p01 * a1) + p21 * a3) + p11 * a) + g1 * d
+            q[_S + 2 * LANES + j] = ((((q[_T + 2 * LANES + j] + a2) + p02 * a1) + p22 * a3) + p12 * a) + g2 * d
+            q[_S + 3 * LANES + j] = (((q[_T + 3 * LANES + j] + p03 * a1) + p23 * a3) + p13 * a) + g3 * d
+            q[_Z + j] = law.b0 * a0 + (law.a00 * z0 + law.a01 * z1)
+            q[_Z + LANES + j] = law.b1 * a0 + (law.a10 * z0 + law.a11 * z1)
+            q[_OUT + j] = d
+        for j in range(LANES):
+            du[at, j] = q[_OUT + j]
+        k += 1
+    return k
 
 
 @inlined
@@ -406,14 +416,14 @@ def follow(
     rate += max(abs(side[0, 1, 0]), abs(side[0, 1, 2])) * inverse1
     rate += max(abs(side[1, 1, 0]), abs(side[1, 1, 2])) * inverse2
     phi = np.empty((9 * parts, 4 * _INPUTS))
-    M = _aligned(9 * parts * _INPUTS * 4 * LANES).reshape((9 * parts, _INPUTS, 4 * LANES))
+    M = _aligned(9 * parts * _INPUTS * _WIDE).reshape((9 * parts, _INPUTS * _WIDE))
     filled = np.zeros(9 * parts, dtype=np.bool_)
     q, scratch, z = _aligned(_ROWS), _aligned(_ROWS), np.zeros((2 * nz, LANES))
     e = np.zeros((elements, LANES))
     for one in (q, scratch):
         one[_SPRING : _SPRING + 2 * LANES] = dspring.reshape(-1)
         one[_INERTIA : _INERTIA + 2 * LANES] = dinertia.reshape(-1)
-    q[_S : _S + 4 * LANES] = S.reshape(-1)
+    q[_S : _S + _WIDE] = S.reshape(-1)
     z[:nz] = Z
     small = nz <= 2 and feedback.D.size == 1  # one phase, one element
     law, limit = _law(feedback, nz if small else 0), feedback.limits[0]
@@ -429,26 +439,30 @@ def follow(
     keep = dstates.shape[0] > 0
     plain = small and parts == 1 and lags[0] == 0 and gravity is None and not keep and not delayed
     row, last = 0, before
-    for k in range(n):
+    k = 0
+    while k < n:
         if k % _OFTEN == 0:
-            for i in range(4 * LANES):
+            for i in range(_WIDE):
                 q[_S + i] = q[_S + i] if abs(q[_S + i]) > _NOTHING else 0.0
             for i in range(2 * LANES):
                 q[_Z + i] = q[_Z + i] if abs(q[_Z + i]) > _NOTHING else 0.0
         if plain and abs(u[k]) < limit and (row >= rows or tape[row, 0] > k):
             mode = int(modes[k])
-            for i in range(explicit.shape[2]):
-                q[_EXPLICIT + first_explicit + i] = explicit[k, 0, i]
             if mode == _AT_REST:
+                for i in range(explicit.shape[2]):
+                    q[_EXPLICIT + first_explicit + i] = explicit[k, 0, i]
                 _control(q, law, 0.0, k, du)
                 for j in range(LANES):  # a velocity that was not let begin, as the first may be, does not come back
                     q[_S + LANES + j], q[_S + 3 * LANES + j] = 0.0, 0.0
+                k += 1
                 continue
             if not filled[mode]:
                 filled[mode] = True
                 _fill(scratch, lengths[0], rate, mode, mode, phi, M, spring, side, dside)
-            v1, stretch, v2 = states[k, 1], states[k, 2] - states[k, 0], states[k, 3]
-            _period(q, law, phi, M, mode, v1, stretch, v2, u[k] + post[k], k, du)
+            end = min(k - k % _OFTEN + _OFTEN, n)
+            if row < rows:
+                end = min(end, int(tape[row, 0]))
+            k = _glide(q, law, phi, M, mode, k, end, limit, states, modes, u, post, explicit, first_explicit, du)
             continue
         if small:
             saturated = 0.0 if abs(u[k]) < limit else math.copysign(1.0, u[k])
@@ -497,3 +511,4 @@ def follow(
             if gravity is not None and dgravity is not None:
                 for j in range(LANES):
                     q[_S + 2 * LANES + j] -= q[_HUNG + j]
+        k += 1

@@ -27,7 +27,7 @@ from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.model.parameters import Quantity
 
 _MOVES = (Quantity.INERTIA, Quantity.VISCOUS, Quantity.STIFFNESS)
-_HEAVY = 1e-3  # of an inertia: the least that an interval may reach
+_LEAST = 1e-3  # of an inertia or a stiffness: what an interval reaches at least, since without it there is no mode
 _DIRECTIONS = 20  # random ones for each parameter
 _SPRINGS = 30  # tried between a bound and half the sampling frequency
 
@@ -96,7 +96,7 @@ def interval_of(estimate: Estimate, confidence: float, sample_time: float) -> In
     size, axes = np.linalg.eigh(estimate.correlation[np.ix_(at, at)])
     factor = radius * std[:, np.newaxis] * axes * np.sqrt(np.maximum(size, 0.0))
     lower = [
-        _HEAVY * values[p.name] if moving[p.name].quantity is Quantity.INERTIA else max(moving[p.name].lower, 0.0)
+        max(moving[p.name].lower, 0.0) if moving[p.name].quantity is Quantity.VISCOUS else _LEAST * values[p.name]
         for p in chosen
     ]
     symbols = ", ".join(p.symbol for p in chosen)
@@ -131,18 +131,22 @@ def _springs(estimate: Estimate, confidence: float, last: float) -> Interval:
         )
     radius = reach(1, confidence)
     friction = {name: one.value for name, one in sums.items() if name != "inertia"}
-    masses = [max(inertia.value + side * radius * inertia.std, _HEAVY * inertia.value) for side in (-1, 1)]
+    masses = [max(inertia.value + side * radius * inertia.std, _LEAST * inertia.value) for side in (-1, 1)]
     made: list[Mapping[str, float]] = []
     for mass in masses:
         for bound in bounded:
             assert bound.frequency is not None
             modes = np.geomspace(min(bound.frequency, last), last, _SPRINGS)
             made += [spring(estimate.values, friction, mass, bound.share, float(mode)) for mode in modes]
+    unbounded = [f"{bound.share:g}" for bound in estimate.bounds if bound.frequency is None]
     listed = ", ".join(f"{number(bound.frequency, 3)} Hz at {bound.share:g}" for bound in bounded)
     said = (
         "the stiffness is refused: all springs no softer than its bounds, which are modes by the load's share of the "
-        f"inertia ({listed}), damped by {100 * DAMPING:g} % or more, and the interval of the total inertia"
+        f"inertia ({listed}; 95 % each), damped by {100 * DAMPING:g} %, and the {100 * confidence:g} % "
+        "interval of the total inertia"
     )
+    if unbounded:
+        said += f"; a share of {', '.join(unbounded)} is not looked at, since the record excludes no spring there"
     return Interval(estimate.joint, made[0], (), np.zeros((0, 0)), np.zeros(0), tuple(made), said)
 
 

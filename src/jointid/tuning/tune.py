@@ -15,6 +15,7 @@ from jointid.data.drive import Drive
 from jointid.data.record import FloatArray
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.stiffness_bounds import DAMPING
+from jointid.estimation.surroundings import of_law
 from jointid.model.controllers import PD, PID, Cascade, Controller, Timed
 from jointid.model.joints import FlexibleJoint, RigidJoint, acts_on_whole, frequencies
 from jointid.model.linear import ComplexArray, linear_joints
@@ -31,6 +32,10 @@ from jointid.tuning.worst import bench, worst
 _ROUNDS = 5  # of a proposal, and of looking for a joint that it fails
 _NEARLY = 0.995  # of a margin
 _DRAWN = 600  # frequencies that are kept of a response
+_DOUBTED = {
+    "fit": "the model does not explain the torque, so all of this may be of another joint",
+    "loop": "loop or log are not as declared, and all of this is of the declared one",
+}
 _SHARES, _MODES = (0.3, 0.5, 0.7), 60  # of a spring that a rigid joint may have
 
 
@@ -146,7 +151,7 @@ def _proposed(
         if kept(found.margins[np.newaxis], settings, _NEARLY):
             return layout, case.judged(layout.controller), []
         points = np.concatenate([points, found.points])
-    said = "no gains of this structure keep the asked margins for all joints of the interval"
+    said = "no gains of this structure were found that keep the asked margins for all joints of the interval"
     return None, None, [f"{said}; ask for less, or narrow the interval (jointid advise says how)"]
 
 
@@ -176,6 +181,18 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
     estimate, found = case.estimate, []
     if not estimate.converged:
         found.append("the identification did not end well, so all of this is of a joint that may be another one")
+    found += [
+        f"{_DOUBTED[v.subject]}: {v.said}" for v in estimate.verdicts if v.good is False and v.subject in _DOUBTED
+    ]
+    if estimate.bounds:
+        found.append(
+            'the stiffness is refused: what stands "at the estimate" is of the softest spring it leaves possible, and '
+            "the worst case is that of the springs looked at, each with the friction as it was found: no statement of "
+            "one confidence"
+        )
+    held = [p.name for p in estimate.parameters if p.free and not p.of_joint and of_law(p.name)]
+    if held:
+        found.append(f"the interval is of the joint: {', '.join(held)} stand at the values that were found for them")
     if not present.worst.stable:
         found.append(
             "the interval holds joints with which the loop as it is would not be stable, though it ran: no margin of "
@@ -222,7 +239,7 @@ def _with_a_mode(case: _Case, said: str, loop: LoopMargins, asked: bool) -> str:
     if lowest is None:
         return f"{said} with no mode up to half the sampling frequency that is damped by {100 * DAMPING:g} % only"
     where = "any mode above its crossover" if lowest == modes[0] else f"a first mode above {number(lowest, 3)} Hz"
-    return f"{said} with {where}, damped by {100 * DAMPING:g} % or more (load shares {_SHARES[0]} to {_SHARES[-1]})"
+    return f"{said} with {where}, damped by {100 * DAMPING:g} % (load shares {_SHARES[0]} to {_SHARES[-1]})"
 
 
 def _band(hertz: FloatArray, response: ComplexArray) -> Band:

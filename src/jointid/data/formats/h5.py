@@ -224,17 +224,22 @@ def members(group: Member, contents: Contents, path: str, seen: list[int]) -> It
     """
     h5py = extra("h5py", "logs", "HDF5")
     for name in group:
-        seen[0] += 1
-        if seen[0] > _MEMBERS:
-            raise RecordError(
-                f"{Path(group.file.filename).name} has more than {_MEMBERS} datasets and groups; log fewer channels."
-            )
+        count_member(group, seen)
         link = group.get(name, getlink=True)
         if isinstance(link, h5py.HardLink):
             yield name, group[name]
         else:
             other = "another file" if isinstance(link, h5py.ExternalLink) else "another place"
             contents.passed[f"{path}{name}"] = f"a link to {other}, which is not followed"
+
+
+def count_member(member: Member, seen: list[int]) -> None:
+    """Count a dataset or group, or a reference to one; raise a `RecordError` at more than any log has."""
+    seen[0] += 1
+    if seen[0] > _MEMBERS:
+        raise RecordError(
+            f"{Path(member.file.filename).name} has more than {_MEMBERS} datasets and groups; log fewer channels."
+        )
 
 
 def apart(dataset: Member) -> str | None:

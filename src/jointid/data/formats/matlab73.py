@@ -70,6 +70,7 @@ def _elements(
         contents.passed[f"{path}.{name}"] = f"an array of {field.size} structures"
         return
     for index, reference in enumerate(field[()].ravel(order="C")):
+        h5.count_member(field, seen)
         if reference:
             _variable(file, f"{path}[{index}].{name}", file[reference], contents, seen, deep + 1)
 

@@ -181,6 +181,10 @@ class _Reading:
         if topic.encoding != "cdr":
             self.passed[topic.name] = f"its messages are in {topic.encoding}, not in CDR"
             return
+        if topic not in self.series and (other := next((t for t in self.series if t.name == topic.name), None)):
+            del self.series[other]
+            self.passed[topic.name] = "its messages are of more than one kind"
+            return
         if topic not in self.series:
             self.series[topic] = _Series(topic, types_of(topic.type, topic.definition))
         try:
