@@ -95,6 +95,8 @@ def test_what_is_filled_in_is_what_is_written() -> None:
         ({"controller.kp": "-1"}, "controller.kp", "Position gain kp is -1"),
         ({"controller.kp": "fast"}, "controller.kp", 'is "fast"; expected a number'),
         ({"controller.kp": "1,5"}, "controller.kp", 'is "1,5"; expected a number with a decimal point: write 1.5.'),
+        ({"controller.kp": "-1,5e-3"}, "controller.kp", "write -1.5e-3."),
+        ({"controller.kp": "1,234,567"}, "controller.kp", "expected a number in plain digits"),
         ({"controller.kp": "1_0"}, "controller.kp", 'is "1_0"; expected a number in plain digits'),
         ({"controller.gain": "\u0663"}, "controller.gain", "expected a number in plain digits"),
         ({"controller.law": LEARN, "controller.gain": "1_0", **MOTOR}, "controller.gain", "in plain digits"),

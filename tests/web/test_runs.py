@@ -271,6 +271,8 @@ def test_the_end_of_the_page_ends_what_is_read(client: TestClient, asker: Asker,
         assert "The page is being stopped" in making.result()[1]
     assert not alive(pid)
     assert "The page is being stopped" in asker.said("log.csv", log)
+    with pytest.raises(PageError, match="is being stopped"):
+        client.app.state.desk.jobs.submit(asker.visitor.new_run(Limits()))  # type: ignore[attr-defined]
 
 
 def test_those_who_wait_to_be_read_keep_no_thread_and_are_only_so_many(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from jointid.common.errors import JointFileError
 from jointid.jointfile import JointFile, dumps
 from jointid.jointfile.wording import dotted
 from jointid.web.fields import EXTRA, EXTRA_LAW, FIELDS, LAWS, LEARN, NAMES, WITHOUT, Draft, Field, usual
+from jointid.web.values import no_number, shown_as, value_of
 
 LONGEST = {EXTRA: 100_000}
 _LONGEST = 300  # characters of any other field
@@ -23,9 +24,6 @@ _STAND_IN = {"law": "cascade", "kp": 1.0, "kv": 1.0}
 _LAW = "controller.law"
 _SEVERAL = {"records": "[[records]]", "together": "[together]"}
 """Tables of a joint file that read other records than the visitor's."""
-
-_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-_COMMA = re.compile(r"([+-]?[0-9]*),([0-9]+)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +79,7 @@ def tables(draft: Draft, file: str) -> dict[str, Any]:
     for one in FIELDS:
         text = draft.get(one.name, one.usual).strip()
         if text and one.applies(draft) and _named(one, draft):
-            _put(made, one.key.split("."), _value(one, text))
+            _put(made, one.key.split("."), value_of(one, text))
     if draft.get(_LAW) not in LAWS:
         made.pop("controller", None)
     extra = _parsed(draft.get(EXTRA, ""), EXTRA)
@@ -121,7 +119,7 @@ def ordered(draft: Draft, file: str) -> Ordered:
         )
     said["controller"] = _STAND_IN
     text = dumps(JointFile.of(said))
-    gain = _value(_field("controller.gain"), draft.get("controller.gain", "").strip() or "1")
+    gain = value_of(_field("controller.gain"), draft.get("controller.gain", "").strip() or "1")
     if not isinstance(gain, float) or not 0 < gain < float("inf"):
         raise JointFileError("controller.gain is no positive number; correct it, or leave it empty for 1.")
     reading = {**_reading(said), "method": {"name": "idim"}}
@@ -145,7 +143,7 @@ def told(error: JointFileError, draft: Draft, names: Collection[str]) -> Faults:
         keys = [".".join(parts[:n]) for n in range(len(parts), 0, -1)]
         found = next((shown[k] for key in keys for k in (key, f"{key}.column") if k in shown), None)
         if found is not None:
-            said = _no_number(found, draft) or sentence.replace(place, found.label, 1)
+            said = no_number(found, draft) or sentence.replace(place, found.label, 1)
             beside.setdefault(found.name, []).append(said)
         elif place == EXTRA and EXTRA in names:
             beside.setdefault(EXTRA, []).append(sentence)
@@ -172,7 +170,7 @@ def imported(text: str) -> dict[str, str]:
         known[_LAW] = draft[_LAW] = WITHOUT if law is None else EXTRA_LAW
     _drop(rest, ["record", "file"])
     for one in FIELDS:
-        if one.applies(known) and (shown := _shown(one, _at(rest, one.key.split(".")))) is not None:
+        if one.applies(known) and (shown := shown_as(one, _at(rest, one.key.split(".")))) is not None:
             draft[one.name] = shown
             _drop(rest, one.key.split("."))
     if law is None and _at(rest, ["method", "name"]) == "idim":
@@ -201,65 +199,6 @@ def _reading(said: Mapping[str, Any]) -> dict[str, Any]:
 def _channels(said: Mapping[str, Any]) -> Mapping[str, Any]:
     found = said.get("record", {}).get("channels", {})
     return found if isinstance(found, dict) else {}
-
-
-def _value(one: Field, text: str) -> Any:
-    """Return a field's text as the joint file has it; what is none is left as it is, for the schema to refuse."""
-    try:
-        match one.form:
-            case "number":
-                return _decimal(text)
-            case "numbers":
-                return [_decimal(part) for part in text.strip("[]").split(";" if ";" in text else ",")]
-            case "sign":
-                return {"1": 1, "-1": -1}.get(text, text)
-            case "flag":
-                return {"true": True, "false": False}.get(text, text)
-            case _:
-                return text
-    except ValueError:
-        return text
-
-
-def _decimal(text: str) -> float:
-    """Return a plain decimal number; Python reads more as one, such as 1_0 and the digits of other scripts.
-
-    Raises:
-        ValueError: it is none.
-    """
-    if not _NUMBER.fullmatch(text.strip()):
-        raise ValueError
-    return float(text)
-
-
-def _no_number(one: Field, draft: Draft) -> str | None:
-    """Return what is said of a text where numbers belong, None where there is nothing to say."""
-    text = draft.get(one.name, one.usual).strip()
-    if one.form not in ("number", "numbers") or not text or not isinstance(_value(one, text), str):
-        return None
-    if comma := _COMMA.search(text):
-        whole, fraction = comma.groups()
-        return f'{one.label} is "{text}"; expected a number with a decimal point: write {whole or 0}.{fraction}.'
-    return f'{one.label} is "{text}"; expected a number in plain digits, such as 12.5 or 1e-3: correct it.'
-
-
-def _shown(one: Field, value: Any) -> str | None:
-    """Return a value of a joint file as its field shows it; None where the field cannot."""
-    text = None
-    match one.form:
-        case "number" if isinstance(value, int | float) and not isinstance(value, bool):
-            text = repr(value)
-        case "numbers" if isinstance(value, list) and all(isinstance(item, int | float) for item in value):
-            text = ", ".join(map(repr, value))
-        case "flag" if isinstance(value, bool):
-            text = str(value).lower()
-        case "sign" if value in (1, -1):
-            text = str(value)
-        case "choice" | "unit" if isinstance(value, str) and value in dict(one.choices):
-            text = value
-        case "text" | "column" if isinstance(value, str):
-            text = value
-    return text
 
 
 def _put(made: dict[str, Any], path: list[str], value: Any) -> None:

@@ -61,9 +61,11 @@ class Jobs:
         """Queue an identification.
 
         Raises:
-            PageError: too many wait, of this visitor or of all.
+            PageError: too many wait, of this visitor or of all, or the page ends.
         """
         with self._lock:
+            if self._closed:
+                raise PageError(_ENDING)
             going = [job for job in self._jobs.values() if not job.cancelled.is_set()]
             own = sum(job.run.folder.parent == run.folder.parent for job in going)
             if own >= self._limits.waiting_each:

@@ -59,8 +59,8 @@ class Run:
         return self.status["state"] in ACTIVE
 
     def update(self, **values: object) -> None:
-        """Change how it stands."""
-        if self.folder.is_dir():
+        """Change how it stands, unless it has been removed."""
+        with contextlib.suppress(FileNotFoundError):
             write_json(self.folder / "run.json", self.status | values)
 
     def lines(self) -> list[str]:
