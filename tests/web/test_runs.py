@@ -249,7 +249,9 @@ def test_deleting_ends_what_is_read_and_nothing_comes_back(
         making = pool.submit(asker.post, "/example")
         pid = reading(client)
         waiting = pool.submit(asker.send, "late.csv", log)
-        time.sleep(0.2)
+        turn = client.app.state.desk._turns[visitor.folder]  # type: ignore[attr-defined]
+        while not turn._waiters and not waiting.done():
+            time.sleep(0.02)
         assert asker.post("/forget")[0] == 200
         assert not alive(pid)
         for overtaken in (making, waiting):

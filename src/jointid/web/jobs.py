@@ -97,6 +97,8 @@ class Jobs:
         with self._lock:
             jobs = [job for job in self._jobs.values() if folder in job.run.folder.parents]
             readings = [process for process, place in self._attended.items() if place == folder]
+            for process in readings:
+                del self._attended[process]  # which tells its request why it ended
         for process in readings:
             process.kill()
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -141,7 +143,8 @@ class Jobs:
                 raise PageError(
                     f"Reading this record takes longer than {self._limits.reading:.0f} s; send a shorter one."
                 ) from None
-        if not folder.is_dir():
+            forgotten = process not in self._attended
+        if forgotten or not folder.is_dir():
             raise PageError(GONE)
         if code:
             raise PageError(_ENDING if self._closed else "\n".join(_sentences(code, folder)))
@@ -159,7 +162,7 @@ class Jobs:
                 yield process
         finally:
             with self._lock:
-                del self._attended[started.process]
+                self._attended.pop(started.process, None)
 
     def _follow(self, job: _Job) -> None:
         run = job.run
