@@ -181,7 +181,7 @@ def test_mistakes_are_told_in_a_sentence(folder: Path, capsys: pytest.CaptureFix
     "change",
     [
         {"schema": "jointid.loop/1"}, {"model": "rigid"}, {"kind": "revolute"}, {"parameters": []}, {"record": None},
-        {"transmission": {"side": "load"}}, {"delay": float("nan")}, {"delay": "0"}, {"effects": [1]},
+        {"transmission": {"side": "load"}}, {"delay": "0"}, {"effects": [1]},
         {"parameters": {}}, {"gravity": {"load": "link", "angle": 1.0}}, {"schema": []},
     ],
 )  # fmt: skip
@@ -195,6 +195,13 @@ def test_an_answer_of_something_else_is_refused(
     assert "is no estimate (jointid.estimate/1" in said
     assert "Traceback" not in said
     assert not (folder / "a.mo").exists()
+
+
+def test_a_number_that_json_does_not_know_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = json.loads((folder / "out.json").read_text(encoding="utf-8")) | {"delay": float("nan")}
+    (folder / "out.json").write_text(json.dumps(told), encoding="utf-8")
+    assert exported(folder, "a.mo") == 2
+    assert "out.json is no JSON file; give the file that identify --json wrote." in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("value", ["1", True, float("inf"), [1.0]])
