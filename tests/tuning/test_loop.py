@@ -96,12 +96,12 @@ def test_a_delay_of_part_of_a_period_is_sampled_exactly(late: float) -> None:
     for at in range(4 * torque.size):
         if at % 4 == 0:
             expected.append(state)
-        state = fine.transition[0] @ state + fine.new[0] * put_out[at]
-    past = np.concatenate([np.zeros(coarse.whole + 1), torque])
+        state = fine.drive.transition[0] @ state + fine.drive.new[0] * put_out[at]
+    past = np.concatenate([np.zeros(coarse.drive.whole + 1), torque])
     state = np.zeros(4)
     for at, wanted in enumerate(expected):
         np.testing.assert_allclose(state, wanted, atol=1e-12)
-        state = coarse.transition[0] @ state + coarse.new[0] * past[at + 1] + coarse.old[0] * past[at]
+        state = coarse.drive.transition[0] @ state + coarse.drive.new[0] * past[at + 1] + coarse.drive.old[0] * past[at]
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -25,10 +25,9 @@ from jointid.common.text import number
 from jointid.data.record import FloatArray
 from jointid.exports.joint_model import JointModel
 from jointid.exports.provenance import effects_left_out, friction_shift, uneven_viscous
-from jointid.model.linear import OUTPUTS, drive_matrices, held
+from jointid.model.linear import OUTPUTS, drive_matrices, sampled
 from jointid.model.parameters import Quantity, unit_of
 
-_SNAP = 1e-9  # of a period: a delay closer than this to a whole number of them is one
 _MOST = 1000  # periods of delay: each is a state
 
 
@@ -56,12 +55,7 @@ class StateSpace:
     delay: float = 0.0
 
     def sampled(self, period: float, delay: float = 0.0) -> StateSpace:
-        """Return it for a torque that is held from each sample to the next: exact at the samples, up to rounding.
-
-        With ``delay = (m + f) period``, f below 1, a sample's torque acts for the last (1 - f) of a period and the
-        first f of the next (Franklin, Powell and Workman, Digital Control of Dynamic Systems, section 4.3)::
-
-            x[k+1] = Phi x[k] + e^(A (1-f) T) G(f T) u[k-m-1] + G((1-f) T) u[k-m],    G(h) = integral of e^(A s) B to h
+        """Return it for a torque that is held from each sample to the next: exact at the samples (`model.linear`).
 
         Each torque that is still on its way is a state, ``torque_1`` the newest.
 
@@ -77,15 +71,11 @@ class StateSpace:
                 f"A continuous state space is sampled with a positive period and a delay from 0 to {_MOST} of them; "
                 f"received {period} s and {delay} s" + (", and it is sampled already." if self.period else ".")
             )
-        whole = math.floor(delay / period + _SNAP)
-        late = max(delay - whole * period, 0.0)
-        late = late if late > _SNAP * period else 0.0
-        before, held_before = held(self.A, self.B[:, 0], late)
-        after, held_after = held(self.A, self.B[:, 0], period - late)
-        order, waiting = len(self.A), whole + (late > 0)
+        made = sampled(self.A, self.B[:, 0], period, delay)
+        order, waiting = len(self.A), made.waiting
         A, B = np.zeros((order + waiting, order + waiting)), np.zeros((order + waiting, 1))
-        A[:order, :order] = after @ before
-        for lag, column in ((whole, held_after), (whole + 1, after @ held_before)):
+        A[:order, :order] = made.transition
+        for lag, column in ((made.whole, made.new), (made.whole + 1, made.old)):
             if lag == 0:
                 B[:order, 0] = column
             elif lag <= waiting:

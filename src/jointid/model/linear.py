@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -25,6 +25,8 @@ from jointid.model.joints import FlexibleJoint, Joint
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
 Output: TypeAlias = Literal["motor_position", "motor_velocity", "load_position", "load_velocity"]
+
+_SNAP = 1e-9  # of a period: a delay closer than this to a whole number of them is one
 
 OUTPUTS: tuple[Output, ...] = ("motor_position", "motor_velocity", "load_position", "load_velocity")
 """The states of a flexible joint, in their order; a rigid one has the first two."""
@@ -72,6 +74,54 @@ def held(A: FloatArray, B: FloatArray, seconds: float) -> tuple[FloatArray, Floa
     both[..., :order, :order], both[..., :order, order] = A * seconds, B * seconds
     made = np.asarray(expm(both), dtype=np.float64)
     return made[..., :order, :order], made[..., :order, order]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sampled:
+    """What a torque does that is held for a period and acts (m + f) periods after its sample, f below 1.
+
+    Exact (Astrom and Wittenmark, Computer-Controlled Systems, section 2.3; Franklin, Powell and Workman, Digital
+    Control of Dynamic Systems, section 4.3), with Phi(t) = exp(A t) and G(t) the integral of Phi B until t::
+
+        x[k+1] = Phi(T) x[k] + Phi((1-f) T) G(f T) u[k-m-1] + G((1-f) T) u[k-m]
+
+    Attributes:
+        transition: (..., states, states), Phi(T).
+        new: (..., states) of u[k-m]. old: of the one before it.
+        whole: m. partial: whether there is an f.
+    """
+
+    transition: FloatArray
+    new: FloatArray
+    old: FloatArray
+    whole: int
+    partial: bool
+
+    @property
+    def waiting(self) -> int:
+        """How many torques that were put out are still to act, or acting, at a sample."""
+        return self.whole + self.partial
+
+    def of(self, chosen: slice) -> Sampled:
+        """Return the same of some of its drives, along the first axis."""
+        return replace(self, transition=self.transition[chosen], new=self.new[chosen], old=self.old[chosen])
+
+
+def sampled(A: FloatArray, B: FloatArray, period: float, delay: float) -> Sampled:
+    """Return a drive as it goes on from sample to sample under a held torque.
+
+    Args:
+        A: (..., states, states).
+        B: (..., states).
+        period: seconds, positive.
+        delay: seconds from a sample of the torque to its effect, 0 or more.
+    """
+    whole = math.floor(delay / period + _SNAP)
+    late = max(delay - whole * period, 0.0)
+    late = late if late > _SNAP * period else 0.0
+    first, into_first = held(A, B, late)
+    then, into_then = held(A, B, period - late)
+    return Sampled(then @ first, into_then, (then @ into_first[..., np.newaxis])[..., 0], whole, late > 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -31,19 +31,19 @@ def loop_response(law: SampledLaw, position: ComplexArray, hertz: FloatArray) ->
 
 def spectral_radius(law: SampledLaw, joints: SampledJoints) -> FloatArray:
     """Return the size of the closed loops' largest eigenvalue over a cycle, (joints,); stable below 1."""
-    feedback, _ = law.split()
+    (feedback, _), drive = law.split(), joints.drive
     heard = _heard(feedback)
-    order, states, waiting = int(np.sum(heard)), joints.transition.shape[1], joints.waiting
+    order, states, waiting = int(np.sum(heard)), drive.transition.shape[1], drive.waiting
     size = states + order + waiting
-    cycle = np.broadcast_to(np.eye(size), (len(joints.transition), size, size))
+    cycle = np.broadcast_to(np.eye(size), (len(drive.transition), size, size))
     for phase in range(law.phases):
         A, B = feedback.A[phase][np.ix_(heard, heard)], feedback.B[phase, heard, POSITION]
         C, D = feedback.C[phase, law.output, heard], feedback.D[phase, law.output, POSITION]
-        step = np.zeros((len(joints.transition), size, size))
+        step = np.zeros((len(drive.transition), size, size))
         torque = np.zeros(size)  # of the period, from all states
         torque[0], torque[states : states + order] = D, C
-        step[:, :states, :states] = joints.transition
-        for late, into in ((joints.whole, joints.new), (joints.whole + 1, joints.old)):
+        step[:, :states, :states] = drive.transition
+        for late, into in ((drive.whole, drive.new), (drive.whole + 1, drive.old)):
             if late == 0:
                 step[:, :states] += into[..., np.newaxis] * torque
             elif late <= waiting:

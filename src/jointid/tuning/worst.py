@@ -40,7 +40,7 @@ class Bench:
     def first(self) -> Bench:
         """The first candidate alone."""
         s, kept = self.sampled, slice(0, self.ways)
-        alone = replace(s, transition=s.transition[kept], new=s.new[kept], old=s.old[kept])
+        alone = replace(s, drive=s.drive.of(kept))
         return Bench(self.hertz, alone, self.position[kept], self.ways)
 
     def response(self, law: SampledLaw) -> ComplexArray:
