@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from jointid.data.record import FloatArray
 from jointid.model.joints import FlexibleJoint, Joint
-from jointid.simulation.sensitivities import by_mode, coefficient_seeds, gravity_seed, start_slope, taped_rows
+from jointid.simulation.sensitivities import coefficient_seeds, gravity_seed, start_slope, taped_rows
 
 PARTS = 4  # of a sample
 _WALL = 1e200  # a Coulomb force that nothing overcomes, and whose square is still a number
@@ -272,17 +272,16 @@ class _Load:
                 start[LOAD_STATE.index(name), j] = 1.0
                 continue
             seeds[:, j] = by_name[name]
-            weights[:, j] = gravity_seed(self.joint, own, name)
+            weights[:, j] = gravity_seed(self.joint, name)
             start[:, j] = start_slope(lambda at: _start(self.joint, self.motion, at), self.values, name)
             if name in pushes:
                 explicit.append(np.append(pushes[name], pushes[name][-1]))
-        spring, side, dspring, dinertia, dside = by_mode(self.drive, seeds)
         states = np.empty((n, 4, width))
         explained = np.column_stack([np.zeros((n, 0)), *explicit])[:, np.newaxis]
         tangents.follow(
             np.array([self.motion.step]), np.zeros(1, dtype=np.int64), self.raw, self.modes, self.tape, self.taped,
-            self.push, np.zeros(n), self.push[0], np.empty((0, 1)), kernels.NO_FEEDBACK, spring, side, dspring,
-            dinertia, dside, explained, len(names) - len(explicit), np.zeros(width), np.zeros((1, width)), start,
+            self.push, np.zeros(n), self.push[0], np.empty((0, 1)), kernels.NO_FEEDBACK, self.drive, seeds,
+            explained, len(names) - len(explicit), np.zeros(width), np.zeros((1, width)), start,
             np.zeros((0, width)), np.empty((n, width)), np.empty((0, width)), states,
             self.gravity, None if self.gravity is None else weights,
         )  # fmt: skip

@@ -9,8 +9,9 @@ too: the law is run on the simulated position at two neighbouring values, and is
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -89,9 +90,8 @@ def simulate_sensitivities(
     Raises:
         MethodError: a name is none of these, or of a part that is not there, as a `ki` of 0.
     """
-    own = tuple(p.name for p in loop.joint.parameters)
-    out = _taped(loop, experiment, values, own, names, initial)
-    return _derived(loop, experiment, values, own, names, out, positions)
+    out = _taped(loop, experiment, values, names, initial)
+    return _derived(loop, experiment, values, names, out, positions)
 
 
 def simulate_with_sensitivities(
@@ -102,9 +102,8 @@ def simulate_with_sensitivities(
     initial: Initial | None = None,
 ) -> tuple[Simulation, FloatArray]:
     """Return what `simulate` does, and of `simulate_sensitivities` the derivatives of the torque, from one run."""
-    own = tuple(p.name for p in loop.joint.parameters)
-    out = _taped(loop, experiment, values, own, names, initial)
-    derived = _derived(loop, experiment, values, own, names, out, positions=False)
+    out = _taped(loop, experiment, values, names, initial)
+    derived = _derived(loop, experiment, values, names, out, positions=False)
     return simulation_of(loop, experiment, out), derived.torque
 
 
@@ -112,11 +111,11 @@ def _taped(
     loop: ClosedLoop,
     experiment: Experiment,
     values: Mapping[str, float],
-    own: Sequence[str],
     names: Sequence[str],
     initial: Initial | None,
 ) -> Run:
     """Return a run with its whole tape, in memory that the next one takes."""
+    own = _seeds(loop.joint)
     for name in names:
         if _is_of_law(own, name):
             number(loop.controller, name)
@@ -131,7 +130,6 @@ def _derived(
     loop: ClosedLoop,
     experiment: Experiment,
     values: Mapping[str, float],
-    own: Sequence[str],
     names: Sequence[str],
     out: Run,
     positions: bool,
@@ -143,13 +141,14 @@ def _derived(
         position = torque if positions else torque[:, :0]
         return Sensitivities(response, torque, position, position if loop.joint.model == "flexible" else torque[:, :0])
     # The law's own columns come last in a block.
+    own = _seeds(loop.joint)
     order = sorted(range(len(names)), key=lambda i: _is_of_law(own, names[i]))
     # The log's tap sees the output, or what is behind the torque's limit where that is another.
     seen = int(experiment.tap is Tap.COMMAND and experiment.law.tap != experiment.law.output)
     commands, moved = [], []
     for begin in range(0, max(len(names), 1), _lanes()):
         block = [names[i] for i in order[begin : begin + _lanes()]]
-        followed = _followed(loop, experiment, values, own, block, out, positions)
+        followed = _followed(loop, experiment, values, block, out, positions)
         commands.append(followed[seen][:, : len(block)])
         moved.append(followed[2][experiment.looked, ::2, : len(block)] if positions else np.empty((0, 2, len(block))))
     command, states = _joined(commands, order), _joined(moved, order)
@@ -179,7 +178,7 @@ def _lanes() -> int:
     return tangents.LANES
 
 
-def _is_of_law(own: Sequence[str], name: str) -> bool:
+def _is_of_law(own: Container[str], name: str) -> bool:
     return name not in _INITIAL and name != "delay" and name not in own
 
 
@@ -197,7 +196,6 @@ def _followed(
     loop: ClosedLoop,
     experiment: Experiment,
     values: Mapping[str, float],
-    own: Sequence[str],
     names: Sequence[str],
     out: Run,
     positions: bool,
@@ -211,12 +209,12 @@ def _followed(
     law, width = experiment.feedback, tangents.LANES
     seeds, weights, start = np.zeros((14, width)), np.zeros((3, width)), np.zeros((4, width))
     memory, delay, limits = np.zeros((law.order, width)), np.zeros(width), np.zeros((law.limits.size, width))
-    explicit, by_name = [], coefficient_seeds(loop.joint.coefficients, own)
+    explicit, by_name = [], _seeds(loop.joint)
     for j, name in enumerate(names):
         if name in by_name:
             seeds[:, j] = by_name[name]
             if out.gravity is not None:
-                weights[:, j] = gravity_seed(loop.joint, own, name)
+                weights[:, j] = gravity_seed(loop.joint, name)
             if out.velocity != 0.0 or out.gravity is not None:  # else it begins where the motor is, whatever it is like
                 start[:, j] = start_slope(lambda at: loop.joint.start(at, out.position, out.velocity), values, name)
         elif name in _INITIAL:
@@ -228,7 +226,6 @@ def _followed(
         else:
             column, limits[:, j] = _explicit(loop, experiment, out, name)
             explicit.append(column)
-    spring, side, dspring, dinertia, dside = by_mode(out.drive, seeds)
     periods, elements = len(out.command), law.limits.size
     command = _FRESH.array("slopes", (periods, width))
     tapped = _FRESH.array("tapped", (periods if law.tap != law.output else 0, width))
@@ -236,25 +233,11 @@ def _followed(
     explained = np.stack(explicit, axis=2) if explicit else np.zeros((periods, elements, 0))
     tangents.follow(
         experiment.lengths, experiment.lags, out.states, out.modes, out.tape, int(out.counts[1]), out.command,
-        experiment.after_limit, out.before, out.excess, experiment.kernel, spring, side, dspring, dinertia, dside,
-        explained, len(names) - len(explicit), delay, limits, start, memory, command, tapped, states,
+        experiment.after_limit, out.before, out.excess, experiment.kernel, out.drive, seeds, explained,
+        len(names) - len(explicit), delay, limits, start, memory, command, tapped, states,
         out.gravity, None if out.gravity is None else weights,
     )  # fmt: skip
     return command, tapped, states
-
-
-def by_mode(drive: FloatArray, seeds: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the drive, and its derivatives, by the modes of its two masses, as `tangents.follow` reads them."""
-    columns = seeds.shape[1]
-    side, dside = np.zeros((2, 3, 3)), np.zeros((2, 2, 3, columns))
-    for mass in range(2):
-        viscous, viscous_back, coulomb, coulomb_back = range(4 + 4 * mass, 8 + 4 * mass)
-        offset = 12 + mass
-        for mode, drag, force, sign in ((0, viscous_back, coulomb_back, 1.0), (2, viscous, coulomb, -1.0)):
-            side[mass, :, mode] = 1 / drive[mass], drive[drag], sign * drive[force] - drive[offset]
-            dside[mass, 0, mode] = seeds[drag]
-            dside[mass, 1, mode] = sign * seeds[force] - seeds[offset]
-    return drive[2:4].copy(), side, seeds[2:4].copy(), seeds[:2] / drive[:2, np.newaxis], dside
 
 
 def taped_rows(samples: int) -> int:
@@ -271,9 +254,15 @@ def coefficient_seeds(
     return {name: coefficients(nothing | {name: 1.0}) - constant for name in own}
 
 
-def gravity_seed(joint: Joint, own: Sequence[str], name: str) -> FloatArray:
+@lru_cache(maxsize=64)
+def _seeds(joint: Joint) -> Mapping[str, FloatArray]:
+    """Return `coefficient_seeds` of a joint, which thousands of runs ask for."""
+    return coefficient_seeds(joint.coefficients, [p.name for p in joint.parameters])
+
+
+def gravity_seed(joint: Joint, name: str) -> FloatArray:
     """Return how the factors of gravity depend on a parameter of the joint, (3,): they are linear in it."""
-    one = joint.gravity_coefficients({each: float(each == name) for each in own})
+    one = joint.gravity_coefficients({p.name: float(p.name == name) for p in joint.parameters})
     return np.zeros(3) if one is None else one[:3]
 
 

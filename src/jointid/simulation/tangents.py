@@ -24,7 +24,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.compiled import compiled, inlined
+from jointid.common.compiled import compiled, inlined, wide_vectors
 from jointid.data.record import FloatArray
 from jointid.simulation.kernels import Feedback
 
@@ -55,14 +55,13 @@ _SLID, _HUNG, _WEIGHT, _SPRING, _INERTIA, _SIDE, _ROWS = (LANES * row for row in
 
 
 class _Law(NamedTuple):
-    """A feedback of two states at most: numbers, which stay in registers."""
+    """A feedback of two states at most, in its observer form: its output is its first state, and what it sees at once.
 
-    c0: float
-    c1: float
-    a00: float
-    a01: float
-    a10: float
-    a11: float
+    Numbers, which stay in registers; and few: of the states, z0' = own z0 + z1 and z1' = other z0.
+    """
+
+    own: float
+    other: float
     b0: float
     b1: float
     e0: float
@@ -80,6 +79,7 @@ def _propagate(
     A motion is what the motor has travelled, its velocity, the stretch, what the load has travelled, its velocity.
     `steady` is 1 where the constant forces act and 0 for the response to anything else.
     """
+    wide_vectors()
     one, two = mode // 3, mode % 3
     K, F = spring[0], spring[1]
     h1, h2 = h * side[0, 0, one], h * side[1, 0, two]
@@ -97,18 +97,21 @@ def _propagate(
     end1, end2, end = v1, v2, stretch
     first = 1.0
     for k in range(1, _ORDER + 1):
+        # What waits for the term before is added last: from one term to the next there is a chain of three operations.
         apart = v2 - v1
-        new1 = h1 * (first * (s + steady * side[0, 2, one]) + K * stretch + F * apart) - drag1 * v1
-        new2 = h2 * (first * steady * side[1, 2, two] - K * stretch - F * apart) - drag2 * v2
+        pull = K * stretch + F * apart
+        new1 = h1 * pull + (h1 * (first * (s + steady * side[0, 2, one])) - drag1 * v1)
+        new2 = (h2 * (first * steady * side[1, 2, two]) - drag2 * v2) - h2 * pull
         moved, rate, steadily = h * _FACTOR[k], _FACTOR[k], first * steady
         for j in range(LANES):
             dv1, dstretch, dv2 = q[_W + j], q[_W + LANES + j], q[_W + 2 * LANES + j]
             dapart = dv2 - dv1
-            force = (q[_SPRING + j] * stretch + q[_SPRING + LANES + j] * apart) + (K * dstretch + F * dapart)
-            push1 = ((force + first * q[_DS + j]) + steadily * q[_SIDE + LANES + j]) - q[_SIDE + j] * v1
-            push2 = (steadily * q[_SIDE + 3 * LANES + j] - q[_SIDE + 2 * LANES + j] * v2) - force
-            to1 = (h1 * push1 - drag1 * dv1) - q[_INERTIA + j] * new1
-            to2 = (h2 * push2 - drag2 * dv2) - q[_INERTIA + LANES + j] * new2
+            dpull = F * dapart + K * dstretch
+            given = q[_SPRING + j] * stretch + q[_SPRING + LANES + j] * apart
+            push1 = ((given + first * q[_DS + j]) + steadily * q[_SIDE + LANES + j]) - q[_SIDE + j] * v1
+            push2 = (steadily * q[_SIDE + 3 * LANES + j] - q[_SIDE + 2 * LANES + j] * v2) - given
+            to1 = h1 * dpull + ((h1 * push1 - q[_INERTIA + j] * new1) - drag1 * dv1)
+            to2 = ((h2 * push2 - q[_INERTIA + LANES + j] * new2) - drag2 * dv2) - h2 * dpull
             q[_S + j] += moved * dv1
             q[_S + LANES + j] += rate * to1
             q[_S + 2 * LANES + j] += moved * dv2
@@ -149,6 +152,7 @@ def _fill(
 @inlined
 def _pushed(q: FloatArray, M: FloatArray, b: int, v1: float, stretch: float, v2: float, s: float) -> None:
     """Write what the parameters change in the map of a part, for the motion there is."""
+    wide_vectors()
     m = np.uint64(b)  # Numba looks for negative indices among the signed
     for i in range(_WIDE):
         moved = (M[m, 4 * _WIDE + i] + M[m, i] * v1) + M[m, _WIDE + i] * stretch
@@ -160,6 +164,7 @@ def _step(
     q: FloatArray, phi: FloatArray, M: FloatArray, b: int, v1: float, stretch: float, v2: float, s: float
 ) -> None:
     """Move the derivatives over a part in which nothing happened."""
+    wide_vectors()
     p00, p01, p02, p03 = phi[b, 0], phi[b, 1], phi[b, 2], phi[b, 3]
     p10, p11, p12, p13 = phi[b, 4], phi[b, 5], phi[b, 6], phi[b, 7]
     p20, p21, p22, p23 = phi[b, 8], phi[b, 9], phi[b, 10], phi[b, 11]
@@ -175,6 +180,16 @@ def _step(
 
 
 @inlined
+def _written(q: FloatArray, at: np.uint64, du: FloatArray) -> None:
+    """Write the derivatives of the law's output: all are read first, so that the machine need not fear an overlap."""
+    wide_vectors()
+    a, b, c, d = q[_OUT], q[_OUT + 1], q[_OUT + 2], q[_OUT + 3]
+    e, f, g, h = q[_OUT + 4], q[_OUT + 5], q[_OUT + 6], q[_OUT + 7]
+    du[at, 0], du[at, 1], du[at, 2], du[at, 3] = a, b, c, d
+    du[at, 4], du[at, 5], du[at, 6], du[at, 7] = e, f, g, h
+
+
+@inlined
 def _glide(
     q: FloatArray, law: _Law, phi: FloatArray, M: FloatArray, mode: int, k: int, end: int, limit: float,
     states: FloatArray, modes: NDArray[np.int8], u: FloatArray, post: FloatArray, explicit: FloatArray,
@@ -185,6 +200,7 @@ def _glide(
     Nearly all periods are of this kind. One loop whose every value is written once: a machine keeps it in vectors, and
     no value waits in memory.
     """
+    wide_vectors()
     p00, p01, p02, p03 = phi[mode, 0], phi[mode, 1], phi[mode, 2], phi[mode, 3]
     p10, p11, p12, p13 = phi[mode, 4], phi[mode, 5], phi[mode, 6], phi[mode, 7]
     p20, p21, p22, p23 = phi[mode, 8], phi[mode, 9], phi[mode, 10], phi[mode, 11]
@@ -198,17 +214,39 @@ def _glide(
         for j in range(LANES):
             a0, a1, a2, a3 = q[_S + j], q[_S + LANES + j], q[_S + 2 * LANES + j], q[_S + 3 * LANES + j]
             z0, z1 = q[_Z + j], q[_Z + LANES + j]
-            d = (law.d * a0 + q[_EXPLICIT + j]) + (law.c0 * z0 + law.c1 * z1)
+            d = (law.d * a0 + q[_EXPLICIT + j]) + z0
             a = a2 - a0
             q[_S + j] = ((((q[_T + j] + a0) + p00 * a1) + p20 * a3) + p10 * a) + g0 * d
             q[_S + LANES + j] = (((q[_T + LANES + j] + p01 * a1) + p21 * a3) + p11 * a) + g1 * d
             q[_S + 2 * LANES + j] = ((((q[_T + 2 * LANES + j] + a2) + p02 * a1) + p22 * a3) + p12 * a) + g2 * d
             q[_S + 3 * LANES + j] = (((q[_T + 3 * LANES + j] + p03 * a1) + p23 * a3) + p13 * a) + g3 * d
-            q[_Z + j] = law.b0 * a0 + (law.a00 * z0 + law.a01 * z1)
-            q[_Z + LANES + j] = law.b1 * a0 + (law.a10 * z0 + law.a11 * z1)
+            q[_Z + j] = law.b0 * a0 + (law.own * z0 + z1)
+            q[_Z + LANES + j] = law.b1 * a0 + law.other * z0
             q[_OUT + j] = d
+        _written(q, at, du)
+        k += 1
+    return k
+
+
+@inlined
+def _rest(
+    q: FloatArray, law: _Law, k: int, end: int, limit: float, modes: NDArray[np.int8], u: FloatArray,
+    explicit: FloatArray, first_explicit: int, du: FloatArray,
+) -> int:  # fmt: skip
+    """Do what `_glide` does while both masses are at rest: the law alone goes on."""
+    wide_vectors()
+    for j in range(LANES):  # a velocity that was not let begin, as the first may be, does not come back
+        q[_S + LANES + j], q[_S + 3 * LANES + j] = 0.0, 0.0
+    while k < end and modes[k] == _AT_REST and abs(u[k]) < limit:
+        at = np.uint64(k)
+        for i in range(explicit.shape[2]):
+            q[_EXPLICIT + first_explicit + i] = explicit[at, 0, i]
         for j in range(LANES):
-            du[at, j] = q[_OUT + j]
+            a0, z0, z1 = q[_S + j], q[_Z + j], q[_Z + LANES + j]
+            q[_Z + j] = law.b0 * a0 + (law.own * z0 + z1)
+            q[_Z + LANES + j] = law.b1 * a0 + law.other * z0
+            q[_OUT + j] = (law.d * a0 + q[_EXPLICIT + j]) + z0
+        _written(q, at, du)
         k += 1
     return k
 
@@ -277,24 +315,24 @@ def _control(q: FloatArray, law: _Law, saturated: float, at: int, du: FloatArray
 
     `saturated` is the sign of an output at its limit, else 0.
     """
+    wide_vectors()
     row = np.uint64(at)
     if saturated == 0.0:
         for j in range(LANES):
             position, z0, z1 = q[_S + j], q[_Z + j], q[_Z + LANES + j]
-            q[_OUT + j] = (law.d * position + q[_EXPLICIT + j]) + (law.c0 * z0 + law.c1 * z1)
-            q[_Z + j] = law.b0 * position + (law.a00 * z0 + law.a01 * z1)
-            q[_Z + LANES + j] = law.b1 * position + (law.a10 * z0 + law.a11 * z1)
+            q[_OUT + j] = (law.d * position + q[_EXPLICIT + j]) + z0
+            q[_Z + j] = law.b0 * position + (law.own * z0 + z1)
+            q[_Z + LANES + j] = law.b1 * position + law.other * z0
     else:
         for j in range(LANES):
             position, z0, z1 = q[_S + j], q[_Z + j], q[_Z + LANES + j]
-            raw = (law.d * position + q[_EXPLICIT + j]) + (law.c0 * z0 + law.c1 * z1)
+            raw = (law.d * position + q[_EXPLICIT + j]) + z0
             out = saturated * q[_LIMIT + j]
             cut = out - raw
-            q[_Z + j] = (law.b0 * position + law.e0 * cut) + (law.a00 * z0 + law.a01 * z1)
-            q[_Z + LANES + j] = (law.b1 * position + law.e1 * cut) + (law.a10 * z0 + law.a11 * z1)
+            q[_Z + j] = (law.b0 * position + law.e0 * cut) + (law.own * z0 + z1)
+            q[_Z + LANES + j] = (law.b1 * position + law.e1 * cut) + law.other * z0
             q[_OUT + j] = out
-    for j in range(LANES):
-        du[row, j] = q[_OUT + j]
+    _written(q, row, du)
 
 
 @compiled
@@ -341,18 +379,42 @@ def _control_any(
 
 
 @inlined
-def _law(feedback: Feedback, nz: int) -> _Law:
-    """Return a feedback of two states at most, one limit and one phase as numbers."""
-    A, C, b, e, d = feedback.A, feedback.C, feedback.Bq, feedback.F, feedback.D[0, 0]
-    law = _Law(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, d)
-    if nz == 1:
-        law = _Law(C[0, 0, 0], 0.0, A[0, 0, 0], 0.0, 0.0, 0.0, b[0, 0], 0.0, e[0, 0, 0], 0.0, d)
-    if nz == 2:
-        law = _Law(
-            C[0, 0, 0], C[0, 0, 1], A[0, 0, 0], A[0, 0, 1], A[0, 1, 0], A[0, 1, 1], b[0, 0], b[0, 1],
-            e[0, 0, 0], e[0, 1, 0], d,
-        )  # fmt: skip
-    return law
+def _law(feedback: Feedback, nz: int) -> tuple[_Law, FloatArray]:
+    """Return a feedback of two states at most, one limit and one phase; and its states, (2, nz), of those it was in."""
+    A, C, d = feedback.A, feedback.C, feedback.D[0, 0]
+    seen, trace = np.zeros((2, nz)), 0.0
+    for i in range(nz):
+        trace += A[0, i, i]
+    for i in range(nz):
+        seen[0, i] = C[0, 0, i]
+        seen[1, i] = -trace * C[0, 0, i]
+        for other in range(nz):
+            seen[1, i] += C[0, 0, other] * A[0, other, i]
+    b0, b1, e0, e1 = 0.0, 0.0, 0.0, 0.0
+    for i in range(nz):
+        b0, b1 = b0 + seen[0, i] * feedback.Bq[0, i], b1 + seen[1, i] * feedback.Bq[0, i]
+        e0, e1 = e0 + seen[0, i] * feedback.F[0, i, 0], e1 + seen[1, i] * feedback.F[0, i, 0]
+    determinant = A[0, 0, 0] * A[0, 1, 1] - A[0, 0, 1] * A[0, 1, 0] if nz == 2 else 0.0
+    return _Law(trace, -determinant, b0, b1, e0, e1, d), seen
+
+
+@inlined
+def _by_mode(drive: FloatArray, seeds: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a drive by the modes of its masses, and the derivatives of that.
+
+    The first is (mass 2, what 3, mode 3): mobility, viscous coefficient and constant force going backwards, at rest,
+    forwards; the second, of the last two, (mass 2, what 2, mode 3, columns).
+    """
+    side, dside = np.zeros((2, 3, 3)), np.zeros((2, 2, 3, LANES))
+    for mass in range(2):
+        for mode, back, sign in ((0, 1, 1.0), (2, 0, -1.0)):
+            viscous, coulomb, offset = 4 + 4 * mass + back, 6 + 4 * mass + back, 12 + mass
+            side[mass, 0, mode], side[mass, 1, mode] = 1.0 / drive[mass], drive[viscous]
+            side[mass, 2, mode] = sign * drive[coulomb] - drive[offset]
+            for j in range(LANES):
+                dside[mass, 0, mode, j] = seeds[viscous, j]
+                dside[mass, 1, mode, j] = sign * seeds[coulomb, j] - seeds[offset, j]
+    return side, dside
 
 
 @inlined
@@ -376,11 +438,8 @@ def follow(
     before: float,
     excess: FloatArray,
     feedback: Feedback,
-    spring: FloatArray,
-    side: FloatArray,
-    dspring: FloatArray,
-    dinertia: FloatArray,
-    dside: FloatArray,
+    drive: FloatArray,
+    seeds: FloatArray,
     explicit: FloatArray,
     first_explicit: int,
     ddelay: FloatArray,
@@ -398,11 +457,7 @@ def follow(
     `dtapped` is filled with those of the output behind the torque's limit where that is another; else it is (0, LANES).
 
     What drives the run is given as to `kernels.run`, and what it left behind as it left it; `rows` of the tape are
-    filled. The drive comes by the modes of its masses: `spring` (2,) stiffness and damping; `side` (mass 2, what 3,
-    mode 3) mobility, viscous coefficient and constant force going backwards, at rest, forwards.
-
-    The derivatives of all this come by columns: `dspring` (2, columns); `dinertia` (2, columns), relative to the
-    inertia; `dside` (mass 2, what 2, mode 3, columns) of viscous coefficient and constant force; `ddelay` (columns,)
+    filled. The derivatives come by columns: `seeds` (14, columns) of the `drive`; `ddelay` (columns,)
     of the controller's delay; `dlimits` (elements, columns) of its limits; `S` (4, columns) and `Z` (nz, columns) of
     the first state of the drive and of the law. `explicit` (periods, elements, n) is how the elements depend on the
     parameters of columns `first_explicit` and on, with the motor position and what limits and gates take away held.
@@ -410,7 +465,9 @@ def follow(
     `du` is (periods, columns), `dstates` (periods * parts, 4, columns), at the start of every part, or (0, 4, columns).
     Of a drive in gravity, `dgravity` (3, columns) are the derivatives of the first of `gravity`.
     """
+    wide_vectors()
     n, parts, nz, elements = u.size, lengths.size, feedback.A.shape[1], feedback.limits.size
+    spring, (side, dside) = drive[2:4], _by_mode(drive, seeds)
     inverse1, inverse2 = side[0, 0, 2], side[1, 0, 2]
     rate = math.sqrt(spring[0] * (inverse1 + inverse2)) + spring[1] * (inverse1 + inverse2)
     rate += max(abs(side[0, 1, 0]), abs(side[0, 1, 2])) * inverse1
@@ -421,14 +478,18 @@ def follow(
     q, scratch, z = _aligned(_ROWS), _aligned(_ROWS), np.zeros((2 * nz, LANES))
     e = np.zeros((elements, LANES))
     for one in (q, scratch):
-        one[_SPRING : _SPRING + 2 * LANES] = dspring.reshape(-1)
-        one[_INERTIA : _INERTIA + 2 * LANES] = dinertia.reshape(-1)
+        for j in range(LANES):
+            for i in range(2):
+                one[_SPRING + i * LANES + j] = seeds[2 + i, j]
+                one[_INERTIA + i * LANES + j] = seeds[i, j] / drive[i]
     q[_S : _S + _WIDE] = S.reshape(-1)
     z[:nz] = Z
     small = nz <= 2 and feedback.D.size == 1  # one phase, one element
-    law, limit = _law(feedback, nz if small else 0), feedback.limits[0]
-    if small:
-        q[_Z : _Z + nz * LANES] = Z.reshape(-1)
+    (law, seen), limit = _law(feedback, nz if small else 0), feedback.limits[0]
+    for i in range(seen.shape[1]):
+        for j in range(LANES):
+            q[_Z + j] += seen[0, i] * Z[i, j]
+            q[_Z + LANES + j] += seen[1, i] * Z[i, j]
     q[_LIMIT : _LIMIT + LANES] = dlimits[0]
     delayed = np.any(ddelay != 0.0)
     if gravity is not None and dgravity is not None:
@@ -448,20 +509,15 @@ def follow(
                 q[_Z + i] = q[_Z + i] if abs(q[_Z + i]) > _NOTHING else 0.0
         if plain and abs(u[k]) < limit and (row >= rows or tape[row, 0] > k):
             mode = int(modes[k])
+            end = min(k - k % _OFTEN + _OFTEN, n)
+            if row < rows:
+                end = min(end, int(tape[row, 0]))
             if mode == _AT_REST:
-                for i in range(explicit.shape[2]):
-                    q[_EXPLICIT + first_explicit + i] = explicit[k, 0, i]
-                _control(q, law, 0.0, k, du)
-                for j in range(LANES):  # a velocity that was not let begin, as the first may be, does not come back
-                    q[_S + LANES + j], q[_S + 3 * LANES + j] = 0.0, 0.0
-                k += 1
+                k = _rest(q, law, k, end, limit, modes, u, explicit, first_explicit, du)
                 continue
             if not filled[mode]:
                 filled[mode] = True
                 _fill(scratch, lengths[0], rate, mode, mode, phi, M, spring, side, dside)
-            end = min(k - k % _OFTEN + _OFTEN, n)
-            if row < rows:
-                end = min(end, int(tape[row, 0]))
             k = _glide(q, law, phi, M, mode, k, end, limit, states, modes, u, post, explicit, first_explicit, du)
             continue
         if small:
