@@ -27,7 +27,7 @@ from jointid.estimation.descent import Descent, with_free
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.problem import Problem, torque_problem
 from jointid.estimation.regression import solution
-from jointid.estimation.search import End, Limits, Search, State, Step, require_simulated
+from jointid.estimation.search import End, Limits, Search, State, Step, foreseen_norm, require_simulated
 from jointid.estimation.starts import Start, given_start, inversion_start, regular_start
 from jointid.inference.repeatable import Uncertainty, uncertainty
 from jointid.model.controllers import REFERENCE
@@ -35,6 +35,7 @@ from jointid.model.parameters import Parameter
 from jointid.simulation.experiment import ClosedLoop
 
 _MOVING = 9.0  # times the residual's variance: what a velocity at the first sample must explain to be believed
+_NEAR = 1e-3  # of residual and parameters: a change so small leaves only whether the motor rested to be decided
 _AWAY = 1e100  # a derivative so large is of a loop that runs away
 _WORSE = 2.0  # times the residual: with an approximate Jacobian, a little worse is no reason to turn back
 
@@ -176,10 +177,17 @@ def _searched(problem: Problem, search: Search, settings: DIDIM, start: Start) -
     limits = Limits(settings.tolerance, settings.step_tolerance, foreseen=free and residual)
     state, scaled = _begun(search, settings, start)
     most = max(settings.iterations - scaled, 1)
-    resting = _solve(search, settings, state, steps.regressor, limits, most)
-    if not free or resting.reproduced:
+    if not free:
+        return _solve(search, settings, state, steps.regressor, limits, most)
+    # Which of the two problems it is shows long before either is solved to the last digit.
+    near = replace(limits, change=max(limits.change, _NEAR), step=max(limits.step, _NEAR))
+    resting = _solve(search, settings, state, steps.regressor, near, most)
+    if resting.reproduced:
         return resting
-    return _moving(problem, search, settings, resting.state, start, limits) or resting
+    moving = _moving(problem, search, settings, resting.state, start, limits)
+    if moving is not None or near == limits:
+        return moving or resting
+    return _solve(search, settings, resting.state, steps.regressor, limits, settings.iterations)
 
 
 def _known(search: Search, state: State) -> Uncertainty:
@@ -270,15 +278,15 @@ def _moving(
     Friction makes them two problems: a motor that slips a little before it sticks is not near one that stands, so
     no search gets from one to the other.
     """
-    at_rest = search.problem
+    at_rest, steps = search.problem, _Steps(search, settings.form)
     velocity = {"initial_velocity": start.values["initial_velocity"]}
+    ends = foreseen_norm(resting, steps.regressor(resting))
     search.problem = problem
     try:
         state = search.evaluate(problem.vector(at_rest.values(resting.x) | velocity))
         search.note(state, None)
-        moving = _solve(search, settings, state, _Steps(search, settings.form).newton, limits, settings.iterations)
-        gained = resting.norm**2 - moving.state.norm**2
-        if gained > _MOVING * resting.norm**2 / resting.error.size:
+        moving = _solve(search, settings, state, steps.newton, limits, settings.iterations)
+        if ends**2 - moving.state.norm**2 > _MOVING * ends**2 / resting.error.size:
             return moving
     except MethodError:  # a wrong guess of the velocity may make the loop impossible to simulate
         search.progress("the motor cannot have been moving at the first sample")
