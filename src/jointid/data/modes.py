@@ -74,10 +74,11 @@ class Thinning:
         modes: of the filter.
         keep: one sample in so many.
         padding: samples by which the ends are reflected about their ends.
-        between: (2, 2 modes, keep) what the samples between two that are kept add to the later, forwards, and to the
+        between: (2, keep, 2 modes) what the samples between two that are kept add to the later, forwards, and to the
             earlier, backwards: real parts, then imaginary ones.
         older: (modes, padding + keep) the powers of the poles.
-        powers, weights: see `recurrences.add_modes`.
+        powers: see `recurrences.carry`.
+        weights: (2 modes,) of what the modes say: real parts, then imaginary ones.
     """
 
     modes: Modes
@@ -92,59 +93,68 @@ class Thinning:
     def of(cls, modes: Modes, keep: int, padding: int) -> Self:
         """Return it for a filter."""
         older = modes.poles[:, np.newaxis] ** np.arange(padding + keep + 1)
-        between = np.stack([np.concatenate(_parts(row)) for row in (older[:, keep - 1 :: -1], older[:, 1 : keep + 1])])
-        return cls(modes, keep, padding, between[:, :, :keep], older, _parts(older[:, keep]), 2 * _parts(modes.both))
+        forwards, backwards = older[:, keep - 1 :: -1][:, :keep], older[:, 1 : keep + 1]
+        between = np.stack([np.concatenate(_parts(one)).T for one in (forwards, backwards)])
+        weights = np.concatenate([2 * modes.both.real, -2 * modes.both.imag])
+        return cls(modes, keep, padding, between, older, _parts(older[:, keep]), weights)
 
-    def __call__(self, values: FloatArray, first: int) -> FloatArray:
-        """Return columns filtered forwards and backwards, (kept, columns), as `scipy.signal.sosfiltfilt` does.
+    def __call__(self, series: FloatArray, first: int) -> FloatArray:
+        """Return signals filtered forwards and backwards, (signals, kept), as `scipy.signal.sosfiltfilt` does.
 
         Args:
-            values: (samples, columns).
+            series: (signals, samples).
             first: sample that is kept first; the last one is kept, too.
         """
         modes, padding = self.modes, self.padding
-        values = np.ascontiguousarray(values, dtype=np.float64)
-        between = values[first + 1 :].reshape(-1, self.keep, values.shape[1])
-        kept = modes.passed * values[first :: self.keep]
-        before = np.concatenate([2 * values[:1] - values[padding:0:-1], values[: first + 1]])
-        behind = 2 * values[-1:] - values[-2 : -padding - 2 : -1]
-        settled = np.multiply.outer(1 / (1 - modes.poles), before[0])
-        forwards = self._gathered(before[::-1], settled)
-        last = self._gathered(behind[::-1], self._add(kept, between, forwards, 1))
+        between = series[:, first + 1 :].reshape(len(series), -1, self.keep)
+        kept = modes.passed * series[:, first :: self.keep]
+        ends = series[:, :1], series[:, -1:]
+        before = np.concatenate([2 * ends[0] - series[:, padding:0:-1], series[:, : first + 1]], axis=1)
+        behind = 2 * ends[1] - series[:, -2 : -padding - 2 : -1]
+        forwards = self._gathered(before[:, ::-1], np.multiply.outer(before[:, 0], 1 / (1 - modes.poles)))
+        last = self._gathered(behind[:, ::-1], self._add(kept, between, forwards, 1))
         # Backwards the filter begins as if its own output had ended at a constant, not the signal.
-        says = modes.residues[:, np.newaxis] * last
-        output = modes.direct * behind[-1] + 2 * np.real(np.sum(says, axis=0))
-        ended = np.multiply.outer(1 / (1 - modes.poles), output) - modes.shared @ np.concatenate([says, says.conj()])
-        ended *= (modes.residues / modes.both)[:, np.newaxis]
-        self._add(kept, between, modes.poles[:, np.newaxis] * self._gathered(behind, ended), -1)
+        says = modes.residues * last
+        output = modes.direct * behind[:, -1] + 2 * np.real(np.sum(says, axis=1))
+        ended = np.multiply.outer(output, 1 / (1 - modes.poles))
+        ended -= np.concatenate([says, says.conj()], axis=1) @ modes.shared.T
+        ended *= modes.residues / modes.both
+        self._add(kept, between, modes.poles * self._gathered(behind, ended), -1)
         return kept
 
     def _gathered(self, values: FloatArray, states: ComplexArray) -> ComplexArray:
-        """Return the modes, (modes, columns), after samples, each a sample older than the one before, and states."""
-        size = len(values)
-        return np.asarray(self.older[:, :size] @ values + self.older[:, size, np.newaxis] * states)
+        """Return the modes, (signals, modes), after samples, each a sample older than the one before, and states."""
+        size = values.shape[1]
+        return np.asarray(values @ self.older[:, :size].T + states * self.older[:, size])
 
     def _add(self, kept: FloatArray, between: FloatArray, states: ComplexArray, step: int) -> ComplexArray:
         """Add the modes of one direction to all that is kept, and return them where they end.
 
         Args:
-            kept: (kept, columns).
-            between: (kept - 1, keep, columns) the samples after each that is kept, up to the next.
-            states: (modes, columns) where they begin.
+            kept: (signals, kept).
+            between: (signals, kept - 1, keep) the samples after each that is kept, up to the next.
+            states: (signals, modes) where they begin.
             step: 1 forwards, -1 backwards.
         """
-        from jointid.data.recurrences import add_modes
+        from jointid.data.recurrences import carry
 
         forwards = step > 0
-        kept[0 if forwards else -1] += 2 * np.real(self.modes.both @ states)
-        rows, moved = self.between[0 if forwards else 1], _parts(states)
-        begins = range(0, len(between), _BLOCKS)
-        room = _ROOM.array("pushes", (_BLOCKS, len(rows), kept.shape[1]))
+        columns, stands = self.between[0 if forwards else 1], np.concatenate([states.real, states.imag], axis=1)
+        kept[:, 0 if forwards else -1] += stands @ self.weights
+        begins = range(0, between.shape[1], _BLOCKS)
         for begin in begins if forwards else reversed(begins):
-            block = between[begin : begin + _BLOCKS]
-            pushes = np.matmul(rows, block, out=room[: len(block)])
-            add_modes(self.powers, self.weights, pushes, step, moved, kept[begin : begin + len(block) + 1])
-        return np.asarray(moved[0] + 1j * moved[1])
+            block = between[:, begin : begin + _BLOCKS]
+            count = block.shape[1]
+            said = _ROOM.array("said", (len(kept), count + 1, columns.shape[1]))
+            said[:, 0 if forwards else -1] = stands
+            new = said[:, 1:] if forwards else said[:, :-1]
+            np.matmul(block, columns, out=new)
+            carry(self.powers, said, step)
+            later = 1 if forwards else 0
+            kept[:, begin + later : begin + later + count] += new @ self.weights
+            stands = said[:, -1 if forwards else 0].copy()
+        half = stands.shape[1] // 2
+        return np.asarray(stands[:, :half] + 1j * stands[:, half:])
 
 
 def _parts(numbers: ComplexArray) -> FloatArray:

@@ -7,7 +7,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.compiled import compiled, inlined
+from jointid.common.compiled import compiled, inlined, wide_vectors
 from jointid.data.record import FloatArray
 
 MODES = 4
@@ -24,50 +24,35 @@ def _four(values: FloatArray) -> Four:
     return values[0], values[1], values[2], values[3]
 
 
-@inlined
-def _let_go(states: FloatArray) -> None:
-    """Take what is left of a signal that ended long ago for nothing."""
-    for part in range(2):
-        for i in range(MODES):
-            for j in range(states.shape[2]):
-                states[part, i, j] = states[part, i, j] if abs(states[part, i, j]) > _NOTHING else 0.0
-
-
 @compiled
-def add_modes(
-    powers: FloatArray, weights: FloatArray, pushes: FloatArray, step: int, states: FloatArray, out: FloatArray
-) -> None:
-    """Move the modes of a filter from one kept sample to the next, and add what they say to each sample but the first.
+def carry(powers: FloatArray, said: FloatArray, step: int) -> None:
+    """Carry the modes of a filter from one kept sample to the next: what each forgets is taken from what it was told.
 
     Args:
         powers: (2, MODES) real and imaginary part of what a mode is multiplied by from one kept sample to the next.
-        weights: (2, MODES) of what a mode says: ``weights[0] * real - weights[1] * imaginary part``.
-        pushes: (kept - 1, 2 MODES, columns) what the samples between add: real parts, then imaginary ones.
+        said: (columns, kept, 2 MODES) where the modes stand at the first of them in the direction, and what the samples
+            before each of the others add, real parts, then imaginary ones; then where they stand at each.
         step: 1 forwards, -1 backwards.
-        states: (2, MODES, columns) at the first of the kept samples in that direction, then at the last.
-        out: (kept, columns) is added to.
-
-    One loop over the columns, whose every value is written once, as the compiler then keeps to vectors.
     """
-    a, b, w, v = _four(powers[0]), _four(powers[1]), _four(weights[0]), _four(weights[1])
-    real, imaginary = states[0], states[1]
-    count = pushes.shape[0]
-    for k in range(count):
-        if k % _BLOCK == 0:
-            _let_go(states)
+    wide_vectors()
+    (a0, a1, a2, a3), (b0, b1, b2, b3) = _four(powers[0]), _four(powers[1])
+    count = said.shape[1]
+    for k in range(1, count):
         at = np.uint64(k if step > 0 else count - 1 - k)
-        to = np.uint64(k + 1 if step > 0 else count - 1 - k)
-        for j in range(out.shape[1]):
-            r0, r1, r2, r3 = real[0, j], real[1, j], real[2, j], real[3, j]
-            i0, i1, i2, i3 = imaginary[0, j], imaginary[1, j], imaginary[2, j], imaginary[3, j]
-            s0, t0 = pushes[at, 0, j] + (a[0] * r0 - b[0] * i0), pushes[at, 4, j] + (b[0] * r0 + a[0] * i0)
-            s1, t1 = pushes[at, 1, j] + (a[1] * r1 - b[1] * i1), pushes[at, 5, j] + (b[1] * r1 + a[1] * i1)
-            s2, t2 = pushes[at, 2, j] + (a[2] * r2 - b[2] * i2), pushes[at, 6, j] + (b[2] * r2 + a[2] * i2)
-            s3, t3 = pushes[at, 3, j] + (a[3] * r3 - b[3] * i3), pushes[at, 7, j] + (b[3] * r3 + a[3] * i3)
-            real[0, j], real[1, j], real[2, j], real[3, j] = s0, s1, s2, s3
-            imaginary[0, j], imaginary[1, j], imaginary[2, j], imaginary[3, j] = t0, t1, t2, t3
-            first, second = w[0] * s0 - v[0] * t0 + (w[1] * s1 - v[1] * t1), w[2] * s2 - v[2] * t2
-            out[to, j] += first + (second + (w[3] * s3 - v[3] * t3))
+        last = np.uint64(k - 1 if step > 0 else count - k)
+        if k % _BLOCK == 0:  # what is left of a signal that ended long ago
+            for j in range(said.shape[0]):
+                for i in range(2 * MODES):
+                    said[j, last, i] = said[j, last, i] if abs(said[j, last, i]) > _NOTHING else 0.0
+        for j in range(said.shape[0]):
+            r0, r1, r2, r3 = said[j, last, 0], said[j, last, 1], said[j, last, 2], said[j, last, 3]
+            i0, i1, i2, i3 = said[j, last, 4], said[j, last, 5], said[j, last, 6], said[j, last, 7]
+            s0, t0 = said[j, at, 0] + (a0 * r0 - b0 * i0), said[j, at, 4] + (b0 * r0 + a0 * i0)
+            s1, t1 = said[j, at, 1] + (a1 * r1 - b1 * i1), said[j, at, 5] + (b1 * r1 + a1 * i1)
+            s2, t2 = said[j, at, 2] + (a2 * r2 - b2 * i2), said[j, at, 6] + (b2 * r2 + a2 * i2)
+            s3, t3 = said[j, at, 3] + (a3 * r3 - b3 * i3), said[j, at, 7] + (b3 * r3 + a3 * i3)
+            said[j, at, 0], said[j, at, 1], said[j, at, 2], said[j, at, 3] = s0, s1, s2, s3
+            said[j, at, 4], said[j, at, 5], said[j, at, 6], said[j, at, 7] = t0, t1, t2, t3
 
 
 @compiled

@@ -128,10 +128,7 @@ def lowpass(values: FloatArray, cutoff: float, sample_time: float, order: int = 
 
     Ends are padded by 3 x order samples, reflected about the end point. Raises `RecordError` on a shorter signal.
     """
-    from scipy.signal import butter, sosfilt_zi
-
-    sections = np.asarray(butter(order, 2 * cutoff * sample_time, output="sos"))
-    return _smoothed(sections, np.asarray(sosfilt_zi(sections)), values, _padding(values, order))
+    return _smoothed(*_butterworth(2 * cutoff * sample_time, order), values, _padding(values, order))
 
 
 def _padding(values: FloatArray, order: int) -> int:
@@ -200,9 +197,20 @@ def decimate(values: FloatArray, filtering: Filtering, sample_time: float, *, co
     first = keep - (keep * math.ceil(n / keep) - n) - 1
     cutoff, padding = 2 * filtering.cutoff * sample_time, _padding(values, _ORDER)
     if compiled:
-        kept = _thinning(cutoff, keep, padding)(values.reshape(n, -1), first)
+        # Signals that stand in one piece, as those of a simulation do, are read where they stand.
+        series = np.ascontiguousarray(values.reshape(n, -1).T, dtype=np.float64)
+        kept = _thinning(cutoff, keep, padding)(series, first).T
         return kept.reshape(len(kept), *values.shape[1:])
     return _smoothed(*_chebyshev(cutoff), values, padding)[first::keep]
+
+
+@lru_cache(maxsize=64)
+def _butterworth(cutoff: float, order: int) -> tuple[FloatArray, FloatArray]:
+    """Return a position filter's sections and their states at a constant 1: slow to design."""
+    from scipy.signal import butter, sosfilt_zi
+
+    sections = np.asarray(butter(order, cutoff, output="sos"))
+    return sections, np.asarray(sosfilt_zi(sections))
 
 
 @lru_cache(maxsize=64)

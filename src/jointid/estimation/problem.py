@@ -182,9 +182,9 @@ class Problem:
 
     def seen(self, run: Simulation | Response, *columns: FloatArray) -> tuple[FloatArray, ...]:
         """Return the filtered torque error of a run, (rows,), and raw columns through the same filter, at once."""
-        parts = [self._left(run)[:, np.newaxis], *columns]
-        room = _ROOM.array("columns", (self.measured.size, sum(part.shape[1] for part in parts)))
-        both = self.filtered(np.concatenate(parts, axis=1, out=room))
+        parts = [self._left(run)[np.newaxis], *(each.T for each in columns)]
+        room = _ROOM.array("series", (sum(map(len, parts)), self.measured.size))
+        both = self.filtered(np.concatenate(parts, out=room).T)
         ends = np.cumsum([1, *(each.shape[1] for each in columns)])
         return np.ascontiguousarray(both[:, 0]), *(both[:, a:b] for a, b in itertools.pairwise(ends))
 

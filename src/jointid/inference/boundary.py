@@ -219,7 +219,7 @@ def _draws(
     norms = np.linalg.norm(columns, axis=0)
     columns = columns / np.where(norms > 0, norms, 1.0)
     spread = np.asarray(np.linalg.pinv(columns.T @ columns), dtype=np.float64)
-    noise = residual_left_out(columns, columns, left, spread, (np.flatnonzero(block == b) for b in range(count)))
+    noise = residual_left_out(columns, columns, left, spread, block)
     signs = np.random.default_rng(settings.seed).choice([-1.0, 1.0], size=(settings.draws, count))
 
     def summed(matrix: FloatArray) -> FloatArray:

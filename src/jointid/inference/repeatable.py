@@ -259,9 +259,7 @@ def by_place(Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells) -> C
     Z, J = Z / norms, J / norms
     spread = np.asarray(np.linalg.pinv(Z.T @ J), dtype=np.float64)
     lags = where.lags
-    stretch = where.stretch
-    blocks = (np.flatnonzero(stretch == one) for one in np.unique(stretch))
-    scores = Z * residual_left_out(Z, J, error, spread, blocks)[:, np.newaxis]
+    scores = Z * residual_left_out(Z, J, error, spread, where.stretch)[:, np.newaxis]
     sums = np.zeros((int(where.family.max()) + 1, where.positions, Z.shape[1]))
     np.add.at(sums, (where.family, where.position), scores)
     meat = np.einsum("fpi,fpj->ij", sums, sums)

@@ -33,7 +33,7 @@ white, or not as large everywhere, and only the robust one is honest.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -134,10 +134,8 @@ def _over_time(
     """Return one record's share of the covariance of Z' e, with so many lags, (parameters, parameters)."""
     rows, count = Z.shape
     instants = rows // equations
-    at = np.arange(rows).reshape(equations, instants)
-    length = max(lags, 1)
-    blocks = (at[:, start : start + length].reshape(-1) for start in range(0, instants, length))
-    left_out = residual_left_out(Z, J, error, spread, blocks)
+    block = np.tile(np.arange(instants) // max(lags, 1), equations)
+    left_out = residual_left_out(Z, J, error, spread, block)
     scores = np.sum((Z * left_out[:, np.newaxis]).reshape(equations, instants, count), axis=0)
     meat = scores.T @ scores
     for lag in range(1, lags + 1):
@@ -218,7 +216,7 @@ def larger(first: Covariance, second: Covariance) -> Covariance:
 
 
 def residual_left_out(
-    Z: FloatArray, J: FloatArray, error: FloatArray, spread: FloatArray, blocks: Iterable[NDArray[np.intp]]
+    Z: FloatArray, J: FloatArray, error: FloatArray, spread: FloatArray, block: NDArray[np.intp]
 ) -> FloatArray:
     """Return the residual, (rows,), that each block of rows had if it had been left out of the fit.
 
@@ -227,23 +225,26 @@ def residual_left_out(
         J: (rows, parameters), the sensitivities of the prediction.
         error: (rows,) what remains.
         spread: (parameters, parameters), the inverse of Z' J.
-        blocks: the numbers of the rows of each; a row in none of them keeps its residual.
+        block: (rows,) the number of each row's block.
 
     The small matrix of ``(I - J_b S Z_b')^-1 = I + J_b (I - S Z_b' J_b)^-1 S Z_b'`` is inverted: a block may be long.
     """
+    order = np.argsort(block, kind="stable")
+    first = np.flatnonzero(np.diff(block[order], prepend=block[order[0]] - 1))
+    Z, slopes, before = Z[order], J[order], error[order]
+
+    def summed(rows: FloatArray) -> FloatArray:
+        return np.add.reduceat(rows, first)
+
+    shares = np.stack([summed(Z * column[:, np.newaxis]) for column in slopes.T], axis=2)  # Z_b' J_b
+    told = summed(Z * before[:, np.newaxis])
+    moved = _inverses(np.eye(len(spread)) - spread @ shares) @ (spread @ told[..., np.newaxis])
+    rows = np.diff(first, append=len(order))
+    after = before + np.sum(slopes * np.repeat(moved[..., 0], rows, axis=0), axis=1)
+    # A block that a parameter rests on alone, as the first does for the initial state, cannot be left out.
+    kept = np.repeat(summed(after**2) <= _MOST**2 * summed(before**2), rows)
     found = error.copy()
-    by_length: dict[int, list[NDArray[np.intp]]] = {}
-    for block in blocks:
-        by_length.setdefault(len(block), []).append(block)
-    for alike in by_length.values():  # together: a solution of three unknowns costs less than the call for it
-        at = np.array(alike)  # (blocks, rows)
-        before, slopes, instruments = error[at], J[at], spread @ np.swapaxes(Z[at], 1, 2)
-        share = np.eye(len(spread)) - instruments @ slopes
-        moved = _inverses(share) @ (instruments @ before[..., np.newaxis])
-        after = before + (slopes @ moved)[..., 0]
-        # A block that a parameter rests on alone, as the first does for the initial state, cannot be left out.
-        kept = np.linalg.norm(after, axis=1) <= _MOST * np.linalg.norm(before, axis=1)
-        found[at[kept]] = after[kept]
+    found[order[kept]] = after[kept]
     return found
 
 

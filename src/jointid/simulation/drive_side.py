@@ -282,7 +282,7 @@ class _Load:
             np.array([self.motion.step]), np.zeros(1, dtype=np.int64), self.raw, self.modes, self.tape, self.taped,
             self.push, np.zeros(n), self.push[0], np.empty((0, 1)), kernels.NO_FEEDBACK, self.drive, seeds,
             explained, len(names) - len(explicit), np.zeros(width), np.zeros((1, width)), start,
-            np.zeros((0, width)), np.empty((n, width)), np.empty((0, width)), states,
+            np.zeros((0, width)), np.empty((width, n)), np.empty((width, 0)), states,
             self.gravity, None if self.gravity is None else weights,
         )  # fmt: skip
         return states[:, :2, : len(names)]

@@ -227,8 +227,8 @@ def _followed(
             column, limits[:, j] = _explicit(loop, experiment, out, name)
             explicit.append(column)
     periods, elements = len(out.command), law.limits.size
-    command = _FRESH.array("slopes", (periods, width))
-    tapped = _FRESH.array("tapped", (periods if law.tap != law.output else 0, width))
+    command = _FRESH.array("slopes", (width, periods))
+    tapped = _FRESH.array("tapped", (width, periods if law.tap != law.output else 0))
     states = _ROOM.array("moved", (len(out.states) if positions else 0, 4, width))
     explained = np.stack(explicit, axis=2) if explicit else np.zeros((periods, elements, 0))
     tangents.follow(
@@ -237,7 +237,7 @@ def _followed(
         len(names) - len(explicit), delay, limits, start, memory, command, tapped, states,
         out.gravity, None if out.gravity is None else weights,
     )  # fmt: skip
-    return command, tapped, states
+    return command.T, tapped.T, states
 
 
 def taped_rows(samples: int) -> int:

@@ -185,8 +185,8 @@ def _written(q: FloatArray, at: np.uint64, du: FloatArray) -> None:
     wide_vectors()
     a, b, c, d = q[_OUT], q[_OUT + 1], q[_OUT + 2], q[_OUT + 3]
     e, f, g, h = q[_OUT + 4], q[_OUT + 5], q[_OUT + 6], q[_OUT + 7]
-    du[at, 0], du[at, 1], du[at, 2], du[at, 3] = a, b, c, d
-    du[at, 4], du[at, 5], du[at, 6], du[at, 7] = e, f, g, h
+    du[0, at], du[1, at], du[2, at], du[3, at] = a, b, c, d
+    du[4, at], du[5, at], du[6, at], du[7, at] = e, f, g, h
 
 
 @inlined
@@ -363,9 +363,9 @@ def _control_any(
             e[i, j] = acts * (sign * dlimits[i, j] - q[_W + j])
             q[_OUT + j] = q[_W + j] + e[i, j]
         if i == feedback.output:
-            du[at] = q[_OUT : _OUT + LANES]
-        if i == feedback.tap and dtapped.shape[0] > 0:
-            dtapped[at] = q[_OUT : _OUT + LANES]
+            du[:, at] = q[_OUT : _OUT + LANES]
+        if i == feedback.tap and dtapped.shape[1] > 0:
+            dtapped[:, at] = q[_OUT : _OUT + LANES]
     for i in range(nz):
         for j in range(LANES):
             z[nz + i, j] = feedback.Bq[phase, i] * q[_S + j]
@@ -454,7 +454,7 @@ def follow(
 ) -> None:
     """Fill `du` with LANES columns of derivatives of a finished run's output, and `dstates` with those of its states.
 
-    `dtapped` is filled with those of the output behind the torque's limit where that is another; else it is (0, LANES).
+    `dtapped` is filled with those of the output behind the torque's limit where that is another; else it is (LANES, 0).
 
     What drives the run is given as to `kernels.run`, and what it left behind as it left it; `rows` of the tape are
     filled. The derivatives come by columns: `seeds` (14, columns) of the `drive`; `ddelay` (columns,)
@@ -462,7 +462,7 @@ def follow(
     the first state of the drive and of the law. `explicit` (periods, elements, n) is how the elements depend on the
     parameters of columns `first_explicit` and on, with the motor position and what limits and gates take away held.
 
-    `du` is (periods, columns), `dstates` (periods * parts, 4, columns), at the start of every part, or (0, 4, columns).
+    `du` is (columns, periods), `dstates` (periods * parts, 4, columns), at the start of every part, or (0, 4, columns).
     Of a drive in gravity, `dgravity` (3, columns) are the derivatives of the first of `gravity`.
     """
     wide_vectors()
@@ -535,7 +535,7 @@ def follow(
             s = u[source] + post[source] if source >= 0 else before
             origin = np.uint64(max(source, 0))
             for j in range(LANES):
-                q[_DS + j] = du[origin, j]
+                q[_DS + j] = du[j, origin]
             if keep:
                 for i in range(4):
                     for j in range(LANES):
