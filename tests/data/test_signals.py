@@ -12,6 +12,7 @@ from jointid.data.record import Channel, Timing
 from jointid.data.signals import (
     Filtering,
     decimate,
+    decimate_all,
     derivative,
     differences,
     lowpass,
@@ -64,11 +65,14 @@ def test_the_compiled_filter_is_scipy_s(columns: int, cutoff: float) -> None:
     values = np.cumsum(rng.standard_normal((3001, columns)), axis=0) * 10.0 ** rng.uniform(-9, 9, columns)
     sections = cheby1(8, 0.05, 2 * filtering.cutoff * T, output="sos")
     expected = sosfiltfilt(sections, values, axis=0, padlen=24)[:: -(filtering.decimation or 1)][::-1]
-    for found in (decimate(values, filtering, T), decimate(values, filtering, T, compiled=True)):
+    for found in (decimate(values, filtering, T), *decimate_all([values], filtering, T)):
         assert found.shape == expected.shape
         assert np.max(np.abs(found - expected) / np.max(np.abs(expected), axis=0)) < 1e-11
-    strided = decimate(np.asfortranarray(values), filtering, T, compiled=True)
-    assert np.array_equal(strided, decimate(values, filtering, T, compiled=True))
+    turned, alone = decimate_all([np.asfortranarray(values), values[..., -1]], filtering, T)
+    (whole,) = decimate_all([values], filtering, T)
+    size = np.max(np.abs(whole), axis=0)
+    assert np.max(np.abs(turned - whole) / size) < 1e-13
+    assert np.max(np.abs(alone - whole[:, -1])) < 1e-13 * size[-1]
 
 
 def test_columns_are_decimated_like_the_torque() -> None:

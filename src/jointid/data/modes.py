@@ -12,6 +12,7 @@ are summed up by one small matrix, and only one sample in so many takes a step o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -98,19 +99,20 @@ class Thinning:
         weights = np.concatenate([2 * modes.both.real, -2 * modes.both.imag])
         return cls(modes, keep, padding, between, older, _parts(older[:, keep]), weights)
 
-    def __call__(self, series: FloatArray, first: int) -> FloatArray:
+    def __call__(self, parts: Sequence[FloatArray], first: int) -> FloatArray:
         """Return signals filtered forwards and backwards, (signals, kept), as `scipy.signal.sosfiltfilt` does.
 
         Args:
-            series: (signals, samples).
+            parts: of the signals, (signals, samples) each: they are read where they stand.
             first: sample that is kept first; the last one is kept, too.
         """
         modes, padding = self.modes, self.padding
-        between = series[:, first + 1 :].reshape(len(series), -1, self.keep)
-        kept = modes.passed * series[:, first :: self.keep]
-        ends = series[:, :1], series[:, -1:]
-        before = np.concatenate([2 * ends[0] - series[:, padding:0:-1], series[:, : first + 1]], axis=1)
-        behind = 2 * ends[1] - series[:, -2 : -padding - 2 : -1]
+        between = [part[:, first + 1 :].reshape(len(part), -1, self.keep) for part in parts]
+        kept = modes.passed * np.concatenate([part[:, first :: self.keep] for part in parts])
+        head = np.concatenate([part[:, : max(padding, first) + 1] for part in parts])
+        tail = np.concatenate([part[:, -padding - 1 :] for part in parts])
+        before = np.concatenate([2 * head[:, :1] - head[:, padding:0:-1], head[:, : first + 1]], axis=1)
+        behind = 2 * tail[:, -1:] - tail[:, -2::-1]
         forwards = self._gathered(before[:, ::-1], np.multiply.outer(before[:, 0], 1 / (1 - modes.poles)))
         last = self._gathered(behind[:, ::-1], self._add(kept, between, forwards, 1))
         # Backwards the filter begins as if its own output had ended at a constant, not the signal.
@@ -127,12 +129,12 @@ class Thinning:
         size = values.shape[1]
         return np.asarray(values @ self.older[:, :size].T + states * self.older[:, size])
 
-    def _add(self, kept: FloatArray, between: FloatArray, states: ComplexArray, step: int) -> ComplexArray:
+    def _add(self, kept: FloatArray, between: Sequence[FloatArray], states: ComplexArray, step: int) -> ComplexArray:
         """Add the modes of one direction to all that is kept, and return them where they end.
 
         Args:
             kept: (signals, kept).
-            between: (signals, kept - 1, keep) the samples after each that is kept, up to the next.
+            between: (signals, kept - 1, keep) of each part, the samples after each that is kept, up to the next.
             states: (signals, modes) where they begin.
             step: 1 forwards, -1 backwards.
         """
@@ -141,14 +143,15 @@ class Thinning:
         forwards = step > 0
         columns, stands = self.between[0 if forwards else 1], np.concatenate([states.real, states.imag], axis=1)
         kept[:, 0 if forwards else -1] += stands @ self.weights
-        begins = range(0, between.shape[1], _BLOCKS)
+        begins = range(0, kept.shape[1] - 1, _BLOCKS)
         for begin in begins if forwards else reversed(begins):
-            block = between[:, begin : begin + _BLOCKS]
-            count = block.shape[1]
+            count = min(_BLOCKS, kept.shape[1] - 1 - begin)
             said = _ROOM.array("said", (len(kept), count + 1, columns.shape[1]))
             said[:, 0 if forwards else -1] = stands
-            new = said[:, 1:] if forwards else said[:, :-1]
-            np.matmul(block, columns, out=new)
+            new, row = said[:, 1:] if forwards else said[:, :-1], 0
+            for part in between:
+                np.matmul(part[:, begin : begin + count], columns, out=new[row : row + len(part)])
+                row += len(part)
             carry(self.powers, said, step)
             later = 1 if forwards else 0
             kept[:, begin + later : begin + later + count] += new @ self.weights

@@ -20,6 +20,7 @@ from jointid.data.record import Channel, FloatArray, Injection, InjectionPoint, 
 from jointid.data.signals import (
     Filtering,
     decimate,
+    decimate_all,
     derivative,
     differences,
     lowpass,
@@ -67,7 +68,9 @@ class InverseModel:
     ) -> FloatArray:
         """Return columns, (equations, samples, parameters), filtered and decimated; equations stacked."""
         inside = columns[:, self.inside]
-        return np.concatenate([decimate(equation, filtering, sample_time, compiled=compiled) for equation in inside])
+        if compiled:
+            return np.concatenate(decimate_all(list(inside), filtering, sample_time))
+        return np.concatenate([decimate(equation, filtering, sample_time) for equation in inside])
 
 
 def inverse_model(

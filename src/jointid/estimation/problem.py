@@ -6,7 +6,6 @@ which parameters are free: those of the joint, then those of what surrounds it (
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,9 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.errors import MethodError
-from jointid.common.memory import Room
 from jointid.data.record import FloatArray, Record
-from jointid.data.signals import Filtering, decimate
+from jointid.data.signals import Filtering, decimate_all
 from jointid.estimation.surroundings import INITIAL_STATE, INITIAL_TORQUE, of_law, surrounding
 from jointid.inference.repeatable import Cells, cells
 from jointid.model.controllers import number, with_numbers
@@ -26,7 +24,6 @@ from jointid.simulation.closed_loop import Initial, Outcome, Response, Simulatio
 from jointid.simulation.experiment import ClosedLoop, Experiment, prepare
 from jointid.simulation.sensitivities import Sensitivities, simulate_sensitivities
 
-_ROOM = Room()
 _FLOOR = 1e-3  # a parameter smaller than this share of the torque is measured against that share
 _FAILED = 1e3  # times the torque: the error of a candidate that cannot be simulated
 
@@ -105,7 +102,7 @@ class Problem:
 
     def filtered(self, columns: FloatArray) -> FloatArray:
         """Return signals, (samples,) or (samples, columns), through the problem's own filter."""
-        return decimate(columns, self.filtering, self.experiment.sample_time, compiled=True)
+        return decimate_all([columns], self.filtering, self.experiment.sample_time)[0]
 
     def simulate(self, x: FloatArray) -> Simulation:
         """Return the loop's run with these parameters, its torque as the log should show it."""
@@ -182,11 +179,7 @@ class Problem:
 
     def seen(self, run: Simulation | Response, *columns: FloatArray) -> tuple[FloatArray, ...]:
         """Return the filtered torque error of a run, (rows,), and raw columns through the same filter, at once."""
-        parts = [self._left(run)[np.newaxis], *(each.T for each in columns)]
-        room = _ROOM.array("series", (sum(map(len, parts)), self.measured.size))
-        both = self.filtered(np.concatenate(parts, out=room).T)
-        ends = np.cumsum([1, *(each.shape[1] for each in columns)])
-        return np.ascontiguousarray(both[:, 0]), *(both[:, a:b] for a, b in itertools.pairwise(ends))
+        return tuple(decimate_all([self._left(run), *columns], self.filtering, self.experiment.sample_time))
 
     def _left(self, run: Simulation | Response) -> FloatArray:
         error = self.measured - run.torque
