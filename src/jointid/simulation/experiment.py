@@ -7,7 +7,7 @@ and the cut of a controller period into the parts in which the torque, or what t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -78,6 +78,7 @@ class Experiment:
         tap: where the torque is logged. timing: what a logged value is.
         samples: of the log.
         begin: seconds from the first sample of the record's file to the first here, see `Record`.
+        shows: whether the logged torque contains anything beside the controller's output, see `shown`.
     """
 
     law: SampledLaw
@@ -102,6 +103,10 @@ class Experiment:
     timing: Timing
     samples: int
     begin: float
+    shows: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shows", bool(np.any(self.shown)))
 
     @property
     def periods(self) -> int:

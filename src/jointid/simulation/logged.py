@@ -11,7 +11,7 @@ from jointid.simulation.experiment import Experiment
 def seen_torque(experiment: Experiment, command: FloatArray, tapped: FloatArray) -> FloatArray:
     """Return what the tap of the log sees, (periods,), of the controller's output and of what is behind its limit."""
     behind = tapped if experiment.tap is Tap.COMMAND else command
-    return behind + experiment.shown
+    return behind + experiment.shown if experiment.shows else behind
 
 
 def as_logged(experiment: Experiment, signal: FloatArray) -> FloatArray:
