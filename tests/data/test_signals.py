@@ -75,6 +75,15 @@ def test_the_compiled_filter_is_scipy_s(columns: int, cutoff: float) -> None:
     assert np.max(np.abs(alone - whole[:, -1])) < 1e-13 * size[-1]
 
 
+@pytest.mark.parametrize(("samples", "keep"), [(25, 1), (26, 2), (31, 3), (64, 30), (5131, 10)])
+def test_the_compiled_filter_is_scipy_s_at_any_length(samples: int, keep: int) -> None:
+    """Just longer than what is padded; more of it before the first that is kept; and a block and one more."""
+    filtering = Filtering(cutoff=0.3 * 500.0 / keep, decimation=keep).resolved(T)
+    values = np.random.default_rng(4).standard_normal((samples, 3))
+    (found,) = decimate_all([values], filtering, T)
+    np.testing.assert_allclose(found, decimate(values, filtering, T), atol=1e-10)
+
+
 def test_columns_are_decimated_like_the_torque() -> None:
     columns = np.random.default_rng(0).normal(size=(2000, 3))
     filtering = Filtering().resolved(T)

@@ -203,6 +203,12 @@ def test_an_axis_at_rest_is_not_taken_to_move_for_the_sake_of_noise() -> None:
         estimate = identify(Record(torque=torque, reference=clean.reference), LOOP)
         assert not estimate["initial_velocity"].free
         assert estimate["initial_velocity"].value == 0.0
+        # Once that is decided the search is taken to its end.
+        assert estimate.converged
+        precise = identify(
+            Record(torque=torque, reference=clean.reference), LOOP, DIDIM(tolerance=1e-10, step_tolerance=1e-10)
+        )
+        assert errors(estimate.values, precise.values) <= 1e-6
 
 
 def test_the_gains_are_the_true_ones_after_the_first_iterations() -> None:

@@ -14,6 +14,7 @@ from jointid.inference.uncertainty import (
     covariance_of,
     different,
     larger,
+    residual_left_out,
     robust,
     sandwich,
     stationary,
@@ -71,6 +72,19 @@ def test_rows_of_two_equations_share_their_instants() -> None:
     found = sandwich(W, W, error, equations=2).std
     expected = np.sqrt(np.sum(W1**2)) / np.sum(W**2)
     assert found == pytest.approx([expected], rel=0.06)
+
+
+def test_a_block_left_out_is_what_a_fit_without_it_leaves() -> None:
+    """Blocks of different lengths, scattered, whose numbers neither begin at 0 nor follow one another."""
+    random = np.random.default_rng(5)
+    J, told = random.standard_normal((120, 3)), random.standard_normal(120)
+    block = random.choice([3, 4, 9, 17], size=120, p=[0.1, 0.2, 0.3, 0.4])
+    error = told - J @ np.linalg.lstsq(J, told)[0]
+    found = residual_left_out(J, J, error, np.linalg.inv(J.T @ J), block)
+    for one in np.unique(block):
+        out = block == one
+        kept = np.linalg.lstsq(J[~out], told[~out])[0]
+        np.testing.assert_allclose(found[out], told[out] - J[out] @ kept, atol=1e-12)
 
 
 def test_the_bandwidth_is_the_stated_rule() -> None:

@@ -31,14 +31,21 @@ def inlined(function: F) -> F:
 
 def _widened(_: Any) -> tuple[Any, Any]:
     def lower(context: Any, builder: Any, *_: Any) -> Any:
-        # A set that knows the attributes without a value only, so it is told of this one as any set is.
+        # A set whose own `add` knows the attributes without a value only, so it is told of this one as any set is.
         set.add(builder.function.attributes, '"prefer-vector-width"="512"')
         return context.get_dummy_value()
 
     return types.void(), lower
 
 
-wide_vectors = cast("Callable[[], None]", intrinsic(_widened))
+def _nothing() -> None: ...
+
+
+wide_vectors = (
+    _nothing
+    if numba.config.DISABLE_JIT  # type: ignore[attr-defined]
+    else cast("Callable[[], None]", intrinsic(_widened))
+)
 """Let the function that calls this use all of the machine's vectors, as those it inlines must ask, too.
 
 Of vectors of 512 bits LLVM takes halves, since a program that seldom needs them would lose by them (a machine may slow

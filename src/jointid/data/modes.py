@@ -77,7 +77,7 @@ class Thinning:
         padding: samples by which the ends are reflected about their ends.
         between: (2, keep, 2 modes) what the samples between two that are kept add to the later, forwards, and to the
             earlier, backwards: real parts, then imaginary ones.
-        older: (modes, padding + keep) the powers of the poles.
+        older: (modes, padding + keep + 1) the powers of the poles.
         powers: see `recurrences.carry`.
         weights: (2 modes,) of what the modes say: real parts, then imaginary ones.
     """
@@ -94,11 +94,12 @@ class Thinning:
     def of(cls, modes: Modes, keep: int, padding: int) -> Self:
         """Return it for a filter."""
         older = modes.poles[:, np.newaxis] ** np.arange(padding + keep + 1)
-        forwards, backwards = older[:, keep - 1 :: -1][:, :keep], older[:, 1 : keep + 1]
+        forwards, backwards = older[:, keep - 1 :: -1], older[:, 1 : keep + 1]
         between = np.stack([np.concatenate(_parts(one)).T for one in (forwards, backwards)])
         weights = np.concatenate([2 * modes.both.real, -2 * modes.both.imag])
         return cls(modes, keep, padding, between, older, _parts(older[:, keep]), weights)
 
+    @np.errstate(over="ignore", invalid="ignore")  # the derivatives of a loop that runs away may be beyond all numbers
     def __call__(self, parts: Sequence[FloatArray], first: int) -> FloatArray:
         """Return signals filtered forwards and backwards, (signals, kept), as `scipy.signal.sosfiltfilt` does.
 
@@ -107,7 +108,8 @@ class Thinning:
             first: sample that is kept first; the last one is kept, too.
         """
         modes, padding = self.modes, self.padding
-        between = [part[:, first + 1 :].reshape(len(part), -1, self.keep) for part in parts]
+        between = [part[:, first + 1 :] for part in parts]
+        between = [part.reshape(len(part), part.shape[1] // self.keep, self.keep) for part in between]
         kept = modes.passed * np.concatenate([part[:, first :: self.keep] for part in parts])
         head = np.concatenate([part[:, : max(padding, first) + 1] for part in parts])
         tail = np.concatenate([part[:, -padding - 1 :] for part in parts])
@@ -143,10 +145,11 @@ class Thinning:
         forwards = step > 0
         columns, stands = self.between[0 if forwards else 1], np.concatenate([states.real, states.imag], axis=1)
         kept[:, 0 if forwards else -1] += stands @ self.weights
-        begins = range(0, kept.shape[1] - 1, _BLOCKS)
+        size, begins = min(_BLOCKS, kept.shape[1] - 1) + 1, range(0, kept.shape[1] - 1, _BLOCKS)
+        room = _ROOM.array("said", (len(kept) * size * columns.shape[1],))
         for begin in begins if forwards else reversed(begins):
             count = min(_BLOCKS, kept.shape[1] - 1 - begin)
-            said = _ROOM.array("said", (len(kept), count + 1, columns.shape[1]))
+            said = room[: len(kept) * (count + 1) * columns.shape[1]].reshape(len(kept), count + 1, -1)
             said[:, 0 if forwards else -1] = stands
             new, row = said[:, 1:] if forwards else said[:, :-1], 0
             for part in between:

@@ -27,7 +27,7 @@ from jointid.estimation.descent import Descent, with_free
 from jointid.estimation.estimate import Estimate
 from jointid.estimation.problem import Problem, torque_problem
 from jointid.estimation.regression import solution
-from jointid.estimation.search import End, Limits, Search, State, Step, foreseen_norm, require_simulated
+from jointid.estimation.search import End, Limits, Search, State, Step, require_simulated
 from jointid.estimation.starts import Start, given_start, inversion_start, regular_start
 from jointid.inference.repeatable import Uncertainty, uncertainty
 from jointid.model.controllers import REFERENCE
@@ -35,7 +35,8 @@ from jointid.model.parameters import Parameter
 from jointid.simulation.experiment import ClosedLoop
 
 _MOVING = 9.0  # times the residual's variance: what a velocity at the first sample must explain to be believed
-_NEAR = 1e-3  # of residual and parameters: a change so small leaves only whether the motor rested to be decided
+_NEAR = 1e-3  # of residual and parameters: with a change so small it may show whether the motor rested ...
+_SURE = 1e-2  # ... if the residual's norm differs by more than this share, which is as far as it can still go
 _AWAY = 1e100  # a derivative so large is of a loop that runs away
 _WORSE = 2.0  # times the residual: with an approximate Jacobian, a little worse is no reason to turn back
 
@@ -179,15 +180,25 @@ def _searched(problem: Problem, search: Search, settings: DIDIM, start: Start) -
     most = max(settings.iterations - scaled, 1)
     if not free:
         return _solve(search, settings, state, steps.regressor, limits, most)
-    # Which of the two problems it is shows long before either is solved to the last digit.
     near = replace(limits, change=max(limits.change, _NEAR), step=max(limits.step, _NEAR))
+    begun = len(search.trace)
     resting = _solve(search, settings, state, steps.regressor, near, most)
     if resting.reproduced:
         return resting
+    left = max(most - (len(search.trace) - begun), 1)
     moving = _moving(problem, search, settings, resting.state, start, limits)
-    if moving is not None or near == limits:
-        return moving or resting
-    return _solve(search, settings, resting.state, steps.regressor, limits, settings.iterations)
+    rough = resting.converged and near != limits
+    if rough and not (moving and _explains(moving, (1.0 - _SURE) * resting.state.norm)):
+        resting = _solve(search, settings, resting.state, steps.regressor, limits, left)
+    if moving is None or not _explains(moving, resting.state.norm):
+        return resting
+    search.problem = problem
+    return moving
+
+
+def _explains(moving: End, rest: float) -> bool:
+    """Whether a motor that moves leaves so much less than the norm that is left at rest that it is to be believed."""
+    return rest**2 - moving.state.norm**2 > _MOVING * rest**2 / moving.state.error.size
 
 
 def _known(search: Search, state: State) -> Uncertainty:
@@ -273,22 +284,20 @@ def _at_rest(problem: Problem, settings: DIDIM) -> Problem:
 def _moving(
     problem: Problem, search: Search, settings: DIDIM, resting: State, start: Start, limits: Limits
 ) -> End | None:
-    """Return the answer for a motor that moves at the first sample, if it is better than the one at rest.
+    """Return the answer for a motor that moves at the first sample; None where the loop cannot be simulated so.
 
     Friction makes them two problems: a motor that slips a little before it sticks is not near one that stands, so
     no search gets from one to the other.
     """
-    at_rest, steps = search.problem, _Steps(search, settings.form)
+    at_rest = search.problem
     velocity = {"initial_velocity": start.values["initial_velocity"]}
-    ends = foreseen_norm(resting, steps.regressor(resting))
     search.problem = problem
     try:
         state = search.evaluate(problem.vector(at_rest.values(resting.x) | velocity))
         search.note(state, None)
-        moving = _solve(search, settings, state, steps.newton, limits, settings.iterations)
-        if ends**2 - moving.state.norm**2 > _MOVING * ends**2 / resting.error.size:
-            return moving
+        return _solve(search, settings, state, _Steps(search, settings.form).newton, limits, settings.iterations)
     except MethodError:  # a wrong guess of the velocity may make the loop impossible to simulate
         search.progress("the motor cannot have been moving at the first sample")
-    search.problem = at_rest
-    return None
+        return None
+    finally:
+        search.problem = at_rest

@@ -169,15 +169,11 @@ class Search:
         )
 
 
-def foreseen_norm(state: State, x: FloatArray) -> float:
-    """Return the residual's norm after a step to `x`, as far as the loop is linear."""
-    return float(np.linalg.norm(state.error - state.J @ (x - state.x)))
-
-
 def _foreseen(state: State, x: FloatArray) -> tuple[float, float]:
     """Return the relative changes of the residual's norm and of the parameters that a step to `x` would make."""
-    step = np.abs(x - state.x)[: state.scales.size] / state.scales
-    return abs(foreseen_norm(state, x) - state.norm) / state.norm, float(np.max(step))
+    step = x - state.x
+    norm = float(np.linalg.norm(state.error - state.J @ step))
+    return abs(norm - state.norm) / state.norm, float(np.max(np.abs(step[: state.scales.size]) / state.scales))
 
 
 def _arrived(change: float | None, step: float | None, limits: Limits) -> str | None:

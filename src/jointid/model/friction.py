@@ -21,7 +21,7 @@ Directions: TypeAlias = tuple[float, float, float, float]
 
 
 class Friction(Protocol):
-    """What a joint asks of a friction law."""
+    """What a joint asks of a friction law; it is frozen, as a joint is looked up by what it is made of."""
 
     @property
     def symmetric(self) -> bool:

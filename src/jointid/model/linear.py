@@ -26,7 +26,8 @@ from jointid.model.joints import FlexibleJoint, Joint
 ComplexArray: TypeAlias = NDArray[np.complex128]
 Output: TypeAlias = Literal["motor_position", "motor_velocity", "load_position", "load_velocity"]
 
-_SNAP = 1e-9  # of a period: a delay closer than this to a whole number of them is one
+SNAP = 1e-6
+"""Of a period: instants closer than this are the same, and a delay of nearly a whole number of periods is one."""
 
 OUTPUTS: tuple[Output, ...] = ("motor_position", "motor_velocity", "load_position", "load_velocity")
 """The states of a flexible joint, in their order; a rigid one has the first two."""
@@ -116,9 +117,9 @@ def sampled(A: FloatArray, B: FloatArray, period: float, delay: float) -> Sample
         period: seconds, positive.
         delay: seconds from a sample of the torque to its effect, 0 or more.
     """
-    whole = math.floor(delay / period + _SNAP)
+    whole = math.floor(delay / period + SNAP)
     late = max(delay - whole * period, 0.0)
-    late = late if late > _SNAP * period else 0.0
+    late = late if late > SNAP * period else 0.0
     first, into_first = held(A, B, late)
     then, into_then = held(A, B, period - late)
     return Sampled(then @ first, into_then, (then @ into_first[..., np.newaxis])[..., 0], whole, late > 0.0)

@@ -160,6 +160,7 @@ def run(
         missing = ", ".join(p.name for p in loop.joint.parameters if p.name not in values)
         raise MethodError(f"A simulation needs a value for every parameter; {missing} has none: give one.") from None
     periods, parts, elements = experiment.periods, experiment.lengths.size, law.limits.size
+    # Never in a room: an answer may be one of these.
     command, tapped = np.empty(periods), np.empty(periods if law.tap != law.output else 0)
     kept = periods * parts if keep else 0
     array = (room or _FRESH).array

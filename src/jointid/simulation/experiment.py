@@ -31,11 +31,11 @@ from jointid.model.controllers import (
     scaled,
 )
 from jointid.model.joints import Joint, require_units
+from jointid.model.linear import SNAP
 
 if TYPE_CHECKING:
     from jointid.simulation.kernels import Feedback
 
-_SNAP = 1e-6  # of a period: instants closer than this are the same instant
 _SAME_RATE = 1e-4  # two clocks whose rates differ by less than crystals do are one clock
 _FEWEST = 10  # periods that can be simulated to any purpose
 _MOST = 200  # periods to one log sample, or the other way round: more is a mistake
@@ -151,7 +151,7 @@ def prepare(loop: ClosedLoop, record: Record) -> Experiment:
     assert record.reference is not None
     log = record.torque or record.reference
     law = begun_later(loop.controller, record.begin).law(log.sample_time)
-    periods = math.floor(min(record.duration / law.period, 1e9) + _SNAP)
+    periods = math.floor(min(record.duration / law.period, 1e9) + SNAP)
     if periods < _FEWEST:
         raise RecordError(
             f"The record lasts {record.duration:.4g} s, fewer than {_FEWEST} of the controller's periods of "
@@ -168,7 +168,7 @@ def prepare(loop: ClosedLoop, record: Record) -> Experiment:
             after = signal
             logged = signal * record.injected.in_torque
     timing = record.torque.timing if record.torque is not None else Timing.HELD
-    samples = math.floor(record.duration / log.sample_time + _SNAP)
+    samples = math.floor(record.duration / log.sample_time + SNAP)
     return _experiment(law, inputs, after, logged, log.sample_time, samples, record.tap, timing, record.begin)
 
 
@@ -297,14 +297,14 @@ def known_memory(law: SampledLaw, inputs: FloatArray) -> FloatArray:
 def _parts(law: SampledLaw, repeat: int) -> tuple[FloatArray, NDArray[np.int64]]:
     """Cut a period where the torque changes (the delay) and where the log looks (a log faster than the loop)."""
     late = law.delay / law.period
-    whole = math.floor(late + _SNAP)
+    whole = math.floor(late + SNAP)
     fraction = max(late - whole, 0.0)
-    fraction = 0.0 if fraction < _SNAP else fraction
+    fraction = 0.0 if fraction < SNAP else fraction
     cuts = [j / repeat for j in range(repeat)]
-    if all(abs(cut - fraction) > _SNAP for cut in cuts):
+    if all(abs(cut - fraction) > SNAP for cut in cuts):
         cuts = sorted([*cuts, fraction])
     lengths = np.diff([*cuts, 1.0]) * law.period
-    lags = [whole + 1 if cut < fraction - _SNAP else whole for cut in cuts]
+    lags = [whole + 1 if cut < fraction - SNAP else whole for cut in cuts]
     return lengths, np.array(lags, dtype=np.int64)
 
 

@@ -257,7 +257,10 @@ def coefficient_seeds(
 @lru_cache(maxsize=64)
 def _seeds(joint: Joint) -> Mapping[str, FloatArray]:
     """Return `coefficient_seeds` of a joint, which thousands of runs ask for."""
-    return coefficient_seeds(joint.coefficients, [p.name for p in joint.parameters])
+    found = coefficient_seeds(joint.coefficients, [p.name for p in joint.parameters])
+    for seed in found.values():
+        seed.setflags(write=False)
+    return found
 
 
 def gravity_seed(joint: Joint, name: str) -> FloatArray:

@@ -11,9 +11,9 @@ by Taylor series). At an event:
   loose, the time is the controller's and does not move;
 - a delay moves the edges of the torque, so each edge kicks the velocity by the difference of the accelerations.
 
-Everything called from `follow` lives in this file, because the compiler's cache on disk does not notice edits in
-another one. All that is written in the loop over the periods is one array, with rows of a constant length: only then
-the compiler knows that nothing overlaps, and keeps to vector instructions.
+Everything called from `follow` lives in this file but `wide_vectors`, because the compiler's cache on disk does not
+notice edits in another one. All that the loop over the periods goes on from is one array, with rows of a constant
+length: only then the compiler knows that nothing overlaps, and keeps to vector instructions.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from jointid.simulation.kernels import Feedback
 
 Motion: TypeAlias = tuple[float, float, float, float, float]
 
-LANES = 8  # columns that are followed at a time: one vector of a wide machine, two of others
+LANES = 8  # columns that are followed at a time: one vector of a wide machine, two of others; `_written` names each
 
 _ORDER = 11  # of the Taylor series
 _STEP = 0.25  # longest Taylor step, as a fraction of 1/(fastest rate of the drive)
