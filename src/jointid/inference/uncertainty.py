@@ -236,7 +236,9 @@ def residual_left_out(
     def summed(rows: FloatArray) -> FloatArray:
         return np.add.reduceat(rows, first)
 
-    shares = np.stack([summed(Z * column[:, np.newaxis]) for column in slopes.T], axis=2)  # Z_b' J_b
+    shares = np.empty((len(first), *spread.shape))  # Z_b' J_b
+    for i, column in enumerate(slopes.T):
+        shares[:, :, i] = summed(Z * column[:, np.newaxis])
     told = summed(Z * before[:, np.newaxis])
     moved = _inverses(np.eye(len(spread)) - spread @ shares) @ (spread @ told[..., np.newaxis])
     rows = np.diff(first, append=len(order))
