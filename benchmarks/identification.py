@@ -20,14 +20,14 @@ from benchmarks.results import Rigid, Solver, spread
 from benchmarks.searching import Search, summed, timed
 from benchmarks.startup import HERE, emps
 from jointid.common.progress import silent
-from jointid.data.signals import Filtering
-from jointid.estimation.descent import Descent, by_simplex, refined
-from jointid.estimation.flexible import FlexibleDIDIM, stopping_tolerance
+from jointid.config import load
 from jointid.estimation.identify import identify
-from jointid.estimation.problem import Problem, torque_problem
-from jointid.estimation.surroundings import INITIAL_STATE
-from jointid.jointfile import load
+from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
+from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
+from jointid.estimation.search.descent import Descent, by_simplex, refined
 from jointid.paper.twin import Twin, twin
+from jointid.records.signals import Filtering
 
 STARTS = 100
 FACTOR = 3.0

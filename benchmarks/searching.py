@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.problem import Array
 from benchmarks.results import Solver
-from jointid.estimation.problem import Problem
+from jointid.estimation.problems.closed_loop import Problem
 
 SAME = 1e-3
 """Of the criterion: an end that is no further above the lowest one is the same minimum."""

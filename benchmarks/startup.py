@@ -25,7 +25,7 @@ import jointid
 HERE = Path(__file__).resolve().parent
 PACKAGE = Path(jointid.__file__).parent
 LIBRARIES = "import numpy, scipy.linalg, scipy.optimize, scipy.signal, scipy.special, scipy.stats"
-COMMAND = "from jointid.cli import main; main()"
+COMMAND = "from jointid.apps.cli import main; main()"
 
 
 def emps() -> Path | None:

@@ -6,7 +6,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from jointid.assessment.suspects import LoopTests, suspected
+from jointid.diagnostics.misspecification_tests import LoopTests, suspected
 from tests.faults import FAULTS, PAIRS, Loop, Noise, on, problem, setting, solved
 
 LEVEL = 0.05

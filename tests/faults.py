@@ -12,13 +12,14 @@ from typing import Literal
 
 import numpy as np
 
-from jointid.data.record import FloatArray, Record
-from jointid.data.signals import Filtering
-from jointid.estimation.flexible import refined_least_squares
-from jointid.estimation.problem import Problem, torque_problem
+from jointid.common.arrays import FloatArray
+from jointid.estimation.methods.flexible import refined_least_squares
+from jointid.estimation.problems.closed_loop import Problem, torque_problem
 from jointid.paper.twin import twin
+from jointid.records.record import Record
+from jointid.records.signals import Filtering
 from jointid.simulation.closed_loop import Simulation, require_finished, simulate
-from jointid.simulation.experiment import ClosedLoop, Experiment, prepare
+from jointid.simulation.loop_input import ClosedLoop, Experiment, prepare
 
 Loop = Literal["L19", "L30"]
 Noise = Literal["white", "disturbance"]

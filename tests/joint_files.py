@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from jointid.common.errors import JointFileError
-from jointid.jointfile import loads
+from jointid.config import loads
 
 
 def faults(text: str) -> tuple[str, ...]:

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jointid.data.excitation import pulses, trapezoids
-from jointid.data.record import Record
-from jointid.model.controllers import Cascade
-from jointid.model.joints import FlexibleJoint
+from jointid.models.controllers import Cascade
+from jointid.models.joints import FlexibleJoint
+from jointid.records.excitation import pulses, trapezoids
+from jointid.records.record import Record
 from jointid.simulation.closed_loop import Outcome, simulate_torque
-from jointid.simulation.experiment import ClosedLoop, prepare
+from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.simulation.synthesis import simulated_record
 
 _GAIN = 35.15065188
@@ -105,7 +105,7 @@ def _driven(
     loop: ClosedLoop, reference: np.ndarray, known: np.ndarray, truth: dict[str, float], period: float, mode: float
 ) -> Case | None:
     """The case, unless the loop is unstable or rings for ever."""
-    from jointid.data.record import Channel, Injection, InjectionPoint
+    from jointid.records.record import Channel, Injection, InjectionPoint
 
     position, force = ("m", "N") if loop.joint.kind == "prismatic" else ("rad", "N m")
     driven = Record(

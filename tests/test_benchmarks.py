@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from benchmarks import figures, identification, measuring, page
 from benchmarks.peers import PEERS, mujoco_sysid, peer
 from benchmarks.peers.c_stick import CStick, stick_module
@@ -32,7 +33,6 @@ from benchmarks.results import (
     save,
     spread,
 )
-
 from jointid.paper.twin import twin
 
 SHORT = 2000  # samples: a stroke, two standstills and pulses

@@ -10,19 +10,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid.answers import estimate_answer, read_identified, write
-from jointid.cli.app import main
+from jointid.apps.cli.app import main
 from jointid.common.errors import JointFileError, MethodError, RecordError
-from jointid.data.columns import Column
-from jointid.data.excitation import trapezoids
-from jointid.data.reading import read
-from jointid.data.record import Record
-from jointid.data.transmission import Transmission
-from jointid.estimation.estimate import Estimate
+from jointid.config import JointFile, dumps, loads, save
 from jointid.estimation.identify import identify
-from jointid.jointfile import JointFile, dumps, loads, save
-from jointid.model.joints import RigidJoint
-from jointid.simulation.experiment import ClosedLoop
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.joints import RigidJoint
+from jointid.models.transmission import Transmission
+from jointid.output.json import estimate_answer, read_identified, write
+from jointid.records.columns import Column
+from jointid.records.excitation import trapezoids
+from jointid.records.reading import read
+from jointid.records.record import Record
+from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from tests.geared import LAW, RATE, RIGID, TURNED_SCREW
 from tests.joint_files import faults

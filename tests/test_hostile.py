@@ -17,13 +17,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import jointid as ji
-from jointid import answers
-from jointid.cli.app import _run
-from jointid.cli.console import show
+from jointid.apps.cli.app import _run
+from jointid.apps.cli.console import show
 from jointid.common.errors import JointidError, RecordError
 from jointid.common.text import printable, short
-from jointid.data.formats import Table, csv, read_blocks, read_table, write_table
-from jointid.jointfile import load, loads
+from jointid.config import load, loads
+from jointid.output import json as answers
+from jointid.records.formats import Table, csv, read_blocks, read_table, write_table
 
 ROWS = "".join(f"{k * 0.001:.3f},{k % 7},{k * 0.01:.2f}\n" for k in range(300))
 LOG = ("t,i,r\n" + ROWS).encode()

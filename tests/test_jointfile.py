@@ -19,20 +19,7 @@ from hypothesis import strategies as st
 
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.units import units_of
-from jointid.data.columns import Column, known_units
-from jointid.data.drive import Drive
-from jointid.data.profiles import profile_names
-from jointid.data.record import InjectionPoint, Tap, Timing
-from jointid.data.resampling import Resampling
-from jointid.data.signals import Filtering
-from jointid.data.transmission import SIDES, Transmission
-from jointid.estimation.didim import DIDIM
-from jointid.estimation.drive_side import DriveSideFit
-from jointid.estimation.flexible import FlexibleDIDIM, stopping_tolerance
-from jointid.estimation.identify import identify
-from jointid.estimation.idim import IDIM
-from jointid.estimation.open_loop import OpenLoopFit
-from jointid.jointfile import (
+from jointid.config import (
     JointFile,
     Run,
     Source,
@@ -45,8 +32,14 @@ from jointid.jointfile import (
     with_controller,
     with_paths,
 )
-from jointid.jointfile.schema import CLOSINGS, DIDIMS, FILTERINGS, OF_IDIM
-from jointid.model.controllers import (
+from jointid.config.schema import CLOSINGS, DIDIMS, FILTERINGS, OF_IDIM
+from jointid.estimation.identify import identify
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.drive_side import DriveSideFit
+from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.open_loop import OpenLoopFit
+from jointid.models.controllers import (
     PD,
     PID,
     POSITION,
@@ -61,11 +54,18 @@ from jointid.model.controllers import (
     SecondOrder,
     StateSpaceController,
 )
-from jointid.model.effects import Drift, PositionHarmonics
-from jointid.model.friction import AsymmetricFriction, SymmetricFriction
-from jointid.model.gravity import GRAVITY_PARAMETERS, Counterbalance, Gravity
-from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
-from jointid.model.parameters import Parameter
+from jointid.models.disturbances import Drift, PositionHarmonics
+from jointid.models.friction import AsymmetricFriction, SymmetricFriction
+from jointid.models.gravity import GRAVITY_PARAMETERS, Counterbalance, Gravity
+from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.models.parameters import Parameter
+from jointid.models.transmission import SIDES, Transmission
+from jointid.records.columns import Column, known_units
+from jointid.records.drives.drive import Drive
+from jointid.records.drives.profiles import profile_names
+from jointid.records.record import InjectionPoint, Tap, Timing
+from jointid.records.signals import Filtering
+from jointid.records.time_base.resampling import Resampling
 from tests.joint_files import faults
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -1775,7 +1775,7 @@ def test_the_schema_has_no_null_and_a_description_of_every_key() -> None:
 
 def test_importing_loads_nothing_heavy() -> None:
     heavy = "numba, matplotlib, scipy.signal, scipy.optimize"
-    program = f"import sys, jointid.jointfile; print([m for m in '{heavy}'.split(', ') if m in sys.modules])"
+    program = f"import sys, jointid.config; print([m for m in '{heavy}'.split(', ') if m in sys.modules])"
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from jointid.cli.app import main
+from jointid.apps.cli.app import main
 from tests.docs.running import run_page
 
 ROOT = Path(__file__).resolve().parents[1]

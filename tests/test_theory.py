@@ -11,23 +11,24 @@ import pytest
 from scipy.linalg import expm
 from scipy.stats import norm
 
-from jointid.data.excitation import trapezoids
-from jointid.data.record import Channel, FloatArray, Timing
-from jointid.data.signals import Filtering, decimate, differences, windowed, windowed_torque
-from jointid.estimation.didim import DIDIM
+from jointid.common.arrays import FloatArray
 from jointid.estimation.identify import identify
-from jointid.estimation.idim import IDIM
-from jointid.estimation.problem import Problem, torque_problem
-from jointid.estimation.regression import least_squares
-from jointid.estimation.starts import pseudo_regular
-from jointid.estimation.surroundings import INITIAL_STATE
-from jointid.inference.uncertainty import bandwidth, sandwich
-from jointid.model.controllers import POSITION, SampledLaw
-from jointid.model.joints import FlexibleJoint, Joint, RigidJoint, frequencies
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.regression import least_squares
+from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
+from jointid.estimation.search.starts import pseudo_regular
+from jointid.models.controllers import POSITION, SampledLaw
+from jointid.models.joints import FlexibleJoint, Joint, RigidJoint, frequencies
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
+from jointid.records.excitation import trapezoids
+from jointid.records.record import Channel, Timing
+from jointid.records.signals import Filtering, decimate, differences, windowed, windowed_torque
 from jointid.simulation.closed_loop import Initial
-from jointid.simulation.experiment import ClosedLoop
+from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
+from jointid.uncertainty.covariance import bandwidth, sandwich
 
 T = 1e-3
 RIGID = {"inertia": 105.0, "viscous": 202.0, "coulomb": 20.4, "offset": -3.16}

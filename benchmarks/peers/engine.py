@@ -23,7 +23,7 @@ class Engine(Peer):
     many = "`simulate_many`, two threads"
 
     def __init__(self, loop: Loop, setting: Setting) -> None:
-        from jointid.simulation.experiment import prepare
+        from jointid.simulation.loop_input import prepare
 
         super().__init__(loop, setting)
         self.closed = _closed(loop.law)
@@ -51,7 +51,7 @@ class Engine(Peer):
 
     def kernel(self, parameters: Array) -> Callable[[], object]:
         """Return a call of the compiled simulation alone, with the arguments that `torque` gives it."""
-        from jointid.simulation import kernels
+        from jointid.simulation.kernels import drive as kernels
 
         caught: list[tuple[Any, ...]] = []
         original = kernels.run
@@ -80,9 +80,9 @@ _SMALL = 100  # what is larger is a signal, not a state
 
 
 def _closed(law: Law) -> Any:
-    from jointid.model.controllers import PD, Cascade, DigitalFilter
-    from jointid.model.joints import FlexibleJoint
-    from jointid.simulation.experiment import ClosedLoop
+    from jointid.models.controllers import PD, Cascade, DigitalFilter
+    from jointid.models.joints import FlexibleJoint
+    from jointid.simulation.loop_input import ClosedLoop
 
     filtered = DigitalFilter((law.now, law.before), (1.0, -law.memory))
     if law.fed:
@@ -96,7 +96,7 @@ def _closed(law: Law) -> Any:
 
 
 def _record(loop: Loop) -> Any:
-    from jointid.data.record import Channel, Injection, InjectionPoint, Record
+    from jointid.records.record import Channel, Injection, InjectionPoint, Record
 
     return Record(
         reference=Channel(loop.reference, "m", PERIOD),

@@ -13,9 +13,9 @@ from benchmarks.peers.mujoco_step import MujocoStep
 from benchmarks.problem import EMPS, NAMES, PERIOD, Array, Law, Loop
 from benchmarks.results import Solver
 from benchmarks.searching import summed, timed
-from jointid.data.record import Channel
-from jointid.estimation.problem import Problem
+from jointid.estimation.problems.closed_loop import Problem
 from jointid.paper.twin import CONTROLLERS, Twin
+from jointid.records.record import Channel
 
 TITLE = "mujoco.sysid"
 

@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jointid.cli.app import app
+from jointid.apps.cli.app import app
 
 if TYPE_CHECKING:
     from cyclopts import Argument

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from jointid.jointfile import json_schema
+from jointid.config import json_schema
 
 _UNIT = re.compile(r"\s*\[([^\]]*)\]$")
 _CHANNELS_KEY = re.compile(r"record\.channels\.\w+\.\w+$")

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.cli.app import main
+from jointid.apps.cli.app import main
 from tests.docs.blocks import ROOT, Block, blocks
 
 _UV = re.compile(r"^(?:python3 -m pip install uv && )?(?:python3 -m uv run )?")

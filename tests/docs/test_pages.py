@@ -11,7 +11,7 @@ import sys
 import pytest
 
 import jointid
-from jointid.jointfile import json_schema
+from jointid.config import json_schema
 from tests.docs.blocks import ROOT, pages
 
 sys.path.insert(0, str(ROOT / "docs" / "_ext"))

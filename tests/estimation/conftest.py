@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from jointid.data.columns import Column
-from jointid.data.reading import read
-from jointid.data.record import InjectionPoint, Record
-from jointid.model.controllers import Cascade
+from jointid.models.controllers import Cascade
+from jointid.records.columns import Column
+from jointid.records.reading import read
+from jointid.records.record import InjectionPoint, Record
 
 GAIN = 35.15065188
 CONTROLLER = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=GAIN, limit=10.0)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from jointid.data.excitation import trapezoids
-from jointid.data.record import FloatArray
+from jointid.common.arrays import FloatArray
+from jointid.records.excitation import trapezoids
 
 STEP = 0.01  # s
 NAMES = ("inertia", "viscous", "coulomb", "offset")

@@ -9,12 +9,12 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.optimize import minimize_scalar
 
-from jointid.data.record import Channel, Record, Tap, Timing
-from jointid.data.signals import Filtering
-from jointid.estimation.inverse_model import InverseModel, inverse_model
-from jointid.estimation.regression import least_squares
-from jointid.model.joints import FlexibleJoint
-from jointid.model.parameters import Parameter, Quantity
+from jointid.estimation.methods.inverse_model import InverseModel, inverse_model
+from jointid.estimation.methods.regression import least_squares
+from jointid.models.joints import FlexibleJoint
+from jointid.models.parameters import Parameter, Quantity
+from jointid.records.record import Channel, Record, Tap, Timing
+from jointid.records.signals import Filtering
 
 PERIOD = 4e-4
 JOINT = FlexibleJoint("revolute", torque_unit="A")

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.inference.bootstrap import Bootstrapping, cell_bootstrap, refitted, time_bootstrap
-from jointid.inference.combination import Combination
-from jointid.inference.repeatable import by_place, cells
-from jointid.inference.uncertainty import sandwich, white
+from jointid.uncertainty.bootstrap import Bootstrapping, cell_bootstrap, refitted, time_bootstrap
+from jointid.uncertainty.combination import Combination
+from jointid.uncertainty.covariance import sandwich, white
+from jointid.uncertainty.position_dependent_error import by_place, cells
 from tests.estimation.linear import linear, parameters, solved
 from tests.estimation.motions import NAMES, TRUTH, columns, field, motion
 

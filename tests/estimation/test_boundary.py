@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.data.record import Record
-from jointid.data.signals import Filtering
-from jointid.estimation.problem import torque_problem
-from jointid.inference.boundary import BoundarySettings, BoundaryTest, flexible_against_rigid
-from jointid.inference.repeatable import cells
-from jointid.model.controllers import Cascade
-from jointid.model.joints import FlexibleJoint, RigidJoint
+from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.models.controllers import Cascade
+from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.paper.twin import CONTROLLERS, twin
-from jointid.simulation.experiment import ClosedLoop
+from jointid.records.record import Record
+from jointid.records.signals import Filtering
+from jointid.simulation.loop_input import ClosedLoop
+from jointid.uncertainty.flexible_vs_rigid_test import BoundarySettings, BoundaryTest, flexible_against_rigid
+from jointid.uncertainty.position_dependent_error import cells
 from tests.estimation.conftest import CONTROLLER
 from tests.estimation.linear import solved
 from tests.estimation.motions import columns, field, motion

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jointid.common.progress import silent
-from jointid.inference.bounded import descend
-from jointid.model.parameters import Parameter, Quantity
+from jointid.models.parameters import Parameter, Quantity
+from jointid.solvers.levenberg_marquardt import descend
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid import answers
-from jointid.assessment.comparison import Comparison, compare
 from jointid.common.errors import RecordError
-from jointid.data.record import Record
-from jointid.estimation.flexible import FlexibleDIDIM
-from jointid.model.joints import RigidJoint
+from jointid.diagnostics.method_comparison import Comparison, compare
+from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.models.joints import RigidJoint
+from jointid.output import json as answers
 from jointid.paper.twin import twin
-from jointid.simulation.experiment import ClosedLoop
+from jointid.records.record import Record
+from jointid.simulation.loop_input import ClosedLoop
 from tests.estimation.conftest import CONTROLLER
 
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.data.axes import other_axes
-from jointid.data.drive import Drive
-from jointid.data.formats import Table, write_table
-from jointid.data.reading import read
-from jointid.estimation.coupled import coupling_warnings
-from jointid.inference.coupling import coupling
+from jointid.estimation.methods.cross_axis import coupling_warnings
+from jointid.records.drives.drive import Drive
+from jointid.records.formats import Table, write_table
+from jointid.records.other_axes import other_axes
+from jointid.records.reading import read
+from jointid.uncertainty.coupling import coupling
 
 T = 1e-3
 TIME = np.arange(20_000) * T

@@ -10,13 +10,13 @@ import pytest
 
 import jointid as ji
 from jointid.common.progress import silent
-from jointid.data.record import Channel, Record, Tap, Timing
-from jointid.estimation.first_stage import Judgement, _Shadow, contrast, judged, known_motions, solved
-from jointid.estimation.prescribed import MotionProblem, motion_problem
-from jointid.inference.bands import band_deviations
-from jointid.inference.bounded import Bottom, descend
-from jointid.inference.uncertainty import sandwich
+from jointid.estimation.methods.endogeneity import Judgement, _Shadow, contrast, judged, known_motions, solved
+from jointid.estimation.problems.drive_side_problem import MotionProblem, motion_problem
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
+from jointid.records.record import Channel, Record, Tap, Timing
+from jointid.solvers.levenberg_marquardt import Bottom, descend
+from jointid.uncertainty.bands import band_deviations
+from jointid.uncertainty.covariance import sandwich
 
 JOINT = ji.FlexibleJoint()
 PHYSICAL = ("motor_inertia", "stiffness", "load_inertia")
@@ -198,7 +198,7 @@ def coloured(pulses: bool, seed: int) -> Record:
     """A run of loop L30 with a disturbance of 15 to 25 Hz that makes 8 % of the filtered torque."""
     from scipy.signal import butter, sosfiltfilt
 
-    from jointid.data.signals import decimate
+    from jointid.records.signals import decimate
 
     loop = ji.ClosedLoop(JOINT, CONTROLLERS["L30"])
     reference = ji.trapezoids(
@@ -288,7 +288,7 @@ def test_a_wrong_contrast_is_seen() -> None:
 
 
 def test_an_answer_goes_to_json_and_back_but_is_not_validated(tmp_path: Path) -> None:
-    from jointid import answers
+    from jointid.output import json as answers
 
     record = twin("L19", noise="none").record.without("reference", "injected")
     estimate = ji.identify(record, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=FILTERING)

@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid import answers
-from jointid.assessment.validation import validate
 from jointid.common.errors import MethodError
-from jointid.data.excitation import trapezoids
-from jointid.data.record import Record
-from jointid.data.signals import Filtering
+from jointid.diagnostics.validation import validate
 from jointid.estimation.identify import identify
-from jointid.estimation.idim import IDIM
-from jointid.model.effects import Drift, PositionHarmonics, effect_columns
-from jointid.model.friction import AsymmetricFriction
-from jointid.model.joints import Motion, RigidJoint
-from jointid.simulation.experiment import ClosedLoop
+from jointid.estimation.methods.idim import IDIM
+from jointid.models.disturbances import Drift, PositionHarmonics, effect_columns
+from jointid.models.friction import AsymmetricFriction
+from jointid.models.joints import Motion, RigidJoint
+from jointid.output import json as answers
+from jointid.records.excitation import trapezoids
+from jointid.records.record import Record
+from jointid.records.signals import Filtering
+from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from tests.estimation.conftest import CONTROLLER
 

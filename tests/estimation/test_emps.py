@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.assessment.validation import validate
 from jointid.common.errors import MethodError
-from jointid.data.record import Record
-from jointid.data.signals import Filtering
-from jointid.estimation.didim import DIDIM
-from jointid.estimation.estimate import Estimate
+from jointid.diagnostics.validation import validate
 from jointid.estimation.identify import identify
-from jointid.estimation.idim import IDIM
-from jointid.model.friction import AsymmetricFriction
-from jointid.model.joints import RigidJoint
-from jointid.simulation.experiment import ClosedLoop
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.friction import AsymmetricFriction
+from jointid.models.joints import RigidJoint
+from jointid.records.record import Record
+from jointid.records.signals import Filtering
+from jointid.simulation.loop_input import ClosedLoop
 from tests.estimation.conftest import CONTROLLER
 
 LOOP = ClosedLoop(RigidJoint(), CONTROLLER)
@@ -147,7 +147,7 @@ def test_the_paper_s_form_stops_early_and_says_so(emps: Record) -> None:
 
 
 def test_the_count_of_simulations_is_the_count_of_simulations(emps: Record, monkeypatch: pytest.MonkeyPatch) -> None:
-    from jointid.simulation import kernels
+    from jointid.simulation.kernels import drive as kernels
 
     calls = []
     original = kernels.run

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid import answers
 from jointid.common.errors import RecordError
 from jointid.common.text import interval, number
-from jointid.data.signals import Filtering
-from jointid.estimation.estimate import Estimate, Iteration, fingerprint, law_fingerprint, relative_error
-from jointid.estimation.estimated import EstimatedParameter
-from jointid.estimation.regression import Conditioning, least_squares
-from jointid.model.controllers import Cascade
-from jointid.model.joints import RigidJoint
-from jointid.report.figures import save, torque_figure
-from jointid.simulation.experiment import ClosedLoop
+from jointid.estimation.methods.regression import Conditioning, least_squares
+from jointid.estimation.result.estimate import Estimate, Iteration, fingerprint, law_fingerprint, relative_error
+from jointid.estimation.result.estimated import EstimatedParameter
+from jointid.models.controllers import Cascade
+from jointid.models.joints import RigidJoint
+from jointid.output import json as answers
+from jointid.output.figures.figures import save, torque_figure
+from jointid.records.signals import Filtering
+from jointid.simulation.loop_input import ClosedLoop
 from tests.estimation.conftest import CONTROLLER
 
 LOOP = ClosedLoop(RigidJoint(), CONTROLLER)

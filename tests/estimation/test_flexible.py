@@ -7,19 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.assessment.validation import validate
 from jointid.common.errors import MethodError, RecordError
-from jointid.data.record import Injection, Record
-from jointid.data.signals import Filtering
-from jointid.estimation import flexible, flexible_search
-from jointid.estimation.estimate import Estimate
-from jointid.estimation.flexible import FlexibleDIDIM
+from jointid.diagnostics.validation import validate
 from jointid.estimation.identify import identify
-from jointid.estimation.idim import IDIM
-from jointid.estimation.problem import INITIAL_STATE
-from jointid.model.joints import RigidJoint
+from jointid.estimation.methods import flexible
+from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.problems.closed_loop import INITIAL_STATE
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.search import multistart
+from jointid.models.joints import RigidJoint
 from jointid.paper.twin import Twin, twin
-from jointid.simulation.experiment import ClosedLoop
+from jointid.records.record import Injection, Record
+from jointid.records.signals import Filtering
+from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 
 
@@ -183,10 +184,8 @@ def test_the_starts_said_to_end_together_are_different_ones(frequency: float, mo
     """At 38 Hz the halves of (13) are the best start: they must not be refined twice."""
     axis = twin(noise="white")
     seen = []
-    original = flexible_search.explored
-    monkeypatch.setattr(
-        flexible_search, "explored", lambda *arguments: (seen.append(original(*arguments)), seen[-1])[1]
-    )
+    original = multistart.explored
+    monkeypatch.setattr(multistart, "explored", lambda *arguments: (seen.append(original(*arguments)), seen[-1])[1])
     estimate = identify(torque_only(axis), axis.loop, FlexibleDIDIM(frequency=frequency))
     first, second = (start for _, start in seen[0][0][:2])
     assert any(abs(first[name] - second[name]) > 0.1 * abs(first[name]) for name in ("motor_inertia", "stiffness"))
@@ -196,7 +195,7 @@ def test_the_starts_said_to_end_together_are_different_ones(frequency: float, mo
 @pytest.mark.parametrize("noise", ["disturbance", "white"])
 def test_nelder_mead_reaches_the_minimum_after_one_restart(noise: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """By ``fminsearch`` rules, from (13) at 30 Hz; the best known is least squares from four starts."""
-    from jointid.simulation import kernels
+    from jointid.simulation.kernels import drive as kernels
 
     axis = twin(noise=noise)  # type: ignore[arg-type]
     record = torque_only(axis)

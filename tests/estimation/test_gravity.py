@@ -7,24 +7,24 @@ import re
 import numpy as np
 import pytest
 
-from jointid.assessment.comparison import compare
 from jointid.common.errors import MethodError
-from jointid.data.excitation import pulses, trapezoids
-from jointid.data.record import Record
-from jointid.data.signals import Filtering
-from jointid.estimation.drive_side import DriveSideFit
-from jointid.estimation.estimate import Estimate
+from jointid.diagnostics.method_comparison import compare
 from jointid.estimation.identify import identify
-from jointid.estimation.idim import IDIM
-from jointid.estimation.open_loop import OpenLoopFit
-from jointid.estimation.problem import torque_problem
-from jointid.estimation.starts import resting_position
-from jointid.model.controllers import Cascade
-from jointid.model.friction import AsymmetricFriction
-from jointid.model.gravity import Counterbalance, Gravity
-from jointid.model.joints import FlexibleJoint, RigidJoint
+from jointid.estimation.methods.drive_side import DriveSideFit
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.open_loop import OpenLoopFit
+from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.search.starts import resting_position
+from jointid.models.controllers import Cascade
+from jointid.models.friction import AsymmetricFriction
+from jointid.models.gravity import Counterbalance, Gravity
+from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid.records.excitation import pulses, trapezoids
+from jointid.records.record import Record
+from jointid.records.signals import Filtering
 from jointid.simulation.closed_loop import Initial
-from jointid.simulation.experiment import ClosedLoop
+from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 
 ARM = ClosedLoop(RigidJoint(kind="revolute", gravity=Gravity("link")), Cascade(kp=20.0, kv=150.0))

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.inference.combination import physical
-from jointid.inference.identifiability import identifiability
-from jointid.inference.uncertainty import white
-from jointid.model.friction import AsymmetricFriction
-from jointid.model.joints import FlexibleJoint, RigidJoint
-from jointid.model.parameters import Parameter, Quantity
+from jointid.models.friction import AsymmetricFriction
+from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid.models.parameters import Parameter, Quantity
+from jointid.uncertainty.combination import physical
+from jointid.uncertainty.covariance import white
+from jointid.uncertainty.identifiability import identifiability
 
 FRICTIONS = (
     Parameter("motor_viscous", "Fv1", Quantity.VISCOUS, lower=0.0),

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError, RecordError
-from jointid.data.excitation import trapezoids
-from jointid.data.record import Record
-from jointid.estimation import linear
-from jointid.estimation.estimate import Estimate
 from jointid.estimation.identify import identify
-from jointid.estimation.idim import IDIM
-from jointid.estimation.linear import Rows, instrumental, ordinary, robust
-from jointid.inference.endogeneity import durbin_wu_hausman
-from jointid.model.controllers import Cascade
-from jointid.model.joints import RigidJoint
+from jointid.estimation.methods import linear
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.linear import Rows, instrumental, ordinary, robust
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.controllers import Cascade
+from jointid.models.joints import RigidJoint
 from jointid.paper.twin import Twin, twin
-from jointid.simulation.experiment import ClosedLoop
+from jointid.records.excitation import trapezoids
+from jointid.records.record import Record
+from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
+from jointid.uncertainty.endogeneity_test import durbin_wu_hausman
 from tests.estimation.conftest import CONTROLLER
 
 SEEDS = range(1, 11)

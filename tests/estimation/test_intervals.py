@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from jointid.assessment.intervals import intervals, require_quantities
 from jointid.common.errors import MethodError
-from jointid.data.record import Record
-from jointid.estimation.didim import DIDIM
+from jointid.diagnostics.intervals import intervals, require_quantities
 from jointid.estimation.identify import identify
-from jointid.estimation.idim import IDIM
-from jointid.model.joints import RigidJoint
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.idim import IDIM
+from jointid.models.joints import RigidJoint
 from jointid.paper.twin import twin
-from jointid.simulation.experiment import ClosedLoop
+from jointid.records.record import Record
+from jointid.simulation.loop_input import ClosedLoop
 from tests.estimation.conftest import CONTROLLER
 
 AXIS = twin(noise="white", seed=4)

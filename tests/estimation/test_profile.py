@@ -9,13 +9,13 @@ import pytest
 from scipy import stats
 
 from jointid.common.errors import MethodError
-from jointid.data.signals import Filtering
-from jointid.estimation.problem import torque_problem
-from jointid.inference.combination import ByCompliance, Combination, single
-from jointid.inference.profile import Profiling, profile
-from jointid.inference.uncertainty import larger, sandwich, stationary, white
-from jointid.model.parameters import Parameter, Quantity
+from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.models.parameters import Parameter, Quantity
 from jointid.paper.twin import twin
+from jointid.records.signals import Filtering
+from jointid.uncertainty.combination import ByCompliance, Combination, single
+from jointid.uncertainty.covariance import larger, sandwich, stationary, white
+from jointid.uncertainty.profile import Profiling, profile
 from tests.estimation.linear import Toy, linear, parameters, solved
 
 ROWS = 60

@@ -7,20 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.assessment.validation import validate
 from jointid.common.errors import MethodError, RecordError
-from jointid.data.excitation import pulses, trapezoids
-from jointid.data.record import Channel, Record, Tap, Timing
-from jointid.data.signals import Filtering
-from jointid.estimation.didim import DIDIM
+from jointid.diagnostics.validation import validate
 from jointid.estimation.identify import identify
-from jointid.estimation.idim import IDIM
-from jointid.model.controllers import PD, Cascade
-from jointid.model.friction import AsymmetricFriction
-from jointid.model.joints import FlexibleJoint, RigidJoint
-from jointid.model.parameters import Parameter, Quantity
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.idim import IDIM
+from jointid.models.controllers import PD, Cascade
+from jointid.models.friction import AsymmetricFriction
+from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid.models.parameters import Parameter, Quantity
+from jointid.records.excitation import pulses, trapezoids
+from jointid.records.record import Channel, Record, Tap, Timing
+from jointid.records.signals import Filtering
 from jointid.simulation.closed_loop import Initial, simulate
-from jointid.simulation.experiment import ClosedLoop, prepare
+from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.simulation.synthesis import simulated_record
 from tests.estimation.conftest import CONTROLLER
 

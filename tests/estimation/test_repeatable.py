@@ -8,15 +8,15 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from jointid.data.record import Record
-from jointid.data.signals import Filtering
 from jointid.estimation.identify import identify
-from jointid.estimation.problem import Problem, torque_problem
-from jointid.inference.repeatable import Cells, Uncertainty, by_place, cells, repeatable, uncertainty
-from jointid.inference.uncertainty import sandwich
-from jointid.model.joints import RigidJoint
+from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.models.joints import RigidJoint
 from jointid.paper.twin import twin
-from jointid.simulation.experiment import ClosedLoop
+from jointid.records.record import Record
+from jointid.records.signals import Filtering
+from jointid.simulation.loop_input import ClosedLoop
+from jointid.uncertainty.covariance import sandwich
+from jointid.uncertainty.position_dependent_error import Cells, Uncertainty, by_place, cells, repeatable, uncertainty
 from tests.estimation.conftest import CONTROLLER
 from tests.estimation.motions import NAMES, columns, field, motion
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.data.signals import Filtering, decimate
-from jointid.inference.repeatable import Repeatable
-from jointid.inference.residuals import residual_report, whiteness
-from jointid.inference.uncertainty import different, robust, white
+from jointid.records.signals import Filtering, decimate
+from jointid.uncertainty.covariance import different, robust, white
+from jointid.uncertainty.position_dependent_error import Repeatable
+from jointid.uncertainty.residual_tests import residual_report, whiteness
 
 FILTERING = Filtering(cutoff=60.0).resolved(1e-3)
 STEP = 6e-3

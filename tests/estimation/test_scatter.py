@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointid.inference.uncertainty import covariance_of
-from jointid.together.scatter import Agreement, Alone, agreement
+from jointid.estimation.several_records.heterogeneity import Agreement, Alone, agreement
+from jointid.uncertainty.covariance import covariance_of
 
 NAMES = ("inertia", "viscous", "coulomb")
 UNITS = {"inertia": "kg", "viscous": "N s/m", "coulomb": "N"}

@@ -10,15 +10,15 @@ import pytest
 from scipy.signal import lfilter
 
 from jointid.common.errors import MethodError
-from jointid.data.record import Record
-from jointid.data.signals import Filtering
-from jointid.estimation.problem import Problem, torque_problem
-from jointid.estimation.surroundings import INITIAL_STATE
-from jointid.model.joints import RigidJoint
+from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
+from jointid.estimation.problems.several_records import Several, several, through, whitening
+from jointid.models.joints import RigidJoint
 from jointid.paper.twin import Twin, twin
-from jointid.simulation.experiment import ClosedLoop
+from jointid.records.record import Record
+from jointid.records.signals import Filtering
+from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
-from jointid.together.several import Several, several, through, whitening
 
 FRICTION = ("motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb")
 ADDED = [{}, {"load_inertia": 10.0}]

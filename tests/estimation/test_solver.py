@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from jointid.data.record import Channel, Record
-from jointid.estimation.estimate import Estimate
-from jointid.estimation.flexible import FlexibleDIDIM
 from jointid.estimation.identify import identify
-from jointid.estimation.problem import torque_problem
-from jointid.model.controllers import Cascade
-from jointid.model.joints import frequencies
-from jointid.model.parameters import Parameter
+from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.controllers import Cascade
+from jointid.models.joints import frequencies
+from jointid.models.parameters import Parameter
 from jointid.paper.twin import twin
+from jointid.records.record import Channel, Record
 from jointid.simulation.closed_loop import in_threads
 from tests.plants import Case, prismatic, rotary
 

@@ -7,19 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.assessment.suspects import suspected
 from jointid.common.errors import MethodError
-from jointid.data.excitation import trapezoids
-from jointid.data.record import Record
-from jointid.estimation.didim import DIDIM
-from jointid.estimation.flexible import FlexibleDIDIM, refined_least_squares
+from jointid.diagnostics.misspecification_tests import suspected
 from jointid.estimation.identify import identify
-from jointid.inference.uncertainty import sandwich
-from jointid.model.controllers import Cascade, FirstOrder, Notch, SecondOrder, numbers_of, with_numbers
-from jointid.model.joints import RigidJoint
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.flexible import FlexibleDIDIM, refined_least_squares
+from jointid.models.controllers import Cascade, FirstOrder, Notch, SecondOrder, numbers_of, with_numbers
+from jointid.models.joints import RigidJoint
+from jointid.records.excitation import trapezoids
+from jointid.records.record import Record
 from jointid.simulation.closed_loop import in_threads
-from jointid.simulation.experiment import ClosedLoop
+from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
+from jointid.uncertainty.covariance import sandwich
 from tests.estimation.conftest import CONTROLLER
 from tests.faults import Fault, Noise, line_7, problem, setting, solved
 

@@ -8,20 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.answers import LOOP_SCHEMA, dumps, loop_answer
-from jointid.assessment.alternatives import sensitivities
-from jointid.assessment.loop import check_loop
-from jointid.assessment.loopcheck import Change, Finding, LoopCheck, Suspect
-from jointid.assessment.scores import whitener
-from jointid.assessment.suspects import LoopTests, suspected
 from jointid.common.errors import MethodError
-from jointid.data.record import Record, Tap
-from jointid.estimation.flexible import FlexibleDIDIM
+from jointid.diagnostics.check_loop import check_loop
+from jointid.diagnostics.fault_signatures import sensitivities
+from jointid.diagnostics.loop_check import Change, Finding, LoopCheck, Suspect
+from jointid.diagnostics.misspecification_tests import LoopTests, suspected
+from jointid.diagnostics.scores import whitener
 from jointid.estimation.identify import identify
-from jointid.estimation.idim import IDIM
-from jointid.model.joints import RigidJoint
+from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.idim import IDIM
+from jointid.models.joints import RigidJoint
+from jointid.output.json import LOOP_SCHEMA, dumps, loop_answer
 from jointid.paper.twin import twin
-from jointid.simulation.experiment import ClosedLoop
+from jointid.records.record import Record, Tap
+from jointid.simulation.loop_input import ClosedLoop
 from tests.estimation.conftest import CONTROLLER
 from tests.fault_table import NOTHING, first_named
 from tests.faults import FAULTS, Fault, Loop, Noise, line_7, on, problem, setting, solved

@@ -11,23 +11,23 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.data.record import InjectionPoint, Record
-from jointid.data.signals import Filtering
-from jointid.estimation.flexible import FlexibleDIDIM
 from jointid.estimation.identify import identify
-from jointid.estimation.idim import IDIM
-from jointid.estimation.problem import Problem, torque_problem
-from jointid.estimation.surroundings import INITIAL_STATE
-from jointid.model.friction import AsymmetricFriction
-from jointid.model.joints import RigidJoint
+from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
+from jointid.estimation.problems.several_records import several
+from jointid.estimation.several_records.common_estimate import CommonEstimate
+from jointid.estimation.several_records.identify_together import identify_together
+from jointid.estimation.several_records.per_record_fit import by_itself, descended, starts, whitened
+from jointid.models.friction import AsymmetricFriction
+from jointid.models.joints import RigidJoint
 from jointid.paper.twin import Twin, twin
+from jointid.records.record import InjectionPoint, Record
+from jointid.records.signals import Filtering
 from jointid.simulation.closed_loop import in_threads
-from jointid.simulation.experiment import ClosedLoop
+from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
-from jointid.together.common_estimate import CommonEstimate
-from jointid.together.separate import by_itself, descended, starts, whitened
-from jointid.together.several import several
-from jointid.together.together import identify_together
 from tests.estimation.conftest import CONTROLLER
 
 Noise = Literal["disturbance", "white", "none"]
@@ -205,7 +205,7 @@ def test_the_answer_prints(noisy: CommonEstimate) -> None:
 
 
 def test_simulations_are_those_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    from jointid.simulation import kernels
+    from jointid.simulation.kernels import drive as kernels
 
     axis = twins("white")
     records = [

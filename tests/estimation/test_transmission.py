@@ -12,32 +12,32 @@ from itertools import compress
 import numpy as np
 import pytest
 
-from jointid.answers import estimate_answer, together_answer
-from jointid.assessment.loop import check_loop
-from jointid.data.excitation import pulses, trapezoids
-from jointid.data.record import Channel, Record
-from jointid.data.transmission import Side, Transmission
-from jointid.estimation.didim import DIDIM
-from jointid.estimation.drive_side import DriveSideFit
-from jointid.estimation.estimate import Estimate
-from jointid.estimation.estimated import EstimatedParameter, bounds_on_other_side, known_on_other_side
+from jointid.diagnostics.check_loop import check_loop
 from jointid.estimation.identify import identify
-from jointid.estimation.idim import IDIM
-from jointid.estimation.open_loop import OpenLoopFit
-from jointid.inference.combination import Combination
-from jointid.inference.identifiability import Known
-from jointid.inference.verdict import StiffnessBound
-from jointid.model.controllers import Cascade
-from jointid.model.effects import Drift, PositionHarmonics
-from jointid.model.friction import AsymmetricFriction, SymmetricFriction
-from jointid.model.gravity import Counterbalance, Gravity
-from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
-from jointid.model.sides import OtherSide
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.drive_side import DriveSideFit
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.open_loop import OpenLoopFit
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.estimated import EstimatedParameter, bounds_on_other_side, known_on_other_side
+from jointid.estimation.several_records.identify_together import identify_together
+from jointid.models.controllers import Cascade
+from jointid.models.disturbances import Drift, PositionHarmonics
+from jointid.models.friction import AsymmetricFriction, SymmetricFriction
+from jointid.models.gravity import Counterbalance, Gravity
+from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.models.refer import OtherSide
+from jointid.models.transmission import Side, Transmission
+from jointid.output.json import estimate_answer, together_answer
+from jointid.records.excitation import pulses, trapezoids
+from jointid.records.record import Channel, Record
 from jointid.simulation.drive_side import DriveSide
-from jointid.simulation.experiment import ClosedLoop
+from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.open_loop import OpenLoop
 from jointid.simulation.synthesis import simulated_record
-from jointid.together.together import identify_together
+from jointid.uncertainty.combination import Combination
+from jointid.uncertainty.identifiability import Known
+from jointid.uncertainty.verdict import StiffnessBound
 from tests.geared import FLEXIBLE, RATE, RIGID, SCREW
 from tests.geared import LAW as UNFILTERED
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from jointid.inference.uncertainty import (
+from jointid.uncertainty.covariance import (
     Covariance,
     bandwidth,
     covariance_of,

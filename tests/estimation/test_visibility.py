@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.answers import dumps, estimate_answer
-from jointid.assessment.validation import validate
 from jointid.common.errors import MethodError
-from jointid.data.record import Record
-from jointid.estimation.estimate import Estimate
+from jointid.diagnostics.validation import validate
 from jointid.estimation.identify import identify
-from jointid.model.joints import FlexibleJoint
-from jointid.model.parameters import Parameter
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.joints import FlexibleJoint
+from jointid.models.parameters import Parameter
+from jointid.output.json import dumps, estimate_answer
 from jointid.paper.twin import twin
-from jointid.simulation.experiment import ClosedLoop
+from jointid.records.record import Record
+from jointid.simulation.loop_input import ClosedLoop
 from tests.estimation.conftest import CONTROLLER
 
 LOOP = ClosedLoop(FlexibleJoint(), CONTROLLER)

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from jointid.model.joints import FlexibleJoint, Motion, frequencies
+from jointid.models.joints import FlexibleJoint, Motion, frequencies
 from jointid.paper.errata import ERRATA, markdown
 from jointid.paper.published import EXPERIMENT, REGRESSOR, SYMBOLS, TABLES, Table
 from jointid.paper.recomputed import (

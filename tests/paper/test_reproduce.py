@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from jointid.common.errors import RecordError
+from jointid.output.report.document import Document, Heading, Paragraph, Picture, Table
+from jointid.output.report.page import page as html
+from jointid.output.report.page import save
+from jointid.output.report.reproduction import reproduction_document
 from jointid.paper.reproduce import Reproduction, reproduce
 from jointid.paper.twin import TABLE_2, TABLE_4
-from jointid.report.document import Document, Heading, Paragraph, Picture, Table
-from jointid.report.page import page as html
-from jointid.report.page import save
-from jointid.report.reproduction import reproduction_document
 
 
 @pytest.fixture(scope="module")

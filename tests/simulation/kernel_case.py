@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from jointid.simulation import kernels
+from jointid.simulation.kernels import drive as kernels
 from tests.simulation.oracle import Law, Plant
 
 

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError, RecordError
-from jointid.data.excitation import pulses, trapezoids
-from jointid.data.record import Channel, Injection, Record, Tap, Timing
-from jointid.model.controllers import PD, Cascade, DigitalFilter, StateSpaceController
-from jointid.model.friction import AsymmetricFriction
-from jointid.model.joints import FlexibleJoint, RigidJoint
+from jointid.models.controllers import PD, Cascade, DigitalFilter, StateSpaceController
+from jointid.models.friction import AsymmetricFriction
+from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid.records.excitation import pulses, trapezoids
+from jointid.records.record import Channel, Injection, Record, Tap, Timing
 from jointid.simulation.closed_loop import Initial, Outcome, require_finished, simulate, simulate_many, simulate_torque
-from jointid.simulation.experiment import ClosedLoop, prepare
+from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.simulation.synthesis import simulated_record
 
 T = 1e-3

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointid.model.friction import AsymmetricFriction
-from jointid.model.joints import FlexibleJoint, RigidJoint
+from jointid.models.friction import AsymmetricFriction
+from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.paper.twin import TABLE_2
 from jointid.simulation.drive_side import LOAD_STATE, PARTS, PrescribedMotion, prescribed_motion, simulate_drive_side
 

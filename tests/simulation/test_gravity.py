@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.data.excitation import trapezoids
-from jointid.data.record import Channel, Record, Timing
-from jointid.model.controllers import Cascade
-from jointid.model.gravity import Counterbalance, Gravity
-from jointid.model.joints import FlexibleJoint, RigidJoint
-from jointid.simulation import kernels
+from jointid.models.controllers import Cascade
+from jointid.models.gravity import Counterbalance, Gravity
+from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid.records.excitation import trapezoids
+from jointid.records.record import Channel, Record, Timing
 from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_torque
 from jointid.simulation.drive_side import prescribed_motion, simulate_drive_side
-from jointid.simulation.experiment import ClosedLoop, prepare
+from jointid.simulation.kernels import drive as kernels
+from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.simulation.open_loop import simulate_open_loop
 from jointid.simulation.sensitivities import simulate_sensitivities
 from tests.plants import rotary

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from jointid.simulation import kernels
+from jointid.simulation.kernels import drive as kernels
 from tests.simulation.kernel_case import run
 from tests.simulation.oracle import Law, Plant, random_case, simulate
 

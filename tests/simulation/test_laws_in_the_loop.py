@@ -11,16 +11,16 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import expm
 
-from jointid.data.excitation import trapezoids
-from jointid.data.record import Channel, Injection, Record, Tap, Timing
-from jointid.estimation.didim import DIDIM
 from jointid.estimation.identify import identify
-from jointid.model.controllers import PD, PID, REFERENCE, Cascade, FirstOrder, Notch, SecondOrder, begun_later
-from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.estimation.methods.didim import DIDIM
+from jointid.models.controllers import PD, PID, REFERENCE, Cascade, FirstOrder, Notch, SecondOrder, begun_later
+from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.records.excitation import trapezoids
+from jointid.records.record import Channel, Injection, Record, Tap, Timing
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
-from jointid.simulation.experiment import ClosedLoop, prepare
+from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
-from tests.model.written_out import Sample, begun
+from tests.models.written_out import Sample, begun
 from tests.simulation.oracle import Plant, _Joint
 
 FAST, LOG = 125e-6, 2e-3

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointid.data.record import Channel, Timing
-from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.paper.twin import TABLE_2
+from jointid.records.record import Channel, Timing
 from jointid.simulation.open_loop import simulate_open_loop
 
 T = 1e-3

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.data.excitation import trapezoids
-from jointid.data.record import Channel, Record, Tap, Timing
-from jointid.model.controllers import Cascade, DigitalFilter, StateSpaceController
-from jointid.model.friction import AsymmetricFriction
-from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.models.controllers import Cascade, DigitalFilter, StateSpaceController
+from jointid.models.friction import AsymmetricFriction
+from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.paper.twin import twin
+from jointid.records.excitation import trapezoids
+from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.simulation.closed_loop import Initial, Outcome, simulate, simulate_torque
-from jointid.simulation.experiment import ClosedLoop, prepare
+from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
 from tests.plants import prismatic, rotary
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.data.excitation import trapezoids
-from jointid.data.record import Channel, Record, Tap, Timing
-from jointid.model.controllers import PID, Cascade, FirstOrder, Notch, SecondOrder, number, with_numbers
-from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.models.controllers import PID, Cascade, FirstOrder, Notch, SecondOrder, number, with_numbers
+from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.records.excitation import trapezoids
+from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.simulation.closed_loop import Initial, Outcome, Response, simulate_torque
-from jointid.simulation.experiment import ClosedLoop, prepare
+from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
 
 COMMAND, LOG = 2e-3, 1e-3

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.model.controllers import PID, POSITION, Cascade, Controller, FirstOrder, Notch, SampledLaw, scaled
-from jointid.model.friction import AsymmetricFriction
-from jointid.model.joints import FlexibleJoint, RigidJoint
-from jointid.model.linear import frequency_response, linear_joints
-from jointid.paper.margins import random_drive
-from jointid.paper.servo import SERVO
+from jointid.models.controllers import PID, POSITION, Cascade, Controller, FirstOrder, Notch, SampledLaw, scaled
+from jointid.models.friction import AsymmetricFriction
+from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid.models.linear import frequency_response, linear_joints
 from jointid.paper.twin import CONTROLLERS, TABLE_2
 from jointid.tuning.loop import spectral_radius
 from jointid.tuning.margins import NAMES, all_margins, grid, of_row
 from jointid.tuning.plant import sampled_joints
-from jointid.tuning.worst import bench
+from jointid.tuning.worst_case import bench
+from studies.margins import random_drive
+from studies.servo import SERVO
 
 PERIOD = 1e-3
 RIGID = {"inertia": 105.0, "viscous": 200.0, "coulomb": 20.0, "offset": 0.0}

@@ -9,24 +9,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.answers import dumps, tuning_answer
-from jointid.assessment.detectable import detectable
 from jointid.common.errors import MethodError
-from jointid.data.drive import Drive
-from jointid.data.excitation import trapezoids
-from jointid.data.transmission import Transmission
-from jointid.estimation.estimate import Estimate
-from jointid.estimation.flexible import FlexibleDIDIM
+from jointid.diagnostics.minimum_detectable_change import detectable
 from jointid.estimation.identify import identify
-from jointid.estimation.idim import IDIM
-from jointid.inference.verdict import StiffnessBound, Verdict
-from jointid.model.controllers import PD, PID, Cascade, StateSpaceController
-from jointid.model.friction import AsymmetricFriction
-from jointid.model.joints import FlexibleJoint, RigidJoint, frequencies
-from jointid.paper.margins import random_drive, true_margins
+from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.controllers import PD, PID, Cascade, StateSpaceController
+from jointid.models.friction import AsymmetricFriction
+from jointid.models.joints import FlexibleJoint, RigidJoint, frequencies
+from jointid.models.transmission import Transmission
+from jointid.output.figures.tuning_figure import tuning_figure
+from jointid.output.json import dumps, tuning_answer
 from jointid.paper.twin import TABLE_2, twin
-from jointid.report.tuning_figure import tuning_figure
-from jointid.simulation.experiment import ClosedLoop
+from jointid.records.drives.drive import Drive
+from jointid.records.excitation import trapezoids
+from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.interval import interval_of, lowest_mode, reach
 from jointid.tuning.margins import NAMES
@@ -34,7 +32,9 @@ from jointid.tuning.proposals import laid_out
 from jointid.tuning.settings import Tuning
 from jointid.tuning.tune import tune
 from jointid.tuning.tuned import Tuned
-from jointid.tuning.worst import bench
+from jointid.tuning.worst_case import bench
+from jointid.uncertainty.verdict import StiffnessBound, Verdict
+from studies.margins import random_drive, true_margins
 
 PERIOD = 1e-3
 REFERENCE = trapezoids((0.05, 0.12), 0.8, 0.2, PERIOD, duration=6.0)

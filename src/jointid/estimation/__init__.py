@@ -1,1 +1,1 @@
-"""From records to answers: problems, regressions, the estimators and the verb `identify`."""
+"""Estimation: problems, methods, the estimate and the verb `identify`."""

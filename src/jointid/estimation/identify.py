@@ -8,21 +8,21 @@ from typing import TypeAlias
 
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
-from jointid.data.checks import check_record
-from jointid.data.notes import record_notes
-from jointid.data.record import Record
-from jointid.data.signals import Filtering
-from jointid.estimation.coupled import record_warnings
-from jointid.estimation.didim import DIDIM, identify_didim
-from jointid.estimation.drive_side import DriveSideFit, identify_drive_side
-from jointid.estimation.estimate import Estimate
-from jointid.estimation.flexible import FlexibleDIDIM, identify_flexible
-from jointid.estimation.idim import IDIM, identify_idim
-from jointid.estimation.open_loop import OpenLoopFit, identify_open_loop
-from jointid.model.joints import Joint
-from jointid.model.parameters import Parameter, Quantity, adjusted
+from jointid.estimation.methods.cross_axis import record_warnings
+from jointid.estimation.methods.didim import DIDIM, identify_didim
+from jointid.estimation.methods.drive_side import DriveSideFit, identify_drive_side
+from jointid.estimation.methods.flexible import FlexibleDIDIM, identify_flexible
+from jointid.estimation.methods.idim import IDIM, identify_idim
+from jointid.estimation.methods.open_loop import OpenLoopFit, identify_open_loop
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.joints import Joint
+from jointid.models.parameters import Parameter, Quantity, adjusted
+from jointid.records.checks import check_record
+from jointid.records.record import Record
+from jointid.records.record_warnings import record_notes
+from jointid.records.signals import Filtering
 from jointid.simulation.drive_side import DriveSide
-from jointid.simulation.experiment import ClosedLoop
+from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.open_loop import OpenLoop
 
 Method: TypeAlias = DIDIM | FlexibleDIDIM | IDIM | DriveSideFit | OpenLoopFit

@@ -13,9 +13,9 @@ from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 from jointid.common.text import aligned, number
-from jointid.data.signals import Filtering
-from jointid.model.joints import FlexibleJoint, RigidJoint, frequencies, rigid_sums
+from jointid.models.joints import FlexibleJoint, RigidJoint, frequencies, rigid_sums
 from jointid.paper.published import REGRESSOR, SYMBOLS, TABLES, Cell, Table
+from jointid.records.signals import Filtering
 
 Denominator: TypeAlias = Literal["DIDIM", "IDIM"]
 

@@ -13,19 +13,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from jointid.assessment.validation import Validation, validate
 from jointid.common.progress import Progress, silent
-from jointid.data.record import Record
-from jointid.data.signals import Filtering
-from jointid.estimation.didim import DIDIM
-from jointid.estimation.estimate import Estimate, IdentifiedJoint
-from jointid.estimation.flexible import FlexibleDIDIM
+from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.identify import identify
-from jointid.estimation.idim import IDIM
-from jointid.model.joints import RigidJoint
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.result.estimate import Estimate, IdentifiedJoint
+from jointid.models.joints import RigidJoint
 from jointid.paper.recomputed import DENOMINATORS, Denominator
 from jointid.paper.twin import Twin, twin
-from jointid.simulation.experiment import ClosedLoop
+from jointid.records.record import Record
+from jointid.records.signals import Filtering
+from jointid.simulation.loop_input import ClosedLoop
 
 
 @dataclass(frozen=True, slots=True, eq=False)

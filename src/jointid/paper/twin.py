@@ -20,14 +20,15 @@ from typing import Literal
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.data.excitation import pulses, trapezoids
-from jointid.data.record import FloatArray, Record
-from jointid.data.signals import Filtering, decimate
-from jointid.model.controllers import Cascade
-from jointid.model.joints import FlexibleJoint
+from jointid.models.controllers import Cascade
+from jointid.models.joints import FlexibleJoint
 from jointid.paper.published import TABLES
-from jointid.simulation.experiment import ClosedLoop
+from jointid.records.excitation import pulses, trapezoids
+from jointid.records.record import Record
+from jointid.records.signals import Filtering, decimate
+from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 
 SAMPLE_TIME = 1e-3

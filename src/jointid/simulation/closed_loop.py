@@ -13,13 +13,14 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.memory import Fresh, Room
-from jointid.data.record import Channel, FloatArray, Record
-from jointid.model.controllers import POSITION, REFERENCE, Cascade
-from jointid.model.joints import Motion, RigidJoint
-from jointid.simulation.experiment import ClosedLoop, Experiment, prepare
-from jointid.simulation.logged import as_logged, seen_torque
+from jointid.models.controllers import POSITION, REFERENCE, Cascade
+from jointid.models.joints import Motion, RigidJoint
+from jointid.records.record import Channel, Record
+from jointid.simulation.log_output import as_logged, seen_torque
+from jointid.simulation.loop_input import ClosedLoop, Experiment, prepare
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -148,7 +149,7 @@ def run(
     room: Room | None = None,
 ) -> Run:
     """Run one candidate; `keep` its states and modes, and so many rows of its tape, in fresh memory or in a room."""
-    from jointid.simulation import kernels
+    from jointid.simulation.kernels import drive as kernels
 
     initial = initial or Initial()
     law = experiment.law

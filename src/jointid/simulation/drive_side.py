@@ -24,8 +24,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.data.record import FloatArray
-from jointid.model.joints import FlexibleJoint, Joint
+from jointid.common.arrays import FloatArray
+from jointid.models.joints import FlexibleJoint, Joint
 from jointid.simulation.sensitivities import coefficient_seeds, gravity_seed, start_slope, taped_rows
 
 PARTS = 4  # of a sample
@@ -199,7 +199,7 @@ class _Load:
     @classmethod
     def simulated(cls, joint: FlexibleJoint, motion: PrescribedMotion, values: Mapping[str, float]) -> _Load | None:
         """Return the simulated load; None where the values are no joint's, or too fast to be simulated."""
-        from jointid.simulation import kernels
+        from jointid.simulation.kernels import drive as kernels
 
         drive, gravity = _drive(joint, values), _gravity(joint, values)
         cones = drive[6] + drive[7] >= 0
@@ -251,19 +251,20 @@ class _Load:
 
     def _followed(self, names: list[str]) -> FloatArray:
         """Return the derivatives of position and velocity at the edges, (edges, 2, names)."""
-        from jointid.simulation import tangents
+        from jointid.simulation.kernels import drive_sensitivities as sensitivity_kernels
 
         # What enters the push comes last in a block.
         order = sorted(range(len(names)), key=lambda i: names[i] in _PUSHING)
-        blocks = [order[i : i + tangents.LANES] for i in range(0, len(order), tangents.LANES)]
+        blocks = [order[i : i + sensitivity_kernels.LANES] for i in range(0, len(order), sensitivity_kernels.LANES)]
         followed = [self._block([names[i] for i in block]) for block in blocks]
         return np.concatenate(followed, axis=2)[:, :, np.argsort(order)]
 
     def _block(self, names: list[str]) -> FloatArray:
         """Return those of a few names, of which what enters the push comes last."""
-        from jointid.simulation import kernels, tangents
+        from jointid.simulation.kernels import drive as kernels
+        from jointid.simulation.kernels import drive_sensitivities as sensitivity_kernels
 
-        width, n = tangents.LANES, self.push.size
+        width, n = sensitivity_kernels.LANES, self.push.size
         seeds, weights, start = np.zeros((14, width)), np.zeros((3, width)), np.zeros((4, width))
         pushes, own = dict(zip(_PUSHING, self.motion.pushes, strict=True)), [p.name for p in self.joint.parameters]
         explicit, by_name = [], coefficient_seeds(lambda at: _drive(self.joint, at), own)
@@ -278,7 +279,7 @@ class _Load:
                 explicit.append(np.append(pushes[name], pushes[name][-1]))
         states = np.empty((n, 4, width))
         explained = np.column_stack([np.zeros((n, 0)), *explicit])[:, np.newaxis]
-        tangents.follow(
+        sensitivity_kernels.follow(
             np.array([self.motion.step]), np.zeros(1, dtype=np.int64), self.raw, self.modes, self.tape, self.taped,
             self.push, np.zeros(n), self.push[0], np.empty((0, 1)), kernels.NO_FEEDBACK, self.drive, seeds,
             explained, len(names) - len(explicit), np.zeros(width), np.zeros((1, width)), start,

@@ -15,12 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.data.record import Channel, FloatArray, Record, Timing
-from jointid.model.controllers import StateSpaceController
-from jointid.model.joints import Joint
-from jointid.model.parameters import POSITION_UNIT
+from jointid.common.arrays import FloatArray
+from jointid.models.controllers import StateSpaceController
+from jointid.models.joints import Joint
+from jointid.models.parameters import POSITION_UNIT
+from jointid.records.record import Channel, Record, Timing
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
-from jointid.simulation.experiment import ClosedLoop, Experiment, prepare
+from jointid.simulation.loop_input import ClosedLoop, Experiment, prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
 
 _BEGINS = {Timing.HELD: 0.0, Timing.SAMPLED: -0.5, Timing.AVERAGED: -1.0}  # samples after its stamp, see `signals`

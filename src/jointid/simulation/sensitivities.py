@@ -15,11 +15,12 @@ from functools import lru_cache
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.memory import Fresh, Room
-from jointid.data.record import FloatArray, Tap, Timing
-from jointid.model.controllers import POSITION, SampledLaw, number, respond, with_numbers
-from jointid.model.joints import Joint
+from jointid.models.controllers import POSITION, SampledLaw, number, respond, with_numbers
+from jointid.models.joints import Joint
+from jointid.records.record import Tap, Timing
 from jointid.simulation.closed_loop import (
     Initial,
     Outcome,
@@ -32,8 +33,8 @@ from jointid.simulation.closed_loop import (
     simulation_of,
     smallest,
 )
-from jointid.simulation.experiment import ClosedLoop, Experiment, known_memory
-from jointid.simulation.logged import acting, as_logged, averages, seen_torque
+from jointid.simulation.log_output import acting, as_logged, averages, seen_torque
+from jointid.simulation.loop_input import ClosedLoop, Experiment, known_memory
 
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
@@ -173,9 +174,9 @@ def warm_up() -> None:
 
 
 def _lanes() -> int:
-    from jointid.simulation import tangents
+    from jointid.simulation.kernels import drive_sensitivities as sensitivity_kernels
 
-    return tangents.LANES
+    return sensitivity_kernels.LANES
 
 
 def _is_of_law(own: Container[str], name: str) -> bool:
@@ -204,9 +205,9 @@ def _followed(
 
     The first are (periods, lanes), the last (periods * parts, 4, lanes).
     """
-    from jointid.simulation import tangents
+    from jointid.simulation.kernels import drive_sensitivities as sensitivity_kernels
 
-    law, width = experiment.feedback, tangents.LANES
+    law, width = experiment.feedback, sensitivity_kernels.LANES
     seeds, weights, start = np.zeros((14, width)), np.zeros((3, width)), np.zeros((4, width))
     memory, delay, limits = np.zeros((law.order, width)), np.zeros(width), np.zeros((law.limits.size, width))
     explicit, by_name = [], _seeds(loop.joint)
@@ -231,7 +232,7 @@ def _followed(
     tapped = _FRESH.array("tapped", (width, periods if law.tap != law.output else 0))
     states = _ROOM.array("moved", (len(out.states) if positions else 0, 4, width))
     explained = np.stack(explicit, axis=2) if explicit else np.zeros((periods, elements, 0))
-    tangents.follow(
+    sensitivity_kernels.follow(
         experiment.lengths, experiment.lags, out.states, out.modes, out.tape, int(out.counts[1]), out.command,
         experiment.after_limit, out.before, out.excess, experiment.kernel, out.drive, seeds, explained,
         len(names) - len(explicit), delay, limits, start, memory, command, tapped, states,

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jointid.data.record import Channel, FloatArray, Injection, InjectionPoint, Record, Tap, Timing
-from jointid.model.parameters import POSITION_UNIT, TORQUE_UNIT
+from jointid.common.arrays import FloatArray
+from jointid.models.parameters import POSITION_UNIT, TORQUE_UNIT
+from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.simulation.closed_loop import Initial, Simulation, require_finished, simulate
-from jointid.simulation.experiment import ClosedLoop, prepare
+from jointid.simulation.loop_input import ClosedLoop, prepare
 
 
 def simulated_record(

@@ -15,12 +15,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from jointid.common import units
-from jointid.data.drive import Drive
-from jointid.data.transmission import Transmission
-from jointid.estimation.estimate import Estimate
-from jointid.model.controllers import Timed
-from jointid.model.parameters import Quantity, unit_of
-from jointid.tuning.totals import Total
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.controllers import Timed
+from jointid.models.parameters import Quantity, unit_of
+from jointid.models.transmission import Transmission
+from jointid.records.drives.drive import Drive
+from jointid.tuning.lumped import Total
 
 _ROWS: tuple[tuple[str, str, Quantity, str, int], ...] = (
     ("inertia", "acceleration_feedforward", Quantity.INERTIA, "J / (g r^2)", 2),

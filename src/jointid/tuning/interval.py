@@ -18,13 +18,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.text import number
-from jointid.data.record import FloatArray
-from jointid.estimation.estimate import Estimate
-from jointid.estimation.stiffness_bounds import DAMPING
-from jointid.model.joints import FlexibleJoint, Joint, RigidJoint
-from jointid.model.parameters import Quantity
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.stiffness_bounds import DAMPING
+from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.models.parameters import Quantity
 
 _MOVES = (Quantity.INERTIA, Quantity.VISCOUS, Quantity.STIFFNESS)
 _LEAST = 1e-3  # of an inertia or a stiffness: what an interval reaches at least, since without it there is no mode

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.data.record import FloatArray
-from jointid.model.controllers import POSITION, SampledLaw
-from jointid.model.linear import ComplexArray
+from jointid.common.arrays import FloatArray
+from jointid.models.controllers import POSITION, SampledLaw
+from jointid.models.linear import ComplexArray
 from jointid.tuning.plant import SampledJoints
 
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.common.text import number
-from jointid.data.record import FloatArray
-from jointid.model.linear import ComplexArray, LinearJoints
+from jointid.models.linear import ComplexArray, LinearJoints
 
 _LOWEST = 1e-4  # of half the sampling frequency, where a grid begins
 _BASE = 1000  # frequencies without modes

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.data.record import FloatArray
-from jointid.model.controllers import SampledLaw
-from jointid.model.linear import ComplexArray, LinearJoints, Sampled, sampled
+from jointid.common.arrays import FloatArray
+from jointid.models.controllers import SampledLaw
+from jointid.models.linear import ComplexArray, LinearJoints, Sampled, sampled
 
 
 @dataclass(frozen=True, slots=True, eq=False)

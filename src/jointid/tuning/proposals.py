@@ -20,11 +20,11 @@ from typing import TypeAlias
 
 import numpy as np
 
-from jointid.data.record import FloatArray
-from jointid.model.controllers import PD, PID, Cascade, Notch
+from jointid.common.arrays import FloatArray
+from jointid.models.controllers import PD, PID, Cascade, Notch
 from jointid.tuning.margins import crossover
 from jointid.tuning.settings import Tuning
-from jointid.tuning.worst import Bench
+from jointid.tuning.worst_case import Bench
 
 DAMPINGS = (0.7, 0.6, 0.5, 0.85, 1.0)
 """Damping ratios that are tried."""

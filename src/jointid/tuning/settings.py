@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.data.record import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

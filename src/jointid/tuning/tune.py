@@ -7,27 +7,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.assessment.detectable import detectable
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.text import number
-from jointid.data.drive import Drive
-from jointid.data.record import FloatArray
-from jointid.estimation.estimate import Estimate
-from jointid.estimation.stiffness_bounds import DAMPING
-from jointid.estimation.surroundings import of_law
-from jointid.model.controllers import PD, PID, Cascade, Controller, Timed
-from jointid.model.joints import FlexibleJoint, RigidJoint, acts_on_whole, frequencies
-from jointid.model.linear import ComplexArray, linear_joints
-from jointid.model.parameters import POSITION_UNIT
+from jointid.diagnostics.minimum_detectable_change import detectable
+from jointid.estimation.problems.nuisance_parameters import of_law
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.stiffness_bounds import DAMPING
+from jointid.models.controllers import PD, PID, Cascade, Controller, Timed
+from jointid.models.joints import FlexibleJoint, RigidJoint, acts_on_whole, frequencies
+from jointid.models.linear import ComplexArray, linear_joints
+from jointid.models.parameters import POSITION_UNIT
+from jointid.records.drives.drive import Drive
 from jointid.tuning.feedforward import feedforward
 from jointid.tuning.interval import Interval, flexible_of, interval_of, lowest_mode, spring
+from jointid.tuning.lumped import totals
 from jointid.tuning.margins import crossover, of_row
 from jointid.tuning.proposals import Layout, kept, stiffest
 from jointid.tuning.settings import Tuning
-from jointid.tuning.totals import totals
 from jointid.tuning.tuned import Band, Gain, LoopMargins, ProposedNotch, Tuned
-from jointid.tuning.worst import bench, worst
+from jointid.tuning.worst_case import bench, worst
 
 _ROUNDS = 5  # of a proposal, and of looking for a joint that it fails
 _NEARLY = 0.995  # of a margin

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from jointid.assessment.detectable import Detectable
+from jointid.common.arrays import FloatArray
 from jointid.common.text import aligned, number
-from jointid.data.record import FloatArray
-from jointid.data.transmission import Transmission, transmission_lines
-from jointid.model.controllers import Controller, Notch
-from jointid.model.linear import ComplexArray
+from jointid.diagnostics.minimum_detectable_change import Detectable
+from jointid.models.controllers import Controller, Notch
+from jointid.models.linear import ComplexArray
+from jointid.models.transmission import Transmission, transmission_lines
 from jointid.tuning.feedforward import FeedForward
 from jointid.tuning.margins import Margins
 from jointid.tuning.settings import Tuning

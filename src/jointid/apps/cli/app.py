@@ -1,0 +1,93 @@
+"""The program: its commands, and how errors leave it.
+
+Exit code 0 when it worked, 2 for a mistake of the user's (one sentence each), 1 for a failure of ours, 130 when
+interrupted. A traceback is shown only with `--debug`.
+"""
+
+from __future__ import annotations
+
+import atexit
+import gc
+import os
+import sys
+
+from cyclopts import App, CycloptsError
+
+from jointid import __version__
+from jointid.apps.cli.advise import advise
+from jointid.apps.cli.compare import compare
+from jointid.apps.cli.compare_reports import compare_reports
+from jointid.apps.cli.convert import convert
+from jointid.apps.cli.demo import demo
+from jointid.apps.cli.export import export
+from jointid.apps.cli.identify import identify
+from jointid.apps.cli.inspect import inspect
+from jointid.apps.cli.intervals import intervals
+from jointid.apps.cli.long import long
+from jointid.apps.cli.loop import loop
+from jointid.apps.cli.report import report
+from jointid.apps.cli.reproduce import reproduce
+from jointid.apps.cli.serve import serve
+from jointid.apps.cli.simulate import simulate
+from jointid.apps.cli.together import together
+from jointid.apps.cli.tune import tune
+from jointid.apps.cli.validate import validate
+from jointid.common.errors import JointidError
+
+USERS_MISTAKE, OUR_FAILURE, INTERRUPTED = 2, 1, 130
+
+app = App(
+    name="jointid",
+    help="Identify a servo-driven joint from motor torque and the commanded reference alone.",
+    version=__version__,
+    help_format="plaintext",
+    suppress_keyboard_interrupt=False,
+)
+for command in (
+    demo, inspect, convert, loop, identify, report, long, together, intervals, compare, compare_reports, validate,
+    advise, tune, simulate, export, serve, reproduce,
+):  # fmt: skip
+    app.command(command)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the program and exit; `arguments` are those of the command line when None."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    debug = "--debug" in words
+    # Matrices here are thousands of rows by ten columns: a second thread only waits for the first, and holds up others.
+    for library in ("OPENBLAS", "MKL"):  # each reads this once, when NumPy is loaded
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    # At its end Python would look through all that was loaded for what can be freed, which took 0.3 s of `identify`.
+    atexit.register(gc.freeze)
+    sys.exit(_run([word for word in words if word != "--debug"], debug))
+
+
+def _run(words: list[str], debug: bool) -> int:
+    try:
+        app(words, exit_on_error=False, print_error=False, result_action="return_value")
+    except JointidError as error:
+        if debug:
+            raise
+        return _say(str(error), USERS_MISTAKE)
+    except CycloptsError as error:
+        return _say(f"{error} See jointid --help.", USERS_MISTAKE)
+    except KeyboardInterrupt:
+        return _say("Interrupted; what was written so far is kept.", INTERRUPTED)
+    except BrokenPipeError:  # the reader of our output has gone: nothing is left to say
+        sys.stderr.close()
+        return 0
+    except Exception as error:
+        if debug:
+            raise
+        return _say(
+            f"jointid failed, which is a fault of ours ({type(error).__name__}: {error}); please report it with the "
+            "output of the same command and --debug.",
+            OUR_FAILURE,
+        )
+    return 0
+
+
+def _say(message: str, code: int) -> int:
+    for line in message.splitlines():
+        print(f"jointid: {line}", file=sys.stderr)  # noqa: T201
+    return code

@@ -1,0 +1,235 @@
+"""The fields of the page's form: which key of the joint file each one is, and what it is called in plain words.
+
+A field's name begins with the path of its key. What a choice means is said here; that the keys and the words are those
+of the joint file is held by a test. What has no field can be said in the lines of the joint file that the form keeps as
+they are, "extra".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
+
+from jointid.common.units import units_of
+from jointid.records.columns import known_units, unit_in_name
+from jointid.records.record import CHANNELS
+
+Form: TypeAlias = Literal["number", "numbers", "text", "choice", "column", "unit", "sign", "flag"]
+Draft: TypeAlias = Mapping[str, str]
+
+EXTRA = "extra"
+"""The field of further lines of the joint file."""
+
+KINDS = ("prismatic", "revolute")
+LAWS = ("cascade", "pd", "pid")
+"""The laws that have fields."""
+
+LEARN, WITHOUT, EXTRA_LAW = "learn", "none", "extra"
+"""Answers to the question for the controller's law that are no laws."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One field.
+
+    Attributes:
+        key: its path in the joint file, and its name.
+        label: what it is called.
+        help: what it means, in a sentence.
+        form: how it is entered.
+        unit: behind the field, for a prismatic and for a revolute joint.
+        choices: the joint file's words, and what they mean; "" leaves the key out.
+        when: fields and the values one of which they must have for this one to count.
+        usual: what a new form has.
+        variant: tells fields of one key apart, of which one counts at a time.
+    """
+
+    key: str
+    label: str
+    help: str = ""
+    form: Form = "number"
+    unit: tuple[str, str] = ("", "")
+    choices: tuple[tuple[str, str], ...] = ()
+    when: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    usual: str = ""
+    variant: str = ""
+
+    @property
+    def name(self) -> str:
+        """Its name in the form."""
+        return f"{self.key}@{self.variant}" if self.variant else self.key
+
+    def applies(self, draft: Draft) -> bool:
+        """Whether it counts, beside what stands in the other fields."""
+        return all(draft.get(name, usual(name)) in values for name, values in self.when.items())
+
+
+def _same(text: str) -> tuple[str, str]:
+    return text, text
+
+
+_LAWED = {"controller.law": LAWS}
+
+KIND = Field(
+    "joint.kind", "How it moves", "Decides the units: m and N, or rad and N m.", "choice",
+    choices=(("prismatic", "moves straight (a linear axis)"), ("revolute", "turns (a rotary axis, a robot's joint)")),
+    usual="prismatic",
+)  # fmt: skip
+
+CHANNEL_WORDS = {
+    "torque": ("Motor torque or force", "What the controller asks of the motor: a torque, a force, a current."),
+    "reference": ("Commanded position", "Where the axis was told to be at each instant: the reference."),
+    "motor_position": (
+        "Motor position",
+        "The motor's encoder. Not needed if you know the controller; it lets the page learn the controller.",
+    ),
+    "load_position": ("Load position", "A second encoder behind the gear or the spring, if there is one."),
+    "reference_velocity": ("Commanded velocity", "Only if the controller reads one beside the commanded position."),
+    "injected": ("Added test signal", "A known signal that was added to the controller's output, such as pulses."),
+}
+"""What each channel is called, and what it is."""
+
+CLOCK = (
+    Field("record.time", "Time", "The column with the time of each row.", "column"),
+    Field("record.time_unit", "Unit of the time", "Left open: as the column's name says, or seconds.", "choice",
+          choices=(("", "as named, or s"), *((u, u) for u in ("s", "ms", "us", "ns", "min", "h")))),
+    Field("record.sample_time", "Time between rows", "Needed where there is no time column.", unit=_same("s")),
+)  # fmt: skip
+
+TEXT = (
+    Field("record.delimiter", "Between the cells", "Of a text file: such as ; or ,  - found by itself if left empty.",
+          "text"),
+    Field("record.decimal", "Decimal mark", "Of a text file.", "choice",
+          choices=(("", "found by itself"), (".", "point: 1.5"), (",", "comma: 1,5"))),
+    Field("record.header", "First line", "Of a text file.", "flag",
+          choices=(("", "found by itself"), ("true", "names the columns"), ("false", "is numbers already"))),
+)  # fmt: skip
+
+
+def channel_fields(channel: str) -> tuple[Field, ...]:
+    """Return the fields of one channel of the record."""
+    path = f"record.channels.{channel}"
+    units = tuple(
+        Field(f"{path}.unit", "Unit", "", "unit", when={"joint.kind": (kind,)}, variant=kind,
+              choices=(("", "as named, or SI"), *((u, u) for u in known_units(channel, kind))))
+        for kind in KINDS
+    )  # fmt: skip
+    made = [
+        Field(f"{path}.column", *CHANNEL_WORDS[channel], "column"),
+        *units,
+        Field(f"{path}.gain", "Multiply by", "What takes the column's numbers to the unit."),
+        Field(f"{path}.sign", "Direction", "", "sign", choices=(("1", "as it is"), ("-1", "turned round"))),
+        Field(f"{path}.timing", "A value stands for", "", "choice",
+              choices=(("", "the usual"), ("sampled", "its instant"), ("held", "the time until the next value"),
+                       ("averaged", "the mean since the last value"))),
+    ]  # fmt: skip
+    if channel == "torque":
+        made.append(
+            Field(f"{path}.tap", "Where it was logged", "", "choice",
+                  choices=(("", "the controller's output"), ("command", "the controller's output"),
+                           ("filtered", "behind the drive's torque filters"),
+                           ("measured", "a measured current")))
+        )  # fmt: skip
+    if channel == "injected":
+        made += [
+            Field(f"{path}.at", "It is added", "", "choice",
+                  choices=(("", "after the torque limit"), ("after_limit", "after the torque limit"),
+                           ("before_limit", "before the torque limit"))),
+            Field(f"{path}.in_torque", "The logged torque", "", "flag",
+                  choices=(("", "contains it"), ("true", "contains it"), ("false", "does not contain it"))),
+        ]  # fmt: skip
+    elif channel.endswith("position") or channel == "reference":
+        made.append(Field(f"{path}.wrap", "Begins again at", "Of an encoder that wraps round: 65536, or 360."))
+    return tuple(made)
+
+
+CHANNEL_FIELDS = {channel: channel_fields(channel) for channel in CHANNELS}
+
+DRIVE = (
+    Field("drive.torque_constant", "Torque constant", "Takes a current to a torque.", unit=("N/A", "N m/A")),
+    Field("drive.rated_torque", "Rated torque", "What % and per mille are a share of.", unit=("N", "N m")),
+    Field("drive.counts_per_turn", "Encoder counts in one turn", when={"joint.kind": ("revolute",)}),
+    Field("drive.counts_per_metre", "Encoder counts in one metre", when={"joint.kind": ("prismatic",)}),
+)
+
+JOINT = (
+    Field("joint.model", "What is looked for", "Flexible needs a motion that excites the spring.", "choice",
+          choices=(("rigid", "one mass and its friction (rigid)"),
+                   ("flexible", "two masses and the spring between them (flexible)")), usual="rigid"),
+    Field("joint.friction", "Friction", "", "choice",
+          choices=(("symmetric", "the same in both directions"), ("asymmetric", "different in the two directions")),
+          usual="symmetric"),
+    Field("gravity.load", "Gravity", "", "choice",
+          choices=(("", "does not matter"), ("constant", "a vertical axis: a constant weight"),
+                   ("link", "an arm that swings in a vertical plane"))),
+    Field("transmission.ratio", "Gear ratio", "How far the motor goes while the load goes 1; empty without a gear."),
+    Field("joint.name", "Name", "What the report calls the axis.", "text"),
+)  # fmt: skip
+
+LAW = Field(
+    "controller.law", "Its law", "How the drive makes the torque from commanded and motor position.", "choice",
+    choices=(
+        ("", "choose ..."),
+        ("cascade", "position loop around a velocity loop (P-P or P-PI, most servo drives)"),
+        ("pd", "PD on the position"),
+        ("pid", "PID on the position"),
+        (LEARN, "I do not know it: learn it from this record (needs the motor position)"),
+        (WITHOUT, "I do not know it: do without (needs the motor position, less exact)"),
+        (EXTRA_LAW, "as in the further lines below"),
+    ),
+)  # fmt: skip
+
+CONTROLLER = (
+    Field("controller.kp", "Position gain kp", "", unit=_same("1/s"), when={"controller.law": ("cascade",)}),
+    Field("controller.kv", "Velocity gain kv", "", unit=("controller units per m/s", "controller units per rad/s"),
+          when={"controller.law": ("cascade",)}),
+    Field("controller.ki", "Integral gain ki", "1 over the integral time; empty for none.", unit=_same("1/s"),
+          when={"controller.law": ("cascade",)}),
+    Field("controller.velocity_feedforward", "Velocity feed-forward", "A share: 1 is all of it; empty for none.",
+          when={"controller.law": ("cascade",)}),
+    Field("controller.kp", "Proportional gain kp", "", unit=("controller units per m", "controller units per rad"),
+          when={"controller.law": ("pd", "pid")}, variant="pd"),
+    Field("controller.ki", "Integral gain ki", "", unit=("controller units per m s", "controller units per rad s"),
+          when={"controller.law": ("pid",)}, variant="pid"),
+    Field("controller.kd", "Derivative gain kd", "", unit=("controller units per m/s", "controller units per rad/s"),
+          when={"controller.law": ("pd", "pid")}),
+    Field("controller.velocity_filter", "Velocity filter", "Numbers that weigh this and earlier velocities: 0.5, 0.5 "
+          "is the mean of two. Empty for none.", "numbers", when=_LAWED),
+    Field("controller.gain", "Torque per controller unit", "1 if the controller speaks N or N m already; the drive's "
+          "gain if it speaks volts or ampere.", unit=("N per unit", "N m per unit"),
+          when={"controller.law": (*LAWS, LEARN)}),
+    Field("controller.limit", "Torque limit", "Of the controller's output, both ways; empty for none.",
+          unit=_same("controller units"), when=_LAWED),
+    Field("controller.delay", "Delay", "From the sampled position to the torque; empty for none.", unit=_same("s"),
+          when=_LAWED),
+    Field("controller.period", "Period", "Of the controller, if it is not that of the log.", unit=_same("s"),
+          when=_LAWED),
+)  # fmt: skip
+
+METHOD = (
+    Field("method.frequency", "Resonance, roughly", "Where the search for the spring begins; empty tries several.",
+          unit=_same("Hz"), when={"joint.model": ("flexible",), "controller.law": ("", *LAWS, LEARN, EXTRA_LAW)}),
+    Field("filtering.cutoff", "Look up to", "The highest frequency that is compared; empty for a share of the rate of "
+          "the log.", unit=_same("Hz")),
+)  # fmt: skip
+
+CHANNEL_STEP: tuple[Field, ...] = (
+    KIND, *CLOCK, *TEXT, *(one for fields in CHANNEL_FIELDS.values() for one in fields), *DRIVE,
+)  # fmt: skip
+JOINT_STEP: tuple[Field, ...] = (*JOINT, LAW, *CONTROLLER, *METHOD)
+FIELDS: tuple[Field, ...] = (*CHANNEL_STEP, *JOINT_STEP)
+NAMES = frozenset({EXTRA, *(one.name for one in FIELDS)})
+"""The names that a draft may hold."""
+
+_USUAL = {one.name: one.usual for one in FIELDS if one.usual}
+
+
+def usual(name: str) -> str:
+    """Return what a new form has in a field."""
+    return _USUAL.get(name, "")
+
+
+def time_unit(column: str) -> str:
+    """Return the unit of a time column as its name has it, or s."""
+    return unit_in_name(column, units_of("time")) or "s"

@@ -1,0 +1,270 @@
+"""Between the form and the joint file: the same tables, checked by the same schema, faults beside their fields."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import tomli_w
+
+from jointid.apps.web.fields import EXTRA, EXTRA_LAW, FIELDS, LAWS, LEARN, NAMES, WITHOUT, Draft, Field, usual
+from jointid.apps.web.values import no_number, shown_as, value_of
+from jointid.common.errors import JointFileError
+from jointid.config import JointFile, dumps
+from jointid.config.messages import dotted
+
+LONGEST = {EXTRA: 100_000}
+_LONGEST = 300  # characters of any other field
+_STAND_IN = {"law": "cascade", "kp": 1.0, "kv": 1.0}
+"""A law that stands where the real one is not known yet, to have the rest checked."""
+
+_LAW = "controller.law"
+_SEVERAL = {"records": "[[records]]", "together": "[together]"}
+"""Tables of a joint file that read other records than the visitor's."""
+
+
+@dataclass(frozen=True, slots=True)
+class Faults:
+    """What is wrong with a form.
+
+    Attributes:
+        beside: sentences by the name of their field.
+        general: those of no field.
+    """
+
+    beside: Mapping[str, list[str]] = field(default_factory=dict)
+    general: tuple[str, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.beside or self.general)
+
+
+@dataclass(frozen=True, slots=True)
+class Ordered:
+    """What is to be identified.
+
+    Attributes:
+        text: the joint file.
+        learn: what the worker needs to learn the controller first, None where it is known or not needed.
+    """
+
+    text: str
+    learn: dict[str, Any] | None
+
+
+def cleaned(sent: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """Return what a browser sent as a draft: known names, texts of bounded length without control characters."""
+    draft = {}
+    for name, value in sent:
+        if name in NAMES:
+            text = "".join(c for c in value.replace("\r\n", "\n") if c.isprintable() or c in "\n\t")
+            draft[name] = text[: LONGEST.get(name, _LONGEST)]
+    return draft
+
+
+def tables(draft: Draft, file: str) -> dict[str, Any]:
+    """Return the tables of the joint file that a form describes, not checked yet but for the further lines.
+
+    Args:
+        draft: of the form.
+        file: name of the record.
+
+    Raises:
+        JointFileError: the further lines are no TOML, name other records, or say again what a field says.
+    """
+    made: dict[str, Any] = {"record": {"file": file}}
+    for one in FIELDS:
+        text = draft.get(one.name, one.usual).strip()
+        if text and one.applies(draft) and _named(one, draft):
+            _put(made, one.key.split("."), value_of(one, text))
+    if draft.get(_LAW) not in LAWS:
+        made.pop("controller", None)
+    extra = _parsed(draft.get(EXTRA, ""), EXTRA)
+    if draft.get(_LAW) == WITHOUT and _at(extra, ["method", "name"]) is None:
+        made.setdefault("method", {})["name"] = "idim"
+    return _merged(made, extra)
+
+
+def record_tables(draft: Draft, file: str) -> dict[str, Any]:
+    """Return tables that say only how the record is read, of a rigid joint whose controller is a stand-in.
+
+    Raises:
+        JointFileError: see `tables`.
+    """
+    said = tables(draft, file)
+    made = _reading(said)
+    made["method"] = {"name": "didim" if "reference" in _channels(made) else "idim"}
+    return {**made, "controller": _STAND_IN} if made["method"]["name"] == "didim" else made
+
+
+def ordered(draft: Draft, file: str) -> Ordered:
+    """Return the joint file that a form describes, checked completely.
+
+    Raises:
+        JointFileError: with a sentence for each fault.
+    """
+    if not draft.get(_LAW):
+        raise JointFileError("controller.law is not chosen; choose the law, or say that it is not known.")
+    said = tables(draft, file)
+    if draft[_LAW] != LEARN:
+        return Ordered(dumps(JointFile.of(said)), None)
+    lacking = [name for name in ("torque", "reference", "motor_position") if name not in _channels(said)]
+    if lacking:
+        raise JointFileError(
+            f"controller.law cannot be learned, because the record has no {' and no '.join(lacking)}; choose that "
+            "column in step 2, or fill in the controller."
+        )
+    said["controller"] = _STAND_IN
+    text = dumps(JointFile.of(said))
+    gain = value_of(_field("controller.gain"), draft.get("controller.gain", "").strip() or "1")
+    if not isinstance(gain, float) or not 0 < gain < float("inf"):
+        raise JointFileError("controller.gain is no positive number; correct it, or leave it empty for 1.")
+    reading = {**_reading(said), "method": {"name": "idim"}}
+    return Ordered(text, {"gain": gain, "tables": said, "reading": reading})
+
+
+def told(error: JointFileError, draft: Draft, names: Collection[str]) -> Faults:
+    """Return the faults of a joint file beside the fields they are about.
+
+    Args:
+        error: of the joint file.
+        draft: of the form.
+        names: of the fields that are shown.
+    """
+    shown = {one.key: one for one in FIELDS if one.name in names and one.applies(draft)}
+    beside: dict[str, list[str]] = {}
+    general = []
+    for sentence in error.faults:
+        place = re.split(r"[ :]", sentence, maxsplit=1)[0]
+        parts = place.split(".")
+        keys = [".".join(parts[:n]) for n in range(len(parts), 0, -1)]
+        found = next((shown[k] for key in keys for k in (key, f"{key}.column") if k in shown), None)
+        if found is not None:
+            said = no_number(found, draft) or sentence.replace(place, found.label, 1)
+            beside.setdefault(found.name, []).append(said)
+        elif place == EXTRA and EXTRA in names:
+            beside.setdefault(EXTRA, []).append(sentence)
+        else:
+            general.append(sentence)
+    return Faults(beside, tuple(general))
+
+
+def imported(text: str) -> dict[str, str]:
+    """Return a joint file as a draft: what has a field in its field, everything else in the further lines.
+
+    Args:
+        text: of the joint file.
+
+    Raises:
+        JointFileError: it is no TOML, or of several records.
+    """
+    rest = _parsed(text, "The joint file")
+    draft: dict[str, str] = {}
+    law = _at(rest, ["controller", "law"])
+    deciding = {name: _at(rest, name.split(".")) for name in ("joint.kind", "joint.model")}
+    known = {name: str(value or usual(name)) for name, value in deciding.items()} | {_LAW: str(law or WITHOUT)}
+    if law not in dict(_field(_LAW).choices):
+        known[_LAW] = draft[_LAW] = WITHOUT if law is None else EXTRA_LAW
+    _drop(rest, ["record", "file"])
+    for one in FIELDS:
+        if one.applies(known) and (shown := shown_as(one, _at(rest, one.key.split(".")))) is not None:
+            draft[one.name] = shown
+            _drop(rest, one.key.split("."))
+    if law is None and _at(rest, ["method", "name"]) == "idim":
+        _drop(rest, ["method", "name"])
+    return draft | {EXTRA: tomli_w.dumps(_without_empty(rest))}
+
+
+def _field(key: str) -> Field:
+    return next(one for one in FIELDS if one.key == key)
+
+
+def _named(one: Field, draft: Draft) -> bool:
+    """Whether a field of a channel belongs to one that has a column, or to no channel."""
+    path = one.key.split(".")
+    if path[:2] != ["record", "channels"]:
+        return True
+    return bool(draft.get(f"record.channels.{path[2]}.column", "").strip())
+
+
+def _reading(said: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the tables that say how a record is read, of a rigid joint of that kind."""
+    made: dict[str, Any] = {key: said[key] for key in ("transmission", "record", "drive") if key in said}
+    return {"joint": {"kind": said["joint"]["kind"]}, **made}
+
+
+def _channels(said: Mapping[str, Any]) -> Mapping[str, Any]:
+    found = said.get("record", {}).get("channels", {})
+    return found if isinstance(found, dict) else {}
+
+
+def _put(made: dict[str, Any], path: list[str], value: Any) -> None:
+    for key in path[:-1]:
+        made = made.setdefault(key, {})
+    made[path[-1]] = value
+
+
+def _at(said: Any, path: list[str]) -> Any:
+    for key in path:
+        said = said.get(key) if isinstance(said, dict) else None
+    return said
+
+
+def _drop(said: dict[str, Any], path: list[str]) -> None:
+    inner = _at(said, path[:-1]) if path[:-1] else said
+    if isinstance(inner, dict):
+        inner.pop(path[-1], None)
+
+
+def _without_empty(said: dict[str, Any]) -> dict[str, Any]:
+    """Return tables without those that have become empty."""
+    kept = {key: _without_empty(value) if isinstance(value, dict) else value for key, value in said.items()}
+    return {key: value for key, value in kept.items() if value != {}}
+
+
+def _merged(made: dict[str, Any], extra: Mapping[str, Any], path: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Return the tables of the fields and of the further lines together.
+
+    Raises:
+        JointFileError: both say one thing.
+    """
+    faults, joined = list[str](), dict(made)
+    for key, value in extra.items():
+        here = (*path, key)
+        if key not in joined:
+            joined[key] = value
+        elif isinstance(value, dict) and isinstance(joined[key], dict):
+            try:
+                joined[key] = _merged(joined[key], value, here)
+            except JointFileError as error:
+                faults += error.faults
+        else:
+            faults.append(f"{dotted(here)} stands in the further lines and in its field; remove it from the lines.")
+    if faults:
+        raise JointFileError(faults)
+    return joined
+
+
+def _parsed(text: str, place: str) -> dict[str, Any]:
+    """Return the tables of a text.
+
+    Args:
+        text: of a joint file, or of some lines of one.
+        place: where it stands, which begins the sentence on a fault.
+
+    Raises:
+        JointFileError: it is no TOML, or says what this page does not do.
+    """
+    try:
+        said = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
+        raise JointFileError(f"{place} is not TOML ({error}); correct it.") from None
+    if several := [written for key, written in _SEVERAL.items() if key in said]:
+        raise JointFileError(
+            f"{place} says {' and '.join(several)}, and this page identifies one record, the one that was sent; remove "
+            "that, or use jointid together for several records."
+        )
+    return said

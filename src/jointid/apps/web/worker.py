@@ -1,0 +1,165 @@
+"""The process that does one piece of work for the page: `python -m jointid.apps.web.worker ACTION FOLDER MEMORY`.
+
+What it reads and how long it computes is the visitor's: whatever becomes of it, the page stays up, and the memory it
+takes is bounded. It prints its progress, a line each, and leaves its answer in the folder; exit code 2 and `fault.json`
+for what is the visitor's to mend. It ends when the page does, whose end it hears on its standard input.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jointid.common.errors import FaultsError, JointidError
+
+if TYPE_CHECKING:
+    from jointid.config import JointFile
+    from jointid.records.record import Record
+
+REFUSED = 2
+
+_TOO_LARGE = (
+    "The record, or what is asked of it, is too large for the memory that this page gives one visitor; cut the record "
+    "or resample it slower, or use the command line, which has no such bound: jointid identify, or jointid long for a "
+    "record of hours."
+)
+
+
+def look(folder: Path) -> None:
+    """Read the record of `work.json`, and write `preview.json`."""
+    from jointid.apps.web.preview import preview
+    from jointid.records.formats import read_table
+
+    work = _work(folder)
+    table = read_table(folder / work["file"], **work["options"])
+    if not table.columns:
+        raise JointidError("The file holds no column with more than one number; choose another file.")
+    _write(folder / "preview.json", json.dumps(preview(table), allow_nan=False))
+
+
+def example(folder: Path) -> None:
+    """Simulate the digital twin, and write `example.csv`."""
+    from jointid.paper.twin import twin
+    from jointid.records.writing import write
+
+    write(twin().record, folder / "example.csv")
+
+
+def check(folder: Path) -> None:
+    """Read the record as the tables of `work.json` say, and write what it holds to `checked.json`."""
+    from jointid.config import JointFile
+
+    work = _work(folder)
+    record = _record(JointFile.of(work["tables"]), folder, work)
+    torque = record.torque
+    assert torque is not None
+    said = {"samples": len(torque), "sample_time": torque.sample_time, "duration": torque.duration, "unit": torque.unit}
+    _write(folder / "checked.json", json.dumps(said))
+
+
+def identify(folder: Path) -> None:
+    """Identify as the joint file says, its controller learned first if `work.json` says so; write all answers."""
+    from jointid.config import load
+    from jointid.output import json as answers
+    from jointid.output.report.report import report_estimate
+    from jointid.output.report.reproducibility import repetition
+    from jointid.simulation import sensitivities
+
+    work = _work(folder)
+    if work["learn"] is not None:
+        _learn(folder, work)
+    file = load(folder / "joint.toml")
+    _tell("reading the record")
+    record = _record(file, folder, work)
+    _tell("preparing the simulation; the first time on a machine this takes some 20 s")
+    sensitivities.warm_up()
+    _tell("identifying")
+    estimate = file.identify(record, _tell)
+    told = report_estimate(estimate, record, name=file.name or "", loop=file.tells_of_its_loop, progress=_tell)
+    again = repetition(folder / "joint.toml", folder / work["file"], {})
+    again = replace(again, record_name=work["name"], command="jointid report joint.toml --html report.html")
+    _write(folder / "report.html", replace(told, repetition=again).html())
+    _write(folder / "answer.txt", f"{told.estimate}\n")
+    answers.write(answers.estimate_answer(told.estimate), folder / "answer.json")
+
+
+def _learn(folder: Path, work: dict[str, Any]) -> None:
+    """Learn the controller, and write the joint file that has it."""
+    from jointid.config import JointFile, dumps
+    from jointid.controller_id.learn import learn_loop
+
+    _tell("learning the controller")
+    reading = JointFile.of(work["learn"]["reading"])
+    learned = learn_loop(
+        _record(reading, folder, work),
+        gain=work["learn"]["gain"],
+        transmission=reading.joint.transmission,
+        progress=_tell,
+    )
+    stand_in = JointFile.of(work["learn"]["tables"])
+    _write(folder / "joint.toml", dumps(replace(stand_in, controller=learned.controller)))
+    _write(folder / "learned.txt", f"{learned}\n")
+
+
+def _record(file: JointFile, folder: Path, work: dict[str, Any]) -> Record:
+    """Read the record, and call it as its visitor does."""
+    return replace(file.record(folder / work["file"]), name=Path(work["name"]).stem)
+
+
+def _work(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "work.json").read_text(encoding="utf-8"))
+    return found
+
+
+def _write(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _tell(message: str) -> None:
+    print(message.replace("\n", " "), flush=True)  # noqa: T201
+
+
+ACTIONS: dict[str, Callable[[Path], None]] = {"look": look, "example": example, "check": check, "identify": identify}
+
+
+def _end_with_the_page() -> None:
+    """Wait for the end of standard input, which comes when the page ends, however it does."""
+    while os.read(0, 1):  # past the buffer, whose lock a thread must not hold when Python ends
+        pass
+    os._exit(1)
+
+
+def _bound(memory: int) -> None:
+    """Take no more address space than so many bytes, where the system can hold a process to it."""
+    if sys.platform == "linux":  # macOS knows the bound and does not keep to it, Windows has none
+        import resource
+
+        _, most = resource.getrlimit(resource.RLIMIT_AS)
+        least = memory if most == resource.RLIM_INFINITY else min(memory, most)
+        resource.setrlimit(resource.RLIMIT_AS, (least, least))
+
+
+def main(action: str, folder: Path) -> int:
+    """Do one piece of work, and return the exit code."""
+    try:
+        ACTIONS[action](folder)
+    except JointidError as error:
+        faults = error.faults if isinstance(error, FaultsError) else (str(error),)
+        _write(folder / "fault.json", json.dumps(faults))
+        return REFUSED
+    except MemoryError:
+        _write(folder / "fault.json", json.dumps([_TOO_LARGE]))
+        return REFUSED
+    return 0
+
+
+if __name__ == "__main__":
+    threading.Thread(target=_end_with_the_page, daemon=True).start()
+    _bound(int(sys.argv[3]))
+    sys.exit(main(sys.argv[1], Path(sys.argv[2])))

@@ -1,0 +1,19 @@
+"""The joint file (TOML): what is identified, from which record, and how; checked completely before anything runs."""
+
+from jointid.config.contents import JointFile, Run, Source
+from jointid.config.loading import (
+    controller_text,
+    dumps,
+    load,
+    loads,
+    save,
+    with_controller,
+    with_parameters,
+    with_paths,
+)
+from jointid.config.schema import json_schema
+
+__all__ = [
+    "JointFile", "Run", "Source", "controller_text", "dumps", "json_schema", "load", "loads", "save", "with_controller",
+    "with_parameters", "with_paths",
+]  # fmt: skip

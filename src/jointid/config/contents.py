@@ -1,0 +1,406 @@
+"""What a joint file says, as the objects that the verbs take."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from jointid.common.errors import JointFileError, MethodError, RecordError
+from jointid.common.progress import Progress, silent
+from jointid.config import serialise
+from jointid.config.channels import reachable, torque_unit
+from jointid.config.consistency import changed, chosen_method, needed_channels
+from jointid.config.record_table import RecordTable
+from jointid.config.schema import CLOSINGS, RunTable
+from jointid.config.validation import checked
+from jointid.estimation.identify import Method, identify
+from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.controllers import Controller, with_numbers
+from jointid.models.joints import Joint
+from jointid.models.parameters import Parameter
+from jointid.records.checks import CLOCK_TOLERANCE, check_record
+from jointid.records.chunks import Log
+from jointid.records.columns import Column
+from jointid.records.drives.drive import Drive
+from jointid.records.reading import read
+from jointid.records.record import Record
+from jointid.records.signals import Filtering
+from jointid.records.time_base.resampling import Resampling
+from jointid.records.writing import write
+from jointid.simulation.loop_input import ClosedLoop
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The file of the record, and how it is read; see `jointid.records.reading.read`.
+
+    Attributes:
+        file: path of the record, from the joint file's folder.
+        time, time_unit: name of the time column, and its unit.
+        sample_time: seconds between samples.
+        clock_tolerance: largest jitter of the time stamps, as a share of the sample time.
+        options: of the format's reader.
+        resample: to which uniform clock all channels are brought, and how.
+    """
+
+    file: str | None = None
+    time: str | None = None
+    time_unit: str | None = None
+    sample_time: float | None = None
+    clock_tolerance: float = CLOCK_TOLERANCE
+    options: Mapping[str, Any] = field(default_factory=dict)
+    resample: Resampling | None = None
+
+    @classmethod
+    def of(cls, table: RecordTable) -> Self:
+        """Return what [record] says of the file."""
+        options = table.options()
+        resample = None if table.resample is None else table.resample.resampling()
+        return cls(**table.given("channels", "resample", *options), resample=resample, options=options)
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One of several records that are identified together.
+
+    Attributes:
+        file: path of the record, from the joint file's folder.
+        added_inertia: known, on the load and as it is there, on top of what is shared.
+        own: names of parameters that the others do not share.
+        controller: numbers of the controller that were others in it, by name.
+    """
+
+    file: str
+    added_inertia: float = 0.0
+    own: tuple[str, ...] = ()
+    controller: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, table: RunTable) -> Self:
+        """Return what one of [[records]] says."""
+        return cls(table.file, table.added_inertia, tuple(table.own), table.controller)
+
+
+@dataclass(frozen=True, slots=True)
+class JointFile:
+    """A joint file: what is identified, from what, and how.
+
+    Attributes:
+        joint: the model; its torque is in A or V where the torque's channel is.
+        columns: the channels, and where they are found; with a profile of the drive it finds the others.
+        method: `DIDIM` (rigid), `FlexibleDIDIM` or `IDIM` with its settings.
+        controller: the controller's law as the joint sees it through its transmission, None while it is not known.
+        filtering: how signals are filtered.
+        parameters: changes to the joint's parameters by name, as `identify` takes them.
+        drive: whose traces the record is made of, and the numbers behind its units.
+        source: the file of the record.
+        name: what reports call the joint.
+        runs: records that are identified together.
+        free: names of what surrounds the joint and is then identified too.
+        weighting: of their rows; see `jointid.estimation.several_records.identify_together.identify_together`.
+        path: of the joint file; a text is taken to stand in `joint.toml`.
+
+    Example:
+        >>> from jointid.config import loads
+        >>> file = loads('''
+        ... [joint]
+        ... kind = "revolute"
+        ... [record.channels]
+        ... torque = { column = "i_q", unit = "A" }
+        ... motor_position = { column = "pos [deg]" }
+        ... ''')
+        >>> print(file.method, file.joint.torque_unit)
+        IDIM(estimator='ols', effects=()) A
+    """
+
+    joint: Joint
+    columns: Mapping[str, Column]
+    method: Method
+    controller: Controller | None = None
+    filtering: Filtering = field(default_factory=Filtering)
+    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    drive: Drive = field(default_factory=Drive)
+    source: Source = field(default_factory=Source)
+    name: str | None = None
+    runs: tuple[Run, ...] = ()
+    free: tuple[str, ...] = ()
+    weighting: Literal["spectrum", "level"] = "spectrum"
+    path: Path = field(default=Path("joint.toml"), compare=False)
+
+    @classmethod
+    def of(cls, tables: Mapping[str, Any], path: Path = Path("joint.toml")) -> Self:
+        """Return what the tables of a joint file say.
+
+        Args:
+            tables: the file's tables by name, as `tomllib` reads them.
+            path: of the joint file.
+
+        Raises:
+            JointFileError: with one sentence for each fault.
+        """
+        file = checked(tables)
+        channels, gear, drive = file.record.channels.given(), file.transmission, file.drive.drive()
+        transmission = gear.transmission(file.joint.kind) if gear else None
+        joint = file.joint.joint(torque_unit(channels, file.joint.kind, gear, drive), transmission, file.gravity)
+        named = reachable(channels, drive)
+        method = chosen_method(file.method.name, named, file.controller is not None, joint.model)
+        assert method is not None
+        known = {parameter.name: parameter for parameter in joint.parameters}
+        return cls(
+            joint=joint,
+            columns={name: table.declared() for name, table in channels.items()},
+            method=file.method.method(method, joint.model),
+            controller=file.controller.referred(transmission) if file.controller else None,
+            filtering=file.filtering.filtering(),
+            parameters={name: changed(known[name], table) for name, table in file.parameters.items()},
+            drive=drive,
+            source=Source.of(file.record),
+            name=file.joint.name,
+            runs=tuple(map(Run.of, file.records)),
+            free=tuple(file.together.free),
+            weighting=file.together.weighting,
+            path=path,
+        )
+
+    @property
+    def loop(self) -> ClosedLoop | None:
+        """The joint under its controller, None while the controller is not known."""
+        return None if self.controller is None else ClosedLoop(self.joint, self.controller)
+
+    def record(self, path: str | os.PathLike[str] | None = None) -> Record:
+        """Read the record.
+
+        A channel that the method does not need may be absent, except an injected signal: without it the torque
+        would be taken for the controller's.
+
+        Args:
+            path: of the record, instead of the one the joint file names.
+
+        Raises:
+            RecordError: there is no such file, or it does not hold what the joint file says; `faults` has a
+                sentence for each missing column, gap, jump of the clock, impossible scale, constant torque, and
+                torque at the controller's limit.
+        """
+        path = self.record_path(path)
+        columns = self._columns
+        source = self.source
+        record = read(path, columns, clock_tolerance=source.clock_tolerance, resample=source.resample, **self._reading)
+        controller, torque = self.controller, record.torque
+        limit = controller.law(torque.sample_time).limit if controller is not None and torque is not None else None
+        gear = self.joint.transmission
+        check_record(record, limit=limit, side=None if gear is None else gear.side)
+        return record
+
+    def identify(self, record: Record, progress: Progress = silent) -> Estimate:
+        """Identify the joint from a record, as the file says.
+
+        Args:
+            record: what `record` gave.
+            progress: is told each step.
+
+        Raises:
+            JointidError: see `jointid.estimation.identify.identify`.
+        """
+        model = self.loop or self.joint
+        return identify(
+            record, model, self.method, filtering=self.filtering, parameters=self.parameters, progress=progress
+        )
+
+    @property
+    def tells_of_its_loop(self) -> bool:
+        """Whether its estimate is where a check of the loop may begin.
+
+        The paper's search need not end where least squares would, and its loop would be blamed for that.
+        """
+        return not isinstance(self.method, FlexibleDIDIM) or self.method.minimiser == "least-squares"
+
+    def log(self, path: str | os.PathLike[str] | None = None) -> Log:
+        """Return the record as one that is read in pieces, when it is asked for; see `record`.
+
+        Raises:
+            RecordError: a channel has a sample time of its own, or no record is named.
+        """
+        source = self.source
+        reading = {"clock_tolerance": source.clock_tolerance, "resample": source.resample, **self._reading}
+        settings = {key: value for key, value in reading.items() if key not in self.source.options}
+        return Log(self.record_path(path), self._columns, settings, self.source.options)
+
+    def write(self, record: Record, path: str | os.PathLike[str]) -> None:
+        """Write a record, on the joint's side of its transmission, as this file reads it: `record(path)` gives it back.
+
+        Raises:
+            RecordError: see `jointid.records.writing.write`.
+        """
+        write(record, path, self.columns, **self._reading)
+
+    def record_path(self, path: str | os.PathLike[str] | None = None) -> str | os.PathLike[str]:
+        """Return the path of the record: that one, or the one this file names.
+
+        Raises:
+            RecordError: this file names none.
+        """
+        if path is not None:
+            return path
+        if self.source.file is None:
+            raise RecordError(f"{self.path} names no record; add file to [record], or name one by --record.")
+        return self.path.parent / self.source.file
+
+    @property
+    def _columns(self) -> dict[str, Column]:
+        """The channels to read: those that the method needs, and others if they are there."""
+        needed = {*needed_channels(self._method_name, self.controller, self.joint.model), "injected"}
+        columns = {n: c if n in needed else replace(c, optional=True) for n, c in self.columns.items()}
+        if self.drive.traces is not None:  # it is to find what the method needs and the file does not name
+            columns |= {n: Column() for n in needed if n not in columns and n != "injected"}
+        return columns
+
+    @property
+    def _reading(self) -> dict[str, Any]:
+        """What reading and writing a record have to be told, beside its columns."""
+        return {
+            "drive": self.drive,
+            "time": self.source.time,
+            "time_unit": self.source.time_unit,
+            "sample_time": self.source.sample_time,
+            "kind": self.joint.kind,
+            "transmission": self.joint.transmission,
+            **self.source.options,
+        }
+
+    @property
+    def added_inertias(self) -> tuple[float, ...]:
+        """What each run adds, which is said of the load, as it is on the joint's side."""
+        gear = self.joint.transmission
+        factor = 1.0 if gear is None else gear.torque("load") ** 2
+        return tuple(factor * run.added_inertia for run in self.runs)
+
+    def each(self, paths: Sequence[Path] = ()) -> tuple[JointFile, ...]:
+        """Return this file once for each record that is identified together, as if it were of that record alone.
+
+        Args:
+            paths: of the records, instead of those the file lists, in their order.
+
+        Raises:
+            JointFileError: the paths are not as many as the records that are listed.
+        """
+        if paths and self.runs and len(paths) != len(self.runs):
+            raise JointFileError(
+                f"{self.path} lists {len(self.runs)} records and {len(paths)} are named; name as many, in their order."
+            )
+        runs = self.runs or tuple(Run(str(path)) for path in paths)
+        files = [str(path.absolute()) for path in paths] or [run.file for run in runs]
+        return tuple(
+            replace(
+                self,
+                source=replace(self.source, file=file),
+                controller=None if self.controller is None else with_numbers(self.controller, run.controller),
+                runs=(run,),
+            )
+            for file, run in zip(files, runs, strict=True)
+        )
+
+    def values(self) -> dict[str, float]:
+        """Return a value for every parameter of the joint, for a simulation: fixed values and starts.
+
+        Raises:
+            MethodError: a parameter has neither.
+        """
+        parameters = [self.parameters.get(p.name, p) for p in self.joint.parameters]
+        missing = [p.name for p in parameters if p.start is None]
+        if missing:
+            raise MethodError(
+                f"A simulation needs a value for every parameter; {', '.join(missing)} has none: give it a value or a "
+                "start under [parameters], or identify the joint first."
+            )
+        return {p.name: float(p.start) for p in parameters if p.start is not None}
+
+    def overridden(
+        self,
+        *,
+        method: str | None = None,
+        filtering: str | None = None,
+        friction: str | None = None,
+        minimiser: str | None = None,
+        frequency: float | None = None,
+        estimator: str | None = None,
+        harmonics: int | None = None,
+        period: float | None = None,
+        drift: str | None = None,
+    ) -> JointFile:
+        """Return this file with some choices replaced, and checked again; None leaves a choice as it is.
+
+        Args:
+            method: "didim" or "idim"; another one than the file's comes with its default settings.
+            filtering: a preset, "default", "published" or "as-printed".
+            friction: "symmetric" or "asymmetric".
+            minimiser: of DIDIM for a flexible joint, "least-squares" or "nelder-mead".
+            frequency: in Hz, that DIDIM for a flexible joint starts from.
+            estimator: of IDIM, "ols", "weighted", "robust" or "iv".
+            harmonics: of IDIM, of the force over the motor position.
+            period: of the first harmonic, in m or rad.
+            drift: of IDIM, "force", "viscous" or "both".
+
+        Raises:
+            JointFileError: the file does not have what the method needs, a parameter is not one of the law's, or a
+                setting is not one of the method's.
+        """
+        tables = self.tables()
+        if method is not None and method != self._method_name:
+            tables["method"] = {"name": method}
+        if filtering is not None:
+            tables["filtering"] = {"preset": filtering}
+        if friction is not None:
+            tables["joint"]["friction"] = friction
+        settings = {
+            "minimiser": minimiser,
+            "frequency": frequency,
+            "estimator": estimator,
+            "harmonics": harmonics,
+            "period": period,
+            "drift": drift,
+        }
+        tables["method"] |= {key: value for key, value in settings.items() if value is not None}
+        return type(self).of(tables, self.path)
+
+    def tables(self) -> dict[str, Any]:
+        """Return the tables that say the same, as `of` takes them; what is at its default is left out.
+
+        Raises:
+            JointFileError: a joint file has no word for the friction or the controller, or the method is for the other
+                model.
+        """
+        model = {parameter.name: parameter for parameter in self.joint.parameters}
+        channels = {name: serialise.settings(column) for name, column in self.columns.items()}
+        parameters = {name: serialise.parameter_table(p, model.get(name, p)) for name, p in self.parameters.items()}
+        record = {**serialise.settings(self.source, "options"), **self.source.options, "channels": channels}
+        tables = {
+            "joint": serialise.joint_table(self.joint, self.name),
+            "transmission": serialise.transmission_table(self.joint.transmission),
+            "gravity": {}
+            if self.joint.gravity is None
+            else serialise.gravity_table(self.joint.gravity, self.joint.transmission),
+            "record": record,
+            "drive": serialise.settings(self.drive),
+            "controller": {}
+            if self.controller is None
+            else serialise.controller_table(self.controller, self.joint.transmission),
+            "filtering": serialise.filtering_table(self.filtering),
+            "method": serialise.method_table(self.method, self.joint.model),
+            "parameters": parameters,
+            "records": [serialise.settings(run) for run in self.runs],
+            "together": serialise.settings(
+                self, *(f.name for f in fields(self) if f.name not in ("free", "weighting"))
+            ),
+        }
+        return {name: table for name, table in tables.items() if table}
+
+    @property
+    def _method_name(self) -> str:
+        if isinstance(self.method, IDIM):
+            return "idim"
+        return next((name for name, made in CLOSINGS.items() if isinstance(self.method, made)), "didim")

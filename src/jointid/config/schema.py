@@ -1,0 +1,246 @@
+"""The joint file as a whole, and its tables of how a joint is identified: what may stand there, and what it becomes.
+
+What a key is when it is left out is the default of the object the table becomes; a test holds the two together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
+
+from jointid.config import messages
+from jointid.config.gearing import TransmissionTable
+from jointid.config.laws import ControllerTable
+from jointid.config.mechanics import GravityTable, JointTable
+from jointid.config.messages import Says
+from jointid.config.record_table import DriveTable, RecordFile, RecordTable
+from jointid.config.table import Table
+from jointid.config.values import (
+    Borders,
+    Bound,
+    ControllerNumbers,
+    Count,
+    Flag,
+    Names,
+    Natural,
+    NotNegative,
+    Number,
+    Positive,
+)
+from jointid.estimation.identify import Method
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.drive_side import DriveSideFit
+from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.open_loop import OpenLoopFit
+from jointid.models.disturbances import Drift, Effect, PositionHarmonics
+from jointid.records.signals import Filtering
+
+OF_IDIM = ("estimator", "harmonics", "period", "drift")
+"""The keys of [method] that are IDIM's."""
+
+FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
+    "default": Filtering,
+    "published": Filtering.published,
+    "as-printed": Filtering.as_printed,
+}
+"""The presets of [filtering]."""
+
+DIDIMS: Mapping[str, type[DIDIM] | type[FlexibleDIDIM]] = {"rigid": DIDIM, "flexible": FlexibleDIDIM}
+"""What [method] becomes with the name "didim", by the joint's model."""
+
+CLOSINGS: Mapping[str, type[DriveSideFit] | type[OpenLoopFit]] = {"drive_side": DriveSideFit, "open_loop": OpenLoopFit}
+"""What [method] becomes with the other names that simulate, by the name; neither needs the controller."""
+
+
+class FilteringTable(Table):
+    """[filtering]: how torque and columns are filtered, position and decimation each with its cut-off."""
+
+    preset: Literal["default", "published", "as-printed"] | None = Field(None, description="all of it at once")
+    position_cutoff: Positive | None = Field(None, description="cut-off of the low-pass on measured positions [Hz]")
+    cutoff: Positive | None = Field(None, description="cut-off of the decimation filter on torque and columns [Hz]")
+    decimation: Count | None = Field(None, description="one sample is kept in so many")
+    borders: Borders = Field([50, 50], description="samples dropped at the start and at the end")
+    timing: Literal["respected", "as_sampled"] = Field("respected", description="how a held torque is read")
+    aliasing: Literal["refused", "warned"] = Field("refused", description="what becomes of a decimation that aliases")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield the keys beside a preset."""
+        if self.preset is not None:
+            for key, value in self.given("preset").items():
+                yield key, messages.beside_preset(value, self.preset)
+
+    def filtering(self) -> Filtering:
+        """Return the filtering."""
+        if self.preset is not None:
+            return FILTERINGS[self.preset]()
+        given = self.given()
+        return Filtering(**given | ({"borders": tuple(given["borders"])} if "borders" in given else {}))
+
+
+class MethodTable(Table):
+    """[method]: how the joint is identified; some keys are for a rigid joint only, others for a flexible one."""
+
+    name: Literal["didim", "idim", "drive_side", "open_loop"] | None = Field(
+        None, description="by which method; didim if the record has what it needs, else idim"
+    )
+    preset: Literal["paper"] | None = Field(None, description="all settings of DIDIM at once")
+    form: Literal["residual", "paper"] = Field("residual", description="what each step solves")
+    start: Literal["inversion", "regular", "given"] = Field("inversion", description="where the search begins")
+    scaled_iterations: Natural = Field(2, description="first iterations under scaled controller gains")
+    tolerance: Positive | None = Field(None, description="change to stop at, relative")
+    step_tolerance: Positive = Field(1e-7, description="change of the parameters to stop at, relative")
+    iterations: Count = Field(30, description="iterations at most")
+    initial_state: Literal["free", "reference"] = Field("free", description="the motor at the first sample")
+    free: Names = Field([], description="what surrounds the joint and is identified with it")
+    minimiser: Literal["least-squares", "nelder-mead"] = Field(
+        "least-squares", description="the way down the criterion"
+    )
+    frequency: Positive | None = Field(None, description="free-free, where the stiffness starts from [Hz]")
+    rigid_cutoff: Positive | None = Field(
+        None, description="cut-off of the rigid identification that gives the start [Hz]"
+    )
+    simulations: Count = Field(6000, description="simulations of one descent at most")
+    restarts: Natural = Field(3, description="restarts of Nelder-Mead at most")
+    statistics: Literal["sensitivities", "inverse-model"] = Field(
+        "sensitivities", description="what the standard deviations are made from"
+    )
+    log_delay: Number | None = Field(None, description="how late the log shows the torque, estimated if left out [s]")
+    current_lag: NotNegative | Literal["estimated"] = Field(0.0, description="time constant between log and torque [s]")
+    instruments: Literal["tested", "always", "never"] = Field(
+        "tested", description="when they replace least squares on the drive side"
+    )
+    highpass: Positive | None = Field(None, description="below it the position of an open loop is drift [Hz]")
+    estimator: Literal["ols", "weighted", "robust", "iv"] = Field("ols", description="how IDIM solves its rows")
+    harmonics: Natural = Field(0, description="of the force over the motor position, for IDIM")
+    period: Positive | None = Field(None, description="of the first harmonic [m or rad]")
+    drift: Literal["force", "viscous", "both"] | None = Field(None, description="what changes with time, for IDIM")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield a period of no harmonics."""
+        if self.period is not None and self.harmonics == 0:
+            yield "period", f" is {self.period:g}, but there are no harmonics; add harmonics = 1, or leave it out."
+
+    def model_of(self, key: str) -> str | None:
+        """Return the joint's model that a key is for, None where it is for both."""
+        models = [model for model, made in DIDIMS.items() if key in {field.name for field in fields(made)}]
+        return models[0] if len(models) == 1 else None
+
+    def is_of(self, key: str, name: str) -> bool:
+        """Whether a key is a setting of the method of that name."""
+        made = [CLOSINGS[name]] if name in CLOSINGS else list(DIDIMS.values())
+        return any(key in {field.name for field in fields(one)} for one in made)
+
+    def of_closing(self, key: str) -> bool:
+        """Whether a key is only for the methods that prescribe a motion or a torque."""
+        return any(self.is_of(key, name) for name in CLOSINGS) and not self.is_of(key, "didim")
+
+    def beside_preset(self) -> dict[str, Any]:
+        """Return the values that the preset sets too; the paper knew its frequency, and another joint has another."""
+        return {} if self.preset is None else self.given("name", "preset", "frequency")
+
+    def effects(self) -> tuple[Effect, ...]:
+        """Return the further columns of IDIM."""
+        ripple = (PositionHarmonics(self.period, self.harmonics),) if self.harmonics else ()
+        return (*ripple, *(() if self.drift is None else (Drift(self.drift),)))
+
+    def method(self, name: str, model: str) -> Method:
+        """Return the method of that name with these settings, for a joint of that model."""
+        if name == "idim":
+            return IDIM(self.estimator, self.effects())
+        if name in CLOSINGS:
+            lag = {"current_lag": None} if self.current_lag == "estimated" else {}
+            return CLOSINGS[name](**self.given("name") | lag)
+        made, given = DIDIMS[model], self.given("name", "preset")
+        given |= {"free": tuple(given["free"])} if "free" in given else {}
+        return made.paper(**given) if self.preset == "paper" else made(**given)
+
+
+class ParameterTable(Table):
+    """[parameters.inertia] and its like: one parameter; a bare number is a value."""
+
+    shorthand = "value"
+
+    value: Number | None = Field(None, description="what the parameter is fixed at")
+    start: Number | None = Field(None, description="where the search begins")
+    lower: Bound | None = Field(None, description="lower bound")
+    upper: Bound | None = Field(None, description="upper bound")
+    free: Flag | None = Field(None, description="whether the parameter is identified")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield what contradicts itself."""
+        if self.lower is not None and self.upper is not None and not self.lower < self.upper:
+            yield "lower", f" is {self.lower:g}; expected less than upper = {self.upper:g}: exchange them."
+        if self.value is not None and self.free:
+            yield "free", f" is true beside value = {self.value:g}, which would fix it; write start = {self.value:g}."
+        if self.value is not None and self.start is not None:
+            yield "start", " stands beside value; keep value to fix the parameter, or start to identify it."
+        if self.value is None and self.free is False:
+            yield "value", " is missing; a parameter that is not free needs the value that it keeps: add it."
+
+
+class RunTable(Table):
+    """[[records]]: one of several records that are identified together, and what is known to differ in it."""
+
+    file: RecordFile = Field(description="path of the record, from the joint file's folder")
+    added_inertia: NotNegative = Field(
+        0.0, description="known, on the load, beyond what is shared [kg or kg m2, load side]"
+    )
+    own: Names = Field([], description="names of parameters that the other records do not share")
+    controller: ControllerNumbers = Field(
+        default_factory=dict, description="numbers of the controller that were others, by key"
+    )
+
+
+class TogetherTable(Table):
+    """[together]: how several records are identified together."""
+
+    free: Names = Field([], description="names of what surrounds the joint and is identified too")
+    weighting: Literal["spectrum", "level"] = Field(
+        "spectrum", description="what of their record's residual the rows are weighed by"
+    )
+
+
+class FileTable(Table):
+    """A joint file."""
+
+    decided_by: ClassVar = {"controller": "law"}
+
+    joint: JointTable = Field(description="what is identified")
+    transmission: TransmissionTable | None = Field(None, description="what lies between motor and load")
+    gravity: GravityTable | None = Field(None, description="what its load weighs, if that matters")
+    record: RecordTable = Field(default_factory=RecordTable, description="the file of the record, and its channels")
+    drive: DriveTable = Field(default_factory=DriveTable, description="whose traces they are, and its own units")
+    controller: ControllerTable | None = Field(None, description="the controller's law, if it is known")
+    filtering: FilteringTable = Field(default_factory=FilteringTable, description="how signals are filtered")
+    method: MethodTable = Field(default_factory=MethodTable, description="how the joint is identified")
+    parameters: dict[str, ParameterTable] = Field(
+        default_factory=dict, description="what is known of the parameters, by name"
+    )
+    records: Annotated[list[RunTable], Says("one [[records]] table for each record")] = Field(
+        default_factory=list, description="records that are identified together"
+    )
+    together: TogetherTable = Field(
+        default_factory=TogetherTable, description="how several records are identified together"
+    )
+
+
+class _WithoutNull(GenerateJsonSchema):
+    """TOML has no null: what has no default is left out."""
+
+    def nullable_schema(self, schema: NullableSchema) -> JsonSchemaValue:
+        return self.generate_inner(schema["schema"])
+
+    def default_schema(self, schema: WithDefaultSchema) -> JsonSchemaValue:
+        described = super().default_schema(schema)
+        return {key: value for key, value in described.items() if (key, value) != ("default", None)}
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON Schema of the joint file, for documentation and forms."""
+    return FileTable.model_json_schema(schema_generator=_WithoutNull)

@@ -1,0 +1,147 @@
+"""The objects of a joint file as the tables it writes: what is at its default is left out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import MISSING, Field, fields, replace
+from typing import Any
+
+import numpy as np
+
+from jointid.common.errors import JointFileError
+from jointid.config.filters import FILTERS
+from jointid.config.schema import CLOSINGS, DIDIMS, FILTERINGS
+from jointid.estimation.identify import Method
+from jointid.estimation.methods.idim import IDIM
+from jointid.models.controllers import PD, PID, Cascade, Controller, DigitalFilter, StateSpaceController
+from jointid.models.disturbances import Drift, Effect, PositionHarmonics
+from jointid.models.gravity import Gravity
+from jointid.models.joints import FRICTIONS, Joint
+from jointid.models.parameters import Parameter
+from jointid.models.transmission import SIDES, Transmission
+from jointid.records.signals import Filtering
+from jointid.records.time_base.resampling import Resampling
+
+_KINDS: Mapping[type, str] = {made: kind for kind, made in FILTERS.items()}
+_LAWS: Mapping[type, str] = {Cascade: "cascade", PD: "pd", PID: "pid", StateSpaceController: "state_space"}
+
+
+def settings(made: Any, *without: str) -> dict[str, Any]:
+    """Return the fields of a dataclass that are not at their defaults, as TOML has them, but for those named."""
+    found = {}
+    for field in fields(made):
+        value = _plain(getattr(made, field.name))
+        if field.name not in without and value is not None and value != _plain(_default(field)):
+            found[field.name] = value
+    return found
+
+
+def joint_table(joint: Joint, name: str | None) -> dict[str, Any]:
+    """Return [joint]."""
+    frictions = [word for word, law in FRICTIONS.items() if type(joint.friction) is law]
+    if not frictions:
+        law = type(joint.friction).__name__
+        raise JointFileError(f"A joint file has no word for the friction {law}; use {' or '.join(FRICTIONS)}.")
+    kind = joint.kind if joint.transmission is None else joint.transmission.load
+    table = {"kind": kind, "model": joint.model, "friction": frictions[0]}
+    return table if name is None else {**table, "name": name}
+
+
+def transmission_table(transmission: Transmission | None) -> dict[str, Any]:
+    """Return [transmission]."""
+    return {} if transmission is None else settings(transmission, "load")
+
+
+def gravity_table(gravity: Gravity, transmission: Transmission | None) -> dict[str, Any]:
+    """Return [gravity]; its angle is that of the load, whatever the side."""
+    angle = gravity.angle if transmission is None else gravity.angle / transmission.torque("load")
+    balance = settings(gravity.counterbalance)
+    return settings(replace(gravity, angle=angle), "counterbalance") | ({"counterbalance": balance} if balance else {})
+
+
+def controller_table(controller: Controller, transmission: Transmission | None = None) -> dict[str, Any]:
+    """Return [controller]."""
+    law = _LAWS.get(type(controller))
+    if law is None:
+        raise JointFileError(
+            f"A joint file has no word for the controller {type(controller).__name__}; give a StateSpaceController."
+        )
+    ratio: float = getattr(controller, "ratio", 1.0)
+    seen = {"motor": 1.0} if transmission is None else {side: transmission.torque(side) for side in SIDES}
+    sides = [side for side, through in seen.items() if through == ratio]
+    if not sides:
+        raise JointFileError(
+            f"The controller's ratio is {ratio:g}; expected one of {', '.join(f'{r:g}' for r in seen.values())}, as "
+            "its joint's transmission has it."
+        )
+    side = {} if sides[0] == "motor" else {"side": sides[0]}
+    return {"law": law, **settings(controller, "ratio"), **side}
+
+
+def filtering_table(filtering: Filtering) -> dict[str, Any]:
+    """Return [filtering]."""
+    presets = [name for name, made in FILTERINGS.items() if name != "default" and filtering == made()]
+    return {"preset": presets[0]} if presets else settings(filtering)
+
+
+def method_table(method: Method, model: str) -> dict[str, Any]:
+    """Return [method] for a joint of that model."""
+    if isinstance(method, IDIM):
+        return {"name": "idim", **settings(method, "effects"), **_effects(method.effects)}
+    for name, of_closing in CLOSINGS.items():
+        if isinstance(method, of_closing):
+            lag = {"current_lag": "estimated"} if getattr(method, "current_lag", 0.0) is None else {}
+            return {"name": name, **settings(method), **lag}
+    if type(method) is not DIDIMS[model]:  # it would be read back as the other one
+        made = type(method).__name__
+        raise JointFileError(f"{made} is not for a {model} joint; use {DIDIMS[model].__name__}.")
+    return {"name": "didim", **settings(method)}
+
+
+def _effects(effects: tuple[Effect, ...]) -> dict[str, Any]:
+    """Return the keys of [method] that say the same as IDIM's effects."""
+    found: dict[str, Any] = {}
+    for effect in effects:
+        match effect:
+            case PositionHarmonics(side="motor") if "harmonics" not in found and "drift" not in found:
+                found |= {"harmonics": effect.harmonics} | ({"period": effect.period} if effect.period else {})
+            case Drift(side="motor") if "drift" not in found:
+                found["drift"] = effect.of
+            case _:
+                raise JointFileError(
+                    "A joint file has words for one PositionHarmonics, then one Drift, both on the motor's side; "
+                    f"received {', '.join(map(repr, effects))}."
+                )
+    return found
+
+
+def parameter_table(parameter: Parameter, model: Parameter) -> dict[str, Any] | float:
+    """Return [parameters.name] for a parameter that is `model`'s, changed; a bare number where that is all."""
+    bounds = {key: getattr(parameter, key) for key in ("lower", "upper")}
+    table = {key: float(value) for key, value in bounds.items() if value != getattr(model, key)}
+    if parameter.free:
+        return table if parameter.start is None else {"start": float(parameter.start), **table}
+    value = float(parameter.start or 0.0)
+    return {"value": value, **table} if table else value
+
+
+def _default(field: Field[Any]) -> Any:
+    if field.default_factory is not MISSING:
+        return field.default_factory()
+    return None if field.default is MISSING else field.default
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as TOML has it."""
+    if isinstance(value, DigitalFilter):  # without its denominator it would be read as a mere numerator
+        return {"numerator": list(value.numerator), "denominator": list(value.denominator)}
+    if isinstance(value, Resampling) or type(value) in _KINDS:
+        kind = _KINDS.get(type(value))
+        return {**({} if kind is None else {"kind": kind}), **settings(value)}
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return str(value) if isinstance(value, str) else value

@@ -1,0 +1,205 @@
+"""A joint file checked as a whole, and what is wrong with it said at once.
+
+A file with faults is checked as far as it goes: every table, channel and parameter that is right in itself still
+takes part in the checks that need several of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Self, TypeVar
+
+from pydantic import ValidationError
+
+from jointid.common.errors import JointFileError
+from jointid.config.channels import channel_faults, reachable
+from jointid.config.consistency import free_faults, gravity_refusal, method_faults, parameter_faults, record_faults
+from jointid.config.gearing import TransmissionTable, side_faults, transmission_faults
+from jointid.config.laws import LAWS, LawTable
+from jointid.config.mechanics import GravityTable, JointTable
+from jointid.config.record_table import ChannelsTable, ChannelTable, DriveTable
+from jointid.config.schema import DIDIMS, FileTable, MethodTable, ParameterTable, RunTable, TogetherTable
+from jointid.config.table import Table, sentences
+from jointid.models.controllers import Controller
+from jointid.models.parameters import Kind
+from jointid.models.transmission import Side
+from jointid.records.drives.drive import Drive
+from jointid.records.record import CHANNELS
+
+T = TypeVar("T", bound=Table)
+
+_MOST = 1000  # keys of a table, records of a file
+
+_KINDS: tuple[Kind, ...] = ("prismatic", "revolute")
+
+
+def checked(raw: Mapping[str, Any]) -> FileTable:
+    """Return the tables of a joint file, given as `tomllib` reads them.
+
+    Raises:
+        JointFileError: with one sentence for each fault.
+    """
+    faults = list(_crowded(raw))
+    if faults:  # each of so many would be a sentence
+        raise JointFileError(faults)
+    try:
+        file = FileTable.model_validate(raw)
+    except ValidationError as error:
+        faults += sentences(error)
+    faults += _Draft.of(raw).faults()
+    if faults:
+        raise JointFileError(faults)
+    return file
+
+
+@dataclass(frozen=True, slots=True)
+class _Draft:
+    """What of a joint file is right in itself; what is not is None, or left out.
+
+    Attributes:
+        joint: what is identified.
+        gravity: of its load.
+        heavy: whether the file has gravity, right or not.
+        kinds: its kind; every kind, while that is not known.
+        model: its model, while that is known.
+        transmission: between motor and load.
+        geared: whether there is one, right or not.
+        channels: the channels that are right.
+        named: names of those and of the others, and of those that the drive's profile may find.
+        drive: whose traces the channels are.
+        law: the controller's table.
+        controlled: whether the file has a controller, right or not.
+        method: how to identify.
+        parameters: the parameters that are right.
+        bare: names of those that are given by a bare number.
+        runs: the records that are identified together and are right, by their place.
+        together: how they are.
+    """
+
+    joint: JointTable | None
+    gravity: GravityTable | None
+    heavy: bool
+    kinds: Collection[Kind]
+    model: str | None
+    transmission: TransmissionTable | None
+    geared: bool
+    channels: Mapping[str, ChannelTable]
+    named: Collection[str]
+    drive: Drive | None
+    law: LawTable | None
+    controlled: bool
+    method: MethodTable | None
+    parameters: Mapping[str, ParameterTable]
+    bare: Collection[str]
+    runs: Mapping[int, RunTable]
+    together: TogetherTable | None
+
+    @classmethod
+    def of(cls, raw: Mapping[str, Any]) -> Self:
+        kind, controller = _table(raw, "joint").get("kind"), raw.get("controller")
+        drives = _part(DriveTable, raw.get("drive", {}))
+        drive = drives.drive() if drives else None
+        channels, parameters = _table(raw, "record", "channels"), _table(raw, "parameters")
+        law = next(filter(None, (_part(law, controller) for law in LAWS)), None)
+        return cls(
+            joint=_part(JointTable, raw.get("joint")),
+            gravity=_part(GravityTable, raw.get("gravity")),
+            heavy="gravity" in raw,
+            kinds=[known for known in _KINDS if known == kind] or _KINDS,
+            model=_model(raw.get("joint")),
+            transmission=_part(TransmissionTable, raw.get("transmission")),
+            geared="transmission" in raw,
+            channels={
+                name: getattr(table, name)
+                for name, value in channels.items()
+                if (table := _part(ChannelsTable, {name: value}))
+            },
+            # Of a drive that is wrong nobody knows which channels its profile finds.
+            named=reachable(channels, drive) if drive is not None else CHANNELS,
+            drive=drive,
+            law=law,
+            controlled=controller is not None,
+            method=_part(MethodTable, raw.get("method", {})),
+            parameters={
+                name: parameter for name, value in parameters.items() if (parameter := _part(ParameterTable, value))
+            },
+            bare=[name for name, value in parameters.items() if not isinstance(value, dict)],
+            runs={k: run for k, value in enumerate(_list(raw, "records")) if (run := _part(RunTable, value))},
+            together=_part(TogetherTable, raw.get("together", {})),
+        )
+
+    @property
+    def controller(self) -> Controller | None:
+        """The controller's law."""
+        return self.law.controller() if self.law else None
+
+    @property
+    def _sides(self) -> Mapping[str, Side]:
+        """The sides that are named, by their tables."""
+        named = {f"record.channels.{name}": table.side for name, table in self.channels.items() if table.side}
+        law = self.law
+        return named | ({"controller": law.side} if law and "side" in law.model_fields_set else {})
+
+    def faults(self) -> Iterator[str]:
+        """Yield what is wrong between the tables."""
+        if self.transmission is not None:
+            yield from transmission_faults(self.transmission, self.kinds)
+        elif not self.geared:
+            yield from side_faults(self._sides)
+        # Behind a transmission that is not right, a motor may move in any way.
+        kinds = _KINDS if self.geared and not self.transmission else self.kinds
+        yield from channel_faults(self.channels, kinds, self.transmission, self.drive)
+        if self.method is not None:
+            yield from method_faults(self.method, self.named, self.controller, self.controlled, self.model)
+            yield from free_faults("method.free", self.method.free, self.controller)
+        refused = None if self.joint is None else gravity_refusal(self.joint, self.gravity)
+        if refused:
+            yield f"gravity{refused}"
+        # Of a gravity that is wrong nobody knows which parameters it has.
+        model = None if refused or (self.heavy and self.gravity is None) else self.joint
+        if model is not None:
+            yield from parameter_faults(model, self.gravity, self.parameters, self.bare)
+        yield from record_faults(model, self.gravity, self.controller, self.controlled, self.runs)
+        if self.together is not None:
+            yield from free_faults("together.free", self.together.free, self.controller)
+
+
+def _crowded(raw: Mapping[str, Any], where: str = "The joint file") -> Iterator[str]:
+    """Yield the tables that have more keys, and the lists that have more tables, than anyone writes."""
+    if len(raw) > _MOST:
+        yield f"{where} has {len(raw)} keys; expected at most {_MOST}: is it another kind of file?"
+        return
+    for key, value in raw.items():
+        if isinstance(value, dict):
+            yield from _crowded(value, key)
+        elif isinstance(value, list) and len(value) > _MOST and isinstance(value[0], dict):
+            yield f"{key} lists {len(value)} tables; expected at most {_MOST}: split the joint file."
+
+
+def _part(model: type[T], raw: object) -> T | None:
+    """Return a table that is right in itself, None for one that is not."""
+    try:
+        return model.model_validate(raw)
+    except ValidationError:
+        return None
+
+
+def _model(joint: object) -> str | None:
+    """Return the model that [joint] names, right otherwise or not; None for a model that there is not."""
+    named = joint.get("model", "rigid") if isinstance(joint, dict) else None
+    return next((model for model in DIDIMS if model == named), None)
+
+
+def _table(raw: Mapping[str, Any], *path: str) -> Mapping[str, Any]:
+    """Return the raw table at a path, empty if there is none."""
+    for key in path:
+        below = raw.get(key)
+        raw = below if isinstance(below, dict) else {}
+    return raw
+
+
+def _list(raw: Mapping[str, Any], key: str) -> list[Any]:
+    """Return the raw list at a key, empty if there is none."""
+    found = raw.get(key)
+    return found if isinstance(found, list) else []

@@ -1,0 +1,219 @@
+"""What laws are made of: columns in which they are linear, their filters and clocks given.
+
+With e = r - q, the filtered difference v = F D q, F the velocity's filter and S a sum over time, the torque of every
+law of `structures` is::
+
+    u = T(z) (a1 e + a2 v + a3 D r + a4 F D r + a5 S e + a6 r + a7 F q + a8 w + a9 S w
+              + a10 D r + a11 D D r + a12 sign(D r) + a13)
+
+w the record's own reference velocity, T(z) the torque's filter; e, w and the first D r, whose sum a6 is of, are held
+by a slower position loop. Each law has some of the coefficients, or ties them: a cascade with an integral is
+``kv (1 + ki S) (kp e + f D r - v)``, linear in ``kv kp``, ``kv f`` and ``kv`` for a given ki.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.controller_id.loop_record import Watched
+from jointid.controller_id.noise import seen_from
+from jointid.controller_id.structures import (
+    ACCELERATION,
+    COULOMB,
+    FIELDS,
+    INTEGRAL,
+    VELOCITY,
+    Structure,
+    filters_of,
+)
+from jointid.controller_id.structures import CONSTANT as BALANCE
+from jointid.models.controllers import DIRECTION, INJECTED, POSITION, REFERENCE, REFERENCE_VELOCITY
+from jointid.models.controllers.filters import Filter, as_filter
+from jointid.records.record import Timing
+
+_LEAD = 64  # samples of straight motion before the first, in which the filters settle
+_ROUNDING = 1e-14  # of the reference
+_SLOPE = 5  # samples that tell how fast that is
+
+_ERROR, _SPEED, _FED, _FED_FILTERED, _SUM, _COMMAND, _FILTERED, _CHANNEL, _CHANNEL_SUM, *_BESIDE = range(13)
+_VISCOUS, _BENT, _SIGN, _ONE = _BESIDE
+EVERY = np.eye(13)
+"""All coefficients free."""
+
+
+def columns(watched: Watched, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
+    """Return what the coefficients of the module's equation are of, as the log would show it, (samples, 13).
+
+    Args:
+        watched: the record.
+        structure: of the law: its filters and clocks.
+        numbers: of the filters, and of the reference's delay.
+
+    Raises:
+        MethodError: the filters cannot be.
+    """
+    rate, period = structure.rate, watched.period / structure.rate
+    lead, slope = _LEAD * rate, _SLOPE * rate
+    inputs = watched.inputs(rate, structure.curved)
+    r, q = (_led(inputs[:, i] - inputs[0, POSITION], lead, slope) for i in (REFERENCE, POSITION))
+    r = _delayed(r, numbers.get("reference_delay", 0.0) / period)
+    velocity, torque = filters_of(structure, numbers)
+    filtered = _passed(velocity, np.column_stack([q, r]), period)
+    speed = _rate(filtered, period)
+    e, fed = r - q, _rate(r, period)
+    w, direction = (np.concatenate([np.full(lead, x[0]), x]) for x in inputs[:, [REFERENCE_VELOCITY, DIRECTION]].T)
+    w, direction = (_delayed(one, numbers.get("reference_delay", 0.0) / period) for one in (w, direction))
+    viscous, bent = fed, _rate(fed, period)
+    # Between two samples that lines join nothing is bent: what is left is rounding, and must not be a column.
+    bent[np.abs(bent) < _ROUNDING * np.max(np.abs(r)) / period**2] = 0.0
+    if structure.every > 1:  # the lead is a whole number of the slower loop's periods
+        at = np.arange(r.size)
+        last = np.maximum(at - (at - structure.offset) % structure.every, 0)
+        fed = (r[last] - r[np.maximum(last - structure.every, 0)]) / (structure.every * period)
+        e, w = e[last], w[last]
+    e_sum, fed_sum, speed_sum, w_sum = (_summed(one, lead) * period for one in (e, fed, speed[:, 0], w))
+    found = np.column_stack([
+        e, speed[:, 0], fed, speed[:, 1], e_sum, fed_sum, speed_sum, w, w_sum,
+        viscous, bent, direction, np.ones(r.size),
+    ])  # fmt: skip
+    return _shown(watched, _passed(torque, found, period)[lead:], rate)
+
+
+def injected(watched: Watched, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
+    """Return what the log would show of what is injected before the limit, (samples, 1)."""
+    rate, (_, torque) = structure.rate, filters_of(structure, numbers)
+    signal = watched.inputs(rate, structure.curved)[:, [INJECTED]]
+    return _shown(watched, _passed(torque, signal, watched.period / rate), rate)
+
+
+def _shown(watched: Watched, signals: FloatArray, rate: int) -> FloatArray:
+    """Return what the log shows of signals of the law, (samples, signals)."""
+    assert watched.record.torque is not None
+    if watched.record.torque.timing is not Timing.AVERAGED:
+        return signals[::rate]
+    means = signals.reshape(-1, rate, signals.shape[1]).mean(axis=1)
+    return np.concatenate([means[:1], means[:-1]])
+
+
+def response(watched: Watched, structure: Structure, numbers: Mapping[str, float], gains: FloatArray) -> FloatArray:
+    """Return |G| from the position's error to the torque, (frequencies,), times the shape of that error's spectrum.
+
+    A position loop N times slower than the velocity loop holds what it has read: of an error's frequency f it hears
+    ``H(f) / N``, H = 1 + z^-1 + ... of N terms, and as much of the N - 1 others that look alike to it. Where the loop
+    is faster than the log, the position loop is taken to be as fast as the velocity loop.
+
+    Args:
+        watched: the record.
+        structure: of the law: its filters and clocks.
+        numbers: of the filters.
+        gains: the coefficients.
+    """
+    period, filters = watched.period / structure.rate, filters_of(structure, numbers)
+    held = structure.every if structure.rate == 1 else 1
+
+    def slope_of(back: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        slope = (1.0 - back) / period
+        return np.where(slope == 0.0, 1e-300, slope)
+
+    def outer(hertz: FloatArray) -> NDArray[np.complex128]:
+        back = np.exp(-2j * np.pi * hertz * period)
+        holding = np.polyval(np.ones(held), back) / held
+        return np.asarray(
+            -_at(filters[1], back, period) * holding * (gains[_ERROR] + gains[_SUM] * back / slope_of(back))
+        )
+
+    def whole(hertz: FloatArray) -> NDArray[np.complex128]:
+        back = np.exp(-2j * np.pi * hertz * period)
+        velocity, torque = (_at(one, back, period) for one in filters)
+        inner = gains[_SPEED] * slope_of(back) + gains[_FILTERED] * back
+        return np.asarray(torque * velocity * inner + outer(hertz))
+
+    seen = seen_from(whole, watched.period, watched.samples, structure.rate) * watched.error.shape
+    if held == 1:
+        return seen
+    alike = watched.error.alike(held)
+    return np.hypot(seen, seen_from(outer, watched.period, watched.samples, structure.rate) * alike)
+
+
+def parts_of(structure: Structure, ki: float) -> dict[str, FloatArray]:
+    """Return what each gain of a law is a coefficient of, as combinations of the columns.
+
+    Args:
+        structure: of the law.
+        ki: of a cascade.
+    """
+    inner = ki if structure.cascade else 0.0
+    fed = {"channel": EVERY[_CHANNEL] + inner * EVERY[_CHANNEL_SUM]}.get(
+        structure.reference_velocity, EVERY[_FED] + inner * EVERY[_COMMAND]
+    )
+    speed = -EVERY[_SPEED] - inner * EVERY[_FILTERED]
+    parts = {"kp": EVERY[_ERROR] + inner * EVERY[_SUM]}
+    if structure.cascade:
+        parts["kv"] = speed + (fed if structure.reference_velocity == "full" else 0.0)
+        if structure.reference_velocity in ("share", "channel"):
+            parts["velocity_feedforward"] = fed
+    else:
+        own = {"difference": EVERY[_FED_FILTERED], "channel": EVERY[_CHANNEL]}
+        parts["kd"] = speed + own.get(structure.reference_velocity, 0.0)
+        if structure.integrates:
+            parts["ki"] = EVERY[_SUM]
+    beside = {VELOCITY: _VISCOUS, ACCELERATION: _BENT, COULOMB: _SIGN, BALANCE: _ONE}
+    parts |= {FIELDS[name]: EVERY[i] for name, i in beside.items() if name in structure.feedforward}
+    return parts | ({INTEGRAL: EVERY[_ONE]} if structure.integrates else {})
+
+
+def combined(structure: Structure, numbers: Mapping[str, float], gain: float) -> FloatArray:
+    """Return the coefficients of a law, in torque.
+
+    Args:
+        structure: of the law.
+        numbers: all of them.
+        gain: torque per controller unit.
+    """
+    known = dict(numbers)
+    if structure.cascade:
+        known["kp"] *= known["kv"]
+        known["velocity_feedforward"] = known["kv"] * known.get("velocity_feedforward", 0.0)
+    parts = parts_of(structure, known.get("ki", 0.0))
+    return np.asarray(gain * sum(known[name] * part for name, part in parts.items()))
+
+
+def _led(signal: FloatArray, lead: int, slope: int) -> FloatArray:
+    """Return a signal with a straight line before it, as it begins."""
+    rate = (signal[slope] - signal[0]) / slope
+    return np.concatenate([signal[0] + rate * np.arange(-lead, 0), signal])
+
+
+def _delayed(signal: FloatArray, periods: float) -> FloatArray:
+    at = np.arange(signal.size)
+    return np.asarray(np.interp(at - periods, at, signal)) if periods else signal
+
+
+def _rate(signal: FloatArray, period: float) -> FloatArray:
+    return np.asarray(np.diff(signal, axis=0, prepend=signal[:1]) / period)
+
+
+def _summed(signal: FloatArray, lead: int) -> FloatArray:
+    """Return the sums of the earlier values from the first sample on, where an integral's content is reckoned."""
+    sums = np.concatenate([[0.0], np.cumsum(signal[:-1])])
+    return np.asarray(sums - sums[lead])
+
+
+def _passed(one: Filter | Sequence[float], signals: FloatArray, period: float) -> FloatArray:
+    """Return signals, (periods, signals), behind a filter that has seen their first values for ever."""
+    from scipy.signal import lfilter, lfilter_zi
+
+    b, a = as_filter(one).coefficients(period)
+    if len(b) == len(a) == 1:
+        return np.asarray(signals * (b[0] / a[0]))
+    settled = lfilter_zi(b, a)[:, np.newaxis] * signals[:1]
+    return np.asarray(lfilter(b, a, signals, axis=0, zi=settled)[0])
+
+
+def _at(one: Filter | Sequence[float], back: FloatArray, period: float) -> FloatArray:
+    b, a = as_filter(one).coefficients(period)
+    return np.asarray(np.polyval(b[::-1], back) / np.polyval(a[::-1], back))

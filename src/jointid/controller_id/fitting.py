@@ -1,0 +1,199 @@
+"""One structure, fitted: its numbers where the whitened residual is smallest, by Gauss and Newton."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.controller_id.columns import combined, response
+from jointid.controller_id.loop_record import Watched
+from jointid.controller_id.noise import Noise, noise_of
+from jointid.controller_id.structures import INTEGRAL, Structure, bounds, controller
+from jointid.models.controllers import Controller, SampledLaw
+
+_STEP = 1e-5  # of a number, for its difference
+_ENOUGH = 1e-7  # of the cost: a smaller improvement ends the search
+_HALVINGS = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """A structure with its numbers.
+
+    Attributes:
+        structure: of the law.
+        numbers: those the structure leaves open.
+        cost: sum of the squares of the whitened residual.
+        noise: it was whitened by.
+    """
+
+    structure: Structure
+    numbers: dict[str, float]
+    cost: float
+    noise: Noise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Task:
+    """What laws are fitted to: a record, and the gain of the drive's chain.
+
+    Attributes:
+        watched: the record.
+        gain: torque per controller unit.
+    """
+
+    watched: Watched
+    gain: float
+
+    def stretch(self, samples: int) -> Task:
+        """Return the same task on so many samples, where the reference is accelerated most."""
+        return Task(self.watched.stretch(samples), self.gain)
+
+    def controller(self, structure: Structure, numbers: Mapping[str, float]) -> Controller:
+        """Return a law."""
+        return controller(structure, numbers, self.watched.period, self.gain)
+
+    def law(self, structure: Structure, numbers: Mapping[str, float]) -> SampledLaw:
+        """Return a law as it is run."""
+        return self.controller(structure, numbers).law(self.watched.period)
+
+    def residual(self, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
+        """Return logged less predicted torque, (samples,), 0 where it is left out."""
+        law = self.law(structure, numbers)
+        predicted = self.watched.predicted(law, numbers.get(INTEGRAL, 0.0) * self.gain, structure.curved)
+        return (self.watched.torque - predicted) * self.watched.kept
+
+    def response(self, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
+        """Return the magnitude of a law's response to the position at the residual's frequencies."""
+        return response(self.watched, structure, numbers, combined(structure, numbers, self.gain))
+
+    def whitened(self, structure: Structure, numbers: Mapping[str, float], noise: Noise) -> FloatArray:
+        """Return the residual made white by a noise, (samples,)."""
+        error = self.residual(structure, numbers)
+        seen = self.response(structure, numbers) if noise.position else np.zeros(error.size // 2 + 1)
+        return np.fft.irfft(np.fft.rfft(error) * noise.weights(seen), error.size)
+
+    def noise(self, structure: Structure, numbers: Mapping[str, float]) -> Noise:
+        """Return the noise that explains what a law leaves."""
+        watched, left = self.watched, self.residual(structure, numbers)
+        return noise_of(
+            left, self.response(structure, numbers), watched.torque, watched.kept, watched.error.most, watched.heard
+        )
+
+    def slopes(self, structure: Structure, x: FloatArray, base: FloatArray, noise: Noise) -> FloatArray:
+        """Return the derivatives of the whitened residual by the numbers, (samples, numbers), by differences."""
+        names, period = structure.names, self.watched.period
+        J = np.empty((base.size, x.size))
+        for i, name in enumerate(names):
+            high = bounds(name, period, structure.rate)[1]
+            step = _STEP * max(abs(x[i]), self._size(name, x, names))
+            step = -step if x[i] + step > high else step
+            moved = x.copy()
+            moved[i] += step
+            J[:, i] = (self.whitened(structure, dict(zip(names, moved, strict=True)), noise) - base) / step
+        return J
+
+    def _size(self, name: str, x: FloatArray, names: tuple[str, ...]) -> float:
+        """Return what the smallest change of a number is reckoned from, in its own units; what is 0 needs one."""
+        period, cascade = self.watched.period, names[1] == "kv"
+        gain = abs(float(x[0] * x[1] if cascade else x[0])) or 1.0  # controller units per m
+        rate = abs(float(x[1])) or gain * period  # controller units per m/s
+        force = float(np.max(np.abs(self.watched.torque))) / self.gain
+        sizes = {
+            INTEGRAL: force, "constant_feedforward": force, "coulomb_feedforward": force, "limit": force,
+            "kd": rate, "kv": rate, "viscous_feedforward": rate, "acceleration_feedforward": 1e-2 * rate,
+            "time_constant": period, "reference_delay": period, "frequency": 1e-2 / period, "bandwidth": 1e-2 / period,
+        }  # fmt: skip
+        return sizes.get(name.rpartition(".")[2], 1.0 if cascade or not name.startswith("k") else gain)
+
+
+def fit(task: Task, structure: Structure, start: Mapping[str, float], noise: Noise, steps: int = 8) -> Fitted | None:
+    """Return a structure's numbers of least cost near a start; None where the law cannot be, or runs away.
+
+    Args:
+        task: what is fitted to.
+        structure: of the law.
+        start: its numbers.
+        noise: what the residual is whitened by.
+        steps: at most.
+    """
+    names, period = structure.names, task.watched.period
+    limits = np.array([bounds(name, period, structure.rate) for name in names])
+    x = np.clip(np.array([start[name] for name in names], dtype=np.float64), limits[:, 0], limits[:, 1])
+    try:
+        white = task.whitened(structure, dict(zip(names, x, strict=True)), noise)
+        cost = float(white @ white)
+        for _ in range(steps):
+            before = cost
+            J = task.slopes(structure, x, white, noise)
+            x, white, cost = _step(task, structure, x, white, J, noise, limits)
+            if not math.isfinite(cost):
+                return None
+            if before - cost <= _ENOUGH * before:
+                break
+    except MethodError:
+        return None
+    return Fitted(structure, dict(zip(names, map(float, x), strict=True)), cost, noise)
+
+
+def outside_faster(task: Task, one: Fitted) -> Fitted:
+    """Return a P-PI on the reference's full velocity with the larger of its two rates as kp; another as it is.
+
+    Its kp and ki are the two roots of one equation, ``kv (kp + ki)``, ``kv (1 - ki T)`` and ``kv kp ki`` being what the
+    torque follows: exchanged, with another kv, they are the same law. Position loops are made faster than integrals.
+    """
+    structure, known = one.structure, one.numbers
+    plain = structure.velocity_filter == "none" and structure.every == 1
+    if not (structure.law == "P-PI" and structure.reference_velocity == "full" and plain and known["kp"] < known["ki"]):
+        return one
+    kp, kv, ki, period = known["kp"], known["kv"], known["ki"], task.watched.period / structure.rate
+    # What the other root is follows from the product and the sum of both, each with its own kv.
+    proportional, slope, integral = kv * (kp + ki), kv * (1.0 - ki * period), kv * kp * ki
+    other = integral / ((slope + proportional * period) * ki)
+    gain = slope / (1.0 - other * period)
+    found = known | {"kp": integral / (gain * other), "kv": gain, "ki": other}
+    return fit(task, structure, found, one.noise) or one
+
+
+def _step(
+    task: Task,
+    structure: Structure,
+    x: FloatArray,
+    white: FloatArray,
+    J: FloatArray,
+    noise: Noise,
+    limits: FloatArray,
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return numbers, residual and cost after one step; those of before where none is better."""
+    cost, names = float(white @ white), structure.names
+    change = _change(J, white, x, limits)
+    share = 1.0
+    for _ in range(_HALVINGS):
+        tried = np.clip(x + share * change, limits[:, 0], limits[:, 1])
+        after = task.whitened(structure, dict(zip(names, tried, strict=True)), noise)
+        if (new := float(after @ after)) < cost:
+            return tried, after, new
+        share *= 0.25
+    return x, white, cost
+
+
+def _change(J: FloatArray, white: FloatArray, x: FloatArray, limits: FloatArray) -> FloatArray:
+    """Return Gauss and Newton's step; a number that would leave its bounds at once stays there."""
+    free = np.ones(x.size, dtype=np.bool_)
+    norms = np.linalg.norm(J, axis=0)
+    norms = np.where(norms > 0, norms, 1.0)
+    scaled = J / norms
+    normal, right = scaled.T @ scaled, -scaled.T @ white
+    for _ in range(x.size):
+        change = np.zeros(x.size)
+        change[free] = np.linalg.lstsq(normal[np.ix_(free, free)], right[free], rcond=1e-13)[0] / norms[free]
+        stuck = free & (((x <= limits[:, 0]) & (change < 0)) | ((x >= limits[:, 1]) & (change > 0)))
+        if not np.any(stuck):
+            break
+        free &= ~stuck
+    return change

@@ -1,0 +1,199 @@
+"""The verb: a record in, the law that made its torque out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.progress import Progress, silent
+from jointid.controller_id.fitting import Fitted, Task, outside_faster
+from jointid.controller_id.learned import Alternative, LearnedLoop, LearnedNumber
+from jointid.controller_id.limitations import ALIKE, equivalents, untold
+from jointid.controller_id.loop_record import watched
+from jointid.controller_id.search import Rival, search
+from jointid.models.controllers import Controller, begun_later, numbers_of, with_numbers
+from jointid.models.transmission import Transmission
+from jointid.records.record import Record
+from jointid.uncertainty.covariance import Covariance, covariance_of, larger, robust
+
+SAME = 1e-5  # of the torque's rms: laws that differ by less are one equation
+_GAINS = ("kp", "kv", "kd", "time_constant", "frequency")  # the last two of filters
+_EXPLAINED = 0.5  # of the torque: what leaves more is no law of this record
+
+
+def learn_loop(
+    record: Record,
+    *,
+    gain: float = 1.0,
+    transmission: Transmission | None = None,
+    declared: Controller | None = None,
+    progress: Progress = silent,
+) -> LearnedLoop:
+    """Learn the controller from a record that has its reference, the motor position and the torque.
+
+    The law is applied to the logged reference and position, and its torque compared with the logged one: no joint is
+    needed. The numbers are those of maximum likelihood with errors in torque and position (see `noise`), the
+    structure that of the least Schwarz criterion (see `search`). From then on torque and reference are enough.
+
+    Args:
+        record: with torque, reference and motor_position, the torque's sample time that of the log.
+        gain: torque per controller unit, of the drive's chain: gains and limit come out in controller units.
+        transmission: of the joint, on whose side the record is; [controller] then says which side that is.
+        declared: a controller whose limit and delay are kept where the record does not show them.
+        progress: is told each structure that a search goes through.
+
+    Raises:
+        RecordError: a channel is missing, too short, or does not move.
+        MethodError: the gain is not positive, or no law that is searched for explains half of the torque, or the best
+            one's gains are not told.
+
+    Limits of validity: a position loop slower than the log by 2, 4 or 8, or a whole loop faster by 2 to 16; a delay of
+    the log of whole samples. An integral, a feed-forward or a delay that carries less than 0.1 % of the torque is taken
+    for none. What stays unknown is said in `LearnedLoop.sentences`.
+
+    Example:
+        >>> import jointid as ji, numpy as np
+        >>> loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(kp=60.0, kv=500.0))
+        >>> reference = ji.trapezoids([0.1, 0.3], 2.0, 0.2, 1e-3, 0.1, 8.0)
+        >>> values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 0.0}
+        >>> noise = 0.02 * np.random.default_rng(0).standard_normal(reference.size)
+        >>> record = ji.simulated_record(
+        ...     loop, reference, values, sample_time=1e-3, torque_noise=noise, encoder_step=1e-7
+        ... )
+        >>> ji.learn_loop(record).words
+        'P-P'
+    """
+    if not (math.isfinite(gain) and gain > 0):
+        raise MethodError(f"The gain of a drive's chain is a positive number; received {gain}.")
+    task = Task(watched(record), gain)
+    found = search(task, progress)
+    _require_explained(task, found.best, record.name)
+    return _answer(task, outside_faster(task, found.best), found.rivals, transmission, declared)
+
+
+def _require_explained(task: Task, best: Fitted, name: str) -> None:
+    """Raise a `MethodError` where the best law is none."""
+    residual, torque = task.residual(best.structure, best.numbers), task.watched.torque
+    share = float(np.sqrt(np.mean(residual**2) / np.mean(torque**2)))
+    blind = task.law(best.structure, best.numbers).stiffness == 0.0
+    if blind or share > _EXPLAINED or not np.any(best.noise.heard[1:]):
+        answers = ", does not look at the position and" if blind else ","
+        raise MethodError(
+            f"No law that is searched for gives the torque of {name}: the best, {best.structure.words}{answers} leaves "
+            f"{100 * share:.3g} % of it. Check units, signs and sides of torque, reference and motor_position, and log "
+            "them as fast as the controller runs; or declare the law."
+        )
+
+
+def _require_told(task: Task, best: Fitted, known: Covariance) -> None:
+    """Raise a `MethodError` where a gain or a filter could as well be 0: then the law is made of what was left over."""
+    open_ones = [
+        f"{name} {value:.3g} +- {2 * std:.2g}"
+        for (name, value), std in zip(best.numbers.items(), known.std, strict=True)
+        if name.rpartition(".")[2] in _GAINS and not 2 * std < value
+    ]
+    if open_ones:
+        raise MethodError(
+            f"No law that is searched for gives the torque of {task.watched.record.name}: the best, "
+            f"{best.structure.words}, leaves open what its numbers are ({', '.join(open_ones)} at 2 sigma). Use a "
+            "record with a livelier motion, check units, signs and sides of its channels, or declare the law."
+        )
+
+
+def _kept(made: Controller, declared: Controller | None) -> tuple[Controller, tuple[str, ...]]:
+    """Return a law with the limit and the delay that are declared and that it does not say, and a sentence on them."""
+    said = {} if declared is None else numbers_of(declared)
+    open_ones = {"limit": math.inf, "delay": 0.0}
+    own = numbers_of(made)
+    kept = {n: said[n] for n, free in open_ones.items() if n in said and own.get(n) == free != said[n]}
+    if not kept:
+        return made, ()
+    names = " and ".join(f"{name} = {value:g}" for name, value in kept.items())
+    return with_numbers(made, kept), (f"As declared, and not from this record: {names}.",)
+
+
+def _answer(
+    task: Task,
+    best: Fitted,
+    rivals: tuple[Rival, ...],
+    transmission: Transmission | None,
+    declared: Controller | None,
+) -> LearnedLoop:
+    record, period = task.watched.record, task.watched.period
+    assert record.torque is not None and record.motor_position is not None
+    known = covariance(task, best)
+    _require_told(task, best, known)
+    made, said = _kept(_made(task, best), declared)
+    residual = task.residual(best.structure, best.numbers)
+    rms = float(np.sqrt(np.sum(residual**2) / np.sum(task.watched.kept)))
+    others = tuple(_alternative(task, rival) for rival in rivals)
+    named = tuple(other.words for other in others if other.apart < SAME)
+    alike = tuple(r.fitted.structure for r, o in zip(rivals, others, strict=True) if o.alike and o.apart >= SAME)
+    heard = np.flatnonzero(best.noise.heard)
+    return LearnedLoop(
+        controller=made,
+        words=best.structure.words,
+        numbers=tuple(
+            LearnedNumber(name, value, float(std))
+            for (name, value), std in zip(best.numbers.items(), known.std, strict=True)
+        ),
+        correlation=known.correlation,
+        equivalent=(*equivalents(best.structure), *named),
+        alternatives=others,
+        sentences=(*untold(task, best, alike), *said),
+        rms=rms,
+        share=rms / float(np.sqrt(np.mean(task.watched.torque**2))),
+        torque_noise=math.sqrt(best.noise.torque),
+        position_noise=math.sqrt(best.noise.position),
+        band=float(heard[-1]) / (task.watched.samples * period) if heard.size else 0.0,
+        residual=residual,
+        torque_unit=record.torque.unit,
+        position_unit=record.motor_position.unit,
+        record=record.name,
+        transmission=transmission,
+        resampled=record.resampled,
+    )
+
+
+def _made(task: Task, one: Fitted) -> Controller:
+    """Return a law that counts from the first sample of the record's file, as controllers do."""
+    return begun_later(task.controller(one.structure, one.numbers), -task.watched.record.begin)
+
+
+def _alternative(task: Task, rival: Rival) -> Alternative:
+    one = rival.fitted
+    made = _made(task, one)
+    alike = rival.worse < ALIKE or rival.apart < SAME
+    return Alternative(one.structure.words, made, rival.worse, rival.apart, alike)
+
+
+def covariance(task: Task, best: Fitted) -> Covariance:
+    """Return the covariance of a law's numbers, robust against what colour and what uneven size remain."""
+    noise = task.noise(best.structure, best.numbers)
+    x = np.array(list(best.numbers.values()))
+    white = task.whitened(best.structure, best.numbers, noise)
+    J = -task.slopes(best.structure, x, white, noise)
+    return larger(robust(J, J, white), by_frequency(J, white))
+
+
+def by_frequency(J: FloatArray, white: FloatArray) -> Covariance:
+    """Return the covariance from the scores of each frequency alone.
+
+    An encoder's rounding stands still where the motor does, so that it is loudest where the motion is slow, as the
+    motion itself is: a spectrum that is smoothed, or a few neighbouring rows, would miss that. Heteroscedasticity
+    over frequencies needs neither (White 1980, of the real transform).
+
+    Args:
+        J: (samples, numbers), the sensitivities of the prediction.
+        white: (samples,) what remains.
+    """
+    norms = np.linalg.norm(J, axis=0)
+    norms = np.where(norms > 0, norms, 1.0)
+    products = np.fft.rfft(J / norms, axis=0).conj() * np.fft.rfft(white)[:, np.newaxis]
+    scores = 2.0 / white.size * np.real(products)
+    spread = np.linalg.pinv((J / norms).T @ (J / norms))
+    found = covariance_of(spread @ (scores.T @ scores) @ spread.T, 0)
+    return Covariance(found.std / norms, found.correlation, 0)

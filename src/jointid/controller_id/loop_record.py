@@ -1,0 +1,237 @@
+"""A record as a law sees it: what goes in, what came out, and the torque a law puts out for it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from itertools import product
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import RecordError
+from jointid.controller_id.informative_frequencies import heard
+from jointid.controller_id.noise import PositionError, position_error
+from jointid.controller_id.structures import LATE, RATES, SLOWER
+from jointid.models.controllers import (
+    INJECTED,
+    POSITION,
+    REFERENCE_VELOCITY,
+    Cascade,
+    Interpolation,
+    Ran,
+    SampledLaw,
+    run,
+)
+from jointid.records.encoder_step import step_of
+from jointid.records.record import InjectionPoint, Record, Tap, Timing
+from jointid.simulation.loop_input import at_period, known_memory, law_inputs
+
+_NEEDED = ("torque", "reference", "motor_position")
+_FEWEST = 500  # samples
+_BEGIN = 20  # samples that are left out: what the law's filters hold at the first one is only guessed
+_SETTLED = 100  # samples that are left out of a stretch, which begins in motion
+_PLATEAU = 3  # samples in a row at the top, to be a limit
+_ROUNDING = 1e-12  # of the torque: what is left of it when it is all injected
+_NEAR = 0.98  # of the plateau: what is above may have been cut
+_TOP = 6.0  # deviations of the log's noise within which a torque is at the top
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Watched:
+    """A record that a law can be applied to.
+
+    Attributes:
+        record: with torque, reference and motor position.
+        period: of the log, seconds.
+        torque: (samples,) less what was added after the limit, where the log contains it.
+        added: (samples,) what that was.
+        kept: (samples,) 1 where the residual counts, else 0.
+        plateau: the torque that the log stands at where it is largest; None where it never stands.
+        error: what is known of the position's.
+        heard: (frequencies,) 1 where the record tells of its law, else 0.
+    """
+
+    record: Record
+    period: float
+    torque: FloatArray
+    added: FloatArray
+    kept: FloatArray
+    plateau: float | None
+    error: PositionError
+    heard: FloatArray
+    _inputs: dict[tuple[int, bool], FloatArray] = field(default_factory=dict)
+
+    @property
+    def samples(self) -> int:
+        """Of the log."""
+        return self.torque.size
+
+    @property
+    def free(self) -> FloatArray:
+        """(samples,) 1 where the residual counts and the torque is at no limit, else 0."""
+        return self.kept * _below(self.torque, self.plateau)
+
+    def stretch(self, samples: int) -> Watched:
+        """Return so many samples of the record, those in which the reference is accelerated most."""
+        if samples >= self.samples:
+            return self
+        assert self.record.reference is not None
+        reference = at_period(self.record.reference, self.period, self.samples, "reference")
+        bent = np.concatenate([np.zeros(2), np.cumsum(np.diff(reference, 2) ** 2)])
+        begin = int(np.argmax(bent[samples:] - bent[:-samples]))
+        begin -= begin % max(SLOWER)  # a slower loop is in the same phase as on the whole record
+        kept = self.kept[begin : begin + samples].copy()
+        kept[:_SETTLED] = 0.0
+        rows = slice(begin, begin + samples)
+        inputs = {}
+        for rate, curved in ((1, False), *product(RATES, (False, True))):
+            window = slice(begin * rate, (begin + samples) * rate)
+            inputs[rate, curved] = self.inputs(rate, curved)[window].copy()
+            if rate > 1:  # the whole record is only asked for the rates of the laws that are judged on it
+                del self._inputs[rate, curved]
+        return _heard(self.record, self.torque[rows], self.added[rows], kept, self.plateau, inputs)
+
+    def inputs(self, rate: int, curved: bool) -> FloatArray:
+        """Return what a law with so many periods per sample reads, (periods, INPUTS)."""
+        if (rate, curved) not in self._inputs:
+            filled: Interpolation | None = "cubic" if curved else "linear" if rate > 1 else None
+            self._inputs[rate, curved] = _read(self.record, self.period, self.samples, rate, filled)
+        return self._inputs[rate, curved]
+
+    def ran(self, law: SampledLaw, content: float, curved: bool) -> Ran:
+        """Return what a law does with the record's reference and position; its integral begins with a torque."""
+        rate = round(self.period / law.period)
+        inputs = self.inputs(rate, curved)
+        position = inputs[: 5 * rate + 1, POSITION]
+        slope = (position[-1] - position[0]) / (5 * self.period)
+        state = known_memory(law, inputs) + law.memory(POSITION, float(position[0]), float(slope))
+        integral = law.integral()
+        if integral is not None:
+            state = state + integral * content
+        return run(law, inputs, state)
+
+    def predicted(self, law: SampledLaw, content: float = 0.0, curved: bool = False) -> FloatArray:
+        """Return the torque that the log would show of a law, (samples,).
+
+        Args:
+            law: the law.
+            content: torque that its integral holds at the first sample.
+            curved: whether the reference is filled in by cubics between the log's samples.
+        """
+        rate = round(self.period / law.period)
+        ran = self.ran(law, content, curved)
+        output = ran.tapped if self.record.tap is Tap.COMMAND else ran.output
+        assert self.record.torque is not None
+        if self.record.torque.timing is not Timing.AVERAGED:
+            shown = np.asarray(output[::rate])
+        else:
+            means = output.reshape(-1, rate).mean(axis=1)
+            shown = np.concatenate([means[:1], means[:-1]])
+        late = round(law.delay / self.period)
+        # What was added behind the limit is as late in the log as the output it was added to.
+        return later(shown + self.added, late) - self.added if late else shown
+
+
+def later(signal: FloatArray, samples: int) -> FloatArray:
+    """Return a signal so many samples later, at its first value until it begins."""
+    return np.concatenate([np.full(samples, signal[0]), signal[: signal.size - samples]])
+
+
+def watched(record: Record) -> Watched:
+    """Return a record ready to learn from.
+
+    Raises:
+        RecordError: a channel is missing, the record is too short, or nothing moves in it.
+    """
+    record.require(_NEEDED, "Learning a controller")
+    assert record.torque is not None and record.motor_position is not None and record.reference is not None
+    period = record.torque.sample_time
+    samples = math.floor(record.duration / period + 1e-6)
+    if samples < _FEWEST:
+        raise RecordError(
+            f"A controller is learned from {_FEWEST} samples or more; this record has {samples}: use a longer one."
+        )
+    torque = record.torque.values[:samples].copy()
+    for name, channel in (("motor position", record.motor_position), ("reference", record.reference)):
+        if np.ptp(channel.values) == 0.0:
+            raise RecordError(f"The {name} does not move in this record, so no law shows; use one with a motion.")
+    injected, added = record.injected, np.zeros(samples)
+    if (
+        injected is not None
+        and injected.at is InjectionPoint.AFTER_LIMIT
+        and (injected.in_torque or record.tap is Tap.MEASURED)
+    ):
+        added = at_period(injected.channel, period, samples, "injected")
+        if record.torque.timing is Timing.AVERAGED:  # as the torque, a sample shows the mean of the one before it
+            added = np.concatenate([added[:1], added[:-1]])
+    torque -= added
+    if np.ptp(torque) <= _ROUNDING * np.max(np.abs(record.torque.values)):
+        raise RecordError(
+            "The torque, less what was injected, is constant in this record, so no law shows; use one with a motion."
+        )
+    kept = np.ones(samples)
+    kept[:_BEGIN] = 0.0
+    inputs = {(1, False): _read(record, period, samples, 1, None)}
+    return _heard(record, torque, added, kept, _plateau(torque, added), inputs)
+
+
+def _heard(
+    record: Record,
+    torque: FloatArray,
+    added: FloatArray,
+    kept: FloatArray,
+    plateau: float | None,
+    inputs: dict[tuple[int, bool], FloatArray],
+) -> Watched:
+    """Return samples of a record with what is known of their errors, and the frequencies that tell of the law."""
+    assert record.torque is not None and record.motor_position is not None
+    own = inputs[1, False]
+    error = position_error(own[:, POSITION], step_of(record.motor_position))
+    told = heard(own, torque, added, kept * _below(torque, plateau), error)
+    return Watched(record, record.torque.sample_time, torque, added, kept, plateau, error, told, inputs)
+
+
+def _below(torque: FloatArray, plateau: float | None) -> FloatArray:
+    return np.asarray(np.abs(torque) < _NEAR * (plateau or math.inf), dtype=np.float64)
+
+
+def _read(record: Record, period: float, samples: int, rate: int, filled: Interpolation | None) -> FloatArray:
+    """Return what a law with so many periods per sample reads, (periods, INPUTS)."""
+    periods, own = samples * rate, period / rate
+    inputs = law_inputs(Cascade(kp=1.0, kv=1.0, interpolation=filled), record, own, periods)
+    assert record.motor_position is not None
+    inputs[:, POSITION] = _between(at_period(record.motor_position, period, samples, "position"), rate)
+    if record.reference_velocity is not None:
+        inputs[:, REFERENCE_VELOCITY] = at_period(record.reference_velocity, own, periods, "reference_velocity", filled)
+    if record.injected is not None and record.injected.at is InjectionPoint.BEFORE_LIMIT:
+        inputs[:, INJECTED] = at_period(record.injected.channel, own, periods, "injected")
+    return inputs
+
+
+def _between(position: FloatArray, rate: int) -> FloatArray:
+    """Return a position between its samples, by cubic splines, as a loop faster than the log saw it."""
+    from scipy.interpolate import CubicSpline
+
+    if rate == 1:
+        return position
+    at = np.arange(position.size * rate) / rate
+    return np.asarray(CubicSpline(np.arange(position.size), position)(np.minimum(at, position.size - 1.0)))
+
+
+def _plateau(torque: FloatArray, added: FloatArray) -> float | None:
+    """Return the torque a log stands at where it is largest, or None."""
+    # In a late log, what was added is still in the torque for as many samples.
+    changed = np.concatenate([[False], np.diff(added) != 0.0])
+    size = np.abs(torque) * (np.convolve(changed, np.ones(max(LATE) + 1))[: torque.size] < 0.5)
+    second = np.abs(np.diff(torque, 2))
+    noise = float(np.median(second)) / (0.6745 * math.sqrt(6.0))
+    top = float(np.max(size))
+    inside = size >= top - max(_TOP * noise, 1e-6 * top)
+    # Standing, not turning: the torque changes from sample to sample no more than its noise does.
+    still = np.concatenate([[False], np.abs(np.diff(torque)) <= max(_TOP * noise, 1e-9 * top)])
+    run_length = longest = 0
+    for at in inside & still:
+        run_length = run_length + 1 if at else 0
+        longest = max(longest, run_length)
+    return float(np.median(size[inside])) if longest >= _PLATEAU - 1 else None

@@ -1,0 +1,235 @@
+"""What a logged torque and a logged position are off by, and residuals made white by it.
+
+A law that is applied to a *logged* position sees that position's error n, too. With the law's response G from position
+to torque, the residual of the true law is ``w - G n``, w the error of the logged torque, and its spectrum::
+
+    S = a + b |G|^2 R
+
+a of the torque's error, white, b and R, its size and its shape, of the position's: the colour of the residual is the
+law's own. The numbers of a law are those that minimise ``sum over f of |E|^2 / S`` with the S of that very law, E the
+residual's transform: the maximum likelihood of errors in variables (Pintelon and Schoukens 2012, ch. 9). An S that did
+not move with the law would reward every filter that keeps the noise from the prediction, the true one or not.
+
+R is that of the encoder's rounding, see `position_error`. A filter can still be bent to fit what is left of it, so the
+frequencies are left out at which torque or position are not louder than their noise: there the record tells of the
+noise, not of the law (`hearing`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+
+_LOW, _EVEN = 40, 100  # frequencies a law's response is worked out at: in octaves, and evenly: filters end in zeros
+_BINS = 160  # of the averaged periodogram
+_FLOOR = 1e-4  # of the torque: no log is taken to be truer
+_STEPS = 30
+_SMOOTHED = 21  # samples over which a position is, before it is rounded again
+_PARTS = (0.25, 0.5, 0.75)  # of a step
+_LEAST = 0.1  # of white noise
+_NOISIER = 4.0  # times the rounding: an error of another kind
+_BEYOND = 1.3  # times what is seen of the position's error it may be
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """The spectrum of what a law leaves (the module's equations).
+
+    Attributes:
+        torque: a, variance of the torque's error.
+        position: b, variance of the position's error.
+        heard: (frequencies,) 1 where torque and position are louder than their noise, else 0: these are left out (see
+            `hearing`).
+    """
+
+    torque: float
+    position: float
+    heard: FloatArray
+
+    def weights(self, response: FloatArray) -> FloatArray:
+        """Return ``1 / sqrt(S)`` at the frequencies of the real transform, given |G| there; 0 where left out."""
+        with np.errstate(over="ignore"):  # a candidate that reacts beyond all numbers weighs nothing
+            return np.asarray(self.heard / np.sqrt(self.torque + self.position * response**2))
+
+    @property
+    def rows(self) -> float:
+        """Independent numbers that are left in a whitened residual."""
+        return 2.0 * float(np.sum(self.heard))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PositionError:
+    """What is known of a logged position's error before any law.
+
+    Attributes:
+        shape: (frequencies,) the root of its spectrum, over that of white noise of the same variance.
+        most: bound of its variance: where a law leaves more than its noise, the rest must not be taken for an error of
+            the position, as one that is too large would reward the law for reacting to the position.
+        variance: of its rounding; 0 where that is not known.
+        power: (bands,) of the logged position itself.
+    """
+
+    shape: FloatArray
+    most: float
+    variance: float
+    power: FloatArray
+
+    def alike(self, samples: int) -> FloatArray:
+        """Return the root of the spectra that look like each frequency's to what reads one of so many samples."""
+        at, frequencies = np.arange(self.shape.size), np.linspace(0.0, 0.5, self.shape.size)
+        others = [np.abs((frequencies - m / samples + 0.5) % 1.0 - 0.5) for m in range(1, samples)]
+        folded = sum(np.interp(one * 2.0 * at[-1], at, self.shape**2) for one in others)
+        return np.asarray(np.sqrt(folded))
+
+
+def seen_from(
+    response: Callable[[FloatArray], NDArray[np.complex128]], sample_time: float, samples: int, rate: int
+) -> FloatArray:
+    """Return |G| from the error of a logged position to the logged torque, at the frequencies of the real transform.
+
+    A law that is faster than the log sees cubic splines through the log's samples. The cardinal one has the spectrum::
+
+        C(f) = sinc(f T)^4 / (1 - 2/3 sin^2(pi f T))
+
+    T the log's sample time (Unser 1999, IEEE Signal Processing Magazine 16(6)). The error is not gone above half the
+    log's rate, but has images there; the log's samples of the torque fold them back: ``G(f) = sum over m of
+    C(f + m / T) G_law(f + m / T)``. A smaller or larger |G| than the true one would speak for or against all fast laws.
+
+    Args:
+        response: of the law, at frequencies in Hz.
+        sample_time: of the log, seconds.
+        samples: of the log.
+        rate: of the law, in periods per sample of the log.
+    """
+    shares = _points(samples) * 0.5
+    total = np.zeros(shares.size, dtype=np.complex128)
+    for m in range(-(rate // 2), rate - rate // 2):
+        at = shares + m
+        weight = np.ones(shares.size) if rate == 1 else sum(_cardinal(at + n * rate) for n in range(-2, 3))
+        found = response(np.abs(at) / sample_time)
+        total += weight * np.where(at < 0, found.conj(), found)
+    return np.interp(_shares(samples), _points(samples), np.abs(total))
+
+
+def _cardinal(turns: FloatArray) -> FloatArray:
+    return np.asarray(np.sinc(turns) ** 4 / (1.0 - 2.0 / 3.0 * np.sin(np.pi * turns) ** 2))
+
+
+@cache
+def _points(size: int) -> FloatArray:
+    return np.unique(np.concatenate([np.geomspace(2.0 / size, 1.0, _LOW), np.linspace(0.0, 1.0, _EVEN + 1)[1:]]))
+
+
+@cache
+def _shares(size: int) -> FloatArray:
+    """Return the frequencies of a real transform, as shares of half the sampling frequency."""
+    return np.linspace(0.0, 1.0, size // 2 + 1)
+
+
+def noise_of(
+    error: FloatArray, response: FloatArray, torque: FloatArray, kept: FloatArray, most: float, heard: FloatArray
+) -> Noise:
+    """Return the noise that explains a residual.
+
+    Args:
+        error: (samples,) the residual, 0 where it is left out.
+        response: |G| of the law at the frequencies of its real transform, times the shape of the position's error.
+        torque: (samples,) logged.
+        kept: (samples,) 1 where the residual counts, else 0.
+        most: bound of the variance of the position's error.
+        heard: (frequencies,) 1 where the record tells of its law, else 0.
+
+    Raises:
+        MethodError: the residual, or the response, is beyond all numbers.
+    """
+    size, share = error.size, float(np.mean(kept))
+    with np.errstate(over="ignore", invalid="ignore"):
+        seen, gains = by_band(np.abs(np.fft.rfft(error)) ** 2 / (size * share)), by_band(response**2)
+        power = float(np.mean(seen)) * float(np.mean(gains))
+    if not math.isfinite(power):
+        raise MethodError(
+            "No law that is searched for gives this record's torque: the best one runs away. Check units, signs and "
+            "sides of torque, reference and motor_position, or declare the law."
+        )
+    a, b = _two_sources(seen, gains, _FLOOR**2 * float(np.mean(torque**2)), most)
+    return Noise(a, b, heard)
+
+
+def position_error(position: FloatArray, step: float | None) -> PositionError:
+    """Return what is known of a logged position's error.
+
+    An encoder's rounding is no white noise: at an even speed it is a line, as many steps per sample as are not whole.
+    So it is made again, on the position smoothed and moved by parts of a step. Without a step to be seen, or where the
+    position is nowhere as quiet as that, it is white, and not more than all of the position in the quietest quarter of
+    its spectrum.
+
+    Args:
+        position: (samples,) logged.
+        step: of its encoder; None where none is to be seen.
+    """
+    from scipy.signal import savgol_filter
+
+    power = loudness(position - np.linspace(position[0], position[-1], position.size))
+    quietest = float(np.quantile(power[power.size // 8 :], 0.25))
+    white = PositionError(np.ones(position.size // 2 + 1), _BEYOND * quietest, 0.0, power)
+    if step is None:
+        return white
+    steps = savgol_filter((position - position[0]) / step, _SMOOTHED, 3)
+    moved = steps + np.array(_PARTS)[:, np.newaxis]
+    rounding = np.mean(np.abs(np.fft.rfft(np.round(moved) - moved, axis=1)) ** 2, axis=0) / position.size
+    bands, wide = by_band(rounding), widths(rounding.size)
+    mean = float(wide @ bands) / float(np.sum(wide))
+    if quietest > _NOISIER * mean * step**2:  # the log's digits are finer than what it was read from
+        return white
+    shape = np.sqrt(np.repeat(np.maximum(bands / mean, _LEAST), wide))
+    variance = mean * step**2
+    return PositionError(np.concatenate([shape[:1], shape]), _BEYOND * variance, variance, power)
+
+
+def loudness(signal: FloatArray) -> FloatArray:
+    """Return a signal's averaged periodogram, (bands,), windowed: a loud band does not leak into others."""
+    return by_band(np.abs(np.fft.rfft(np.hanning(signal.size) * signal)) ** 2 / (signal.size * 0.375))
+
+
+def widths(size: int) -> NDArray[np.intp]:
+    """Return how many frequencies of a real transform of so many are in each band."""
+    return np.diff(_edges(size))
+
+
+def _edges(size: int) -> NDArray[np.intp]:
+    return np.unique(np.linspace(1, size, _BINS + 1).astype(np.intp))
+
+
+def by_band(values: FloatArray) -> FloatArray:
+    """Return the means over bands, (bands,), of what is given at the frequencies of a real transform but the first."""
+    edges = _edges(values.size)
+    return np.asarray(np.add.reduceat(values, edges[:-1]) / np.diff(edges))
+
+
+def _two_sources(seen: FloatArray, gains: FloatArray, floor: float, most: float) -> tuple[float, float]:
+    """Return (a, b) of the largest Whittle likelihood, ``sum log S + I / S``, by scoring; both at least 0."""
+    from scipy.optimize import nnls
+
+    spectrum = np.maximum(seen, floor)
+    a, b = floor, 0.0
+    for step in range(_STEPS):
+        columns = np.column_stack([np.ones_like(gains), gains]) / spectrum[:, np.newaxis]
+        scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)  # a law may not look at the position at all
+        found = nnls(columns / scale, seen / spectrum)[0] / scale
+        if found[1] > most:
+            weights = columns[:, 0]
+            found = np.array([weights @ (seen / spectrum - most * columns[:, 1]) / (weights @ weights), most])
+        a, b = max(float(found[0]), floor), float(found[1])
+        new = a + b * gains
+        if step and np.max(np.abs(np.log(new / spectrum))) < 1e-6:
+            break
+        spectrum = new
+    return a, b

@@ -1,0 +1,194 @@
+"""Steps from one structure of a law to the next: its neighbours, its parts taken away, and its one name of several."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+from jointid.controller_id.structures import (
+    CONSTANT,
+    FEEDFORWARDS,
+    FIELDS,
+    LATE,
+    MEANS,
+    RATES,
+    SLOWER,
+    TORQUE_FILTERS,
+    VELOCITY,
+    Law,
+    Structure,
+)
+
+
+def without(structure: Structure, name: str) -> Structure:
+    """Return a structure without the part that a number is of."""
+    if name == "ki":
+        # A PD without the reference's velocity is a P-P.
+        cascade = structure.cascade or structure.reference_velocity == "none"
+        return replace(structure, law="P-P" if cascade else "PD", **_proportional(structure, cascade))
+    if name == "velocity_feedforward":
+        return replace(structure, reference_velocity="none")
+    if name == "reference_delay":
+        return replace(structure, reference_delay=False)
+    if name.startswith("torque_filters"):
+        return replace(structure, torque_filter="none")
+    part = next(part for part, field in FIELDS.items() if field == name)
+    return replace(structure, feedforward=structure.feedforward - {part})
+
+
+def _proportional(structure: Structure, cascade: bool) -> dict[str, Any]:
+    """Return what of a structure has another name once its integral is gone: the velocity's feed-forward."""
+    if cascade and not structure.cascade and VELOCITY in structure.feedforward:
+        return {"reference_velocity": "share", "feedforward": structure.feedforward - {VELOCITY}}
+    return {}
+
+
+def canonical(structure: Structure) -> Structure:
+    """Return the name that a law is known by: a cascade's, where a PD or PID is the same equation."""
+    if structure.cascade:
+        return structure
+    if structure.reference_velocity == "difference" and structure.velocity_filter == "none":
+        beside = structure.feedforward - {VELOCITY}
+        law: Law = "P-PI" if structure.integrates else "P-P"
+        return replace(structure, law=law, reference_velocity="full", feedforward=beside)
+    if structure.law == "PD" and structure.reference_velocity == "none":
+        return replace(structure, law="P-P", **_proportional(structure, True))
+    return structure
+
+
+def simpler(structure: Structure) -> Iterator[Structure]:
+    """Yield the structures with one part fewer, each under its canonical name."""
+    for part in structure.feedforward:
+        yield canonical(replace(structure, feedforward=structure.feedforward - {part}))
+    if structure.integrates:
+        yield canonical(without(structure, "ki"))
+    if structure.cascade and structure.reference_velocity in ("share", "channel"):
+        yield replace(structure, reference_velocity="none")
+    if structure.cascade and structure.reference_velocity == "share":
+        yield replace(structure, reference_velocity="full")
+    if structure.torque_filter != "none":
+        yield replace(structure, torque_filter="none")
+    if structure.velocity_filter != "none":
+        yield canonical(replace(structure, velocity_filter="none"))
+    if structure.reference_delay:
+        yield replace(structure, reference_delay=False)
+
+
+def neighbours(structure: Structure, channel: bool) -> Iterator[Structure]:
+    """Yield the structures that differ from one in a single part, each under its canonical name.
+
+    Args:
+        structure: the one.
+        channel: whether the record has the reference's velocity.
+    """
+    seen = {structure}
+    for one in map(canonical, _changes(structure, channel)):
+        if one not in seen:
+            seen.add(one)
+            yield one
+
+
+def all_laws(frame: Structure, channel: bool) -> Iterator[Structure]:
+    """Yield all laws with a frame's clocks and filters and all feed-forwards, each under its canonical name.
+
+    Args:
+        frame: with the clocks and filters.
+        channel: whether the record has the reference's velocity.
+    """
+    seen = set[Structure]()
+    for law in _other_laws(replace(frame, feedforward=frozenset(FEEDFORWARDS)), channel):
+        for one in (law, replace(law, reference_delay=True)):
+            known = canonical(one)
+            if known.frame == frame and known not in seen:
+                seen.add(known)
+                yield known
+
+
+def _changes(structure: Structure, channel: bool) -> Iterator[Structure]:
+    yield from _other_laws(structure, channel)
+    filters = ("none", *(f"mean {n}" for n in MEANS), "first order", "second order")
+    yield from (replace(structure, velocity_filter=one) for one in filters if one != structure.velocity_filter)
+    for part in FEEDFORWARDS:
+        allowed = not (part == CONSTANT and structure.integrates)
+        allowed &= not (part == VELOCITY and structure.law == "P-P" and structure.reference_velocity != "channel")
+        if part in structure.feedforward or allowed:
+            yield replace(structure, feedforward=structure.feedforward ^ {part})
+    yield from (replace(structure, torque_filter=one) for one in TORQUE_FILTERS if one != structure.torque_filter)
+    yield from _exchanged(structure)
+    yield replace(structure, reference_delay=not structure.reference_delay)
+    yield from _other_rates(structure)
+    yield from (replace(structure, late=n) for n in (0, *LATE) if n != structure.late)
+
+
+def _exchanged(structure: Structure) -> Iterator[Structure]:
+    """Yield the law with its filter at the other place; around all of a PD law it may be the same equation."""
+    velocity, torque = structure.velocity_filter, structure.torque_filter
+    if torque in ("first order", "second order") and velocity == "none":
+        yield replace(structure, velocity_filter=torque, torque_filter="none")
+        if structure.reference_velocity == "full":
+            law: Law = "PID" if structure.integrates else "PD"
+            like = replace(structure, law=law, reference_velocity="difference", every=1, offset=0)
+            yield replace(like, velocity_filter=torque, torque_filter="none")
+    if velocity in ("first order", "second order") and torque == "none":
+        yield replace(structure, velocity_filter="none", torque_filter=velocity)
+
+
+def _other_rates(structure: Structure) -> Iterator[Structure]:
+    """Yield the same law at other rates, with means over the same time, and with its position loop at others.
+
+    A loop faster than the log is tried with a position loop at its own rate, or at the log's.
+    """
+    for rate in (1, *RATES):
+        slower = rate if structure.every > 1 else 1
+        mean = _as_long(structure.velocity_filter, rate / structure.rate)
+        for curved in (False, True) if rate > 1 else (False,):
+            for filtered in {structure.velocity_filter, mean}:
+                yield replace(structure, rate=rate, curved=curved, every=slower, offset=0, velocity_filter=filtered)
+    if not structure.cascade:
+        return
+    pairs = [(structure.rate, 0)] if structure.rate > 1 else [(n, k) for n in SLOWER for k in range(n)]
+    for every, offset in [(1, 0), *pairs]:
+        if (every, offset) != (structure.every, structure.offset):
+            yield replace(structure, every=every, offset=offset)
+
+
+def _as_long(velocity_filter: str, periods: float) -> str:
+    """Return the mean over the same time where a sample becomes so many periods; other filters as they are."""
+    if velocity_filter not in ("none", *(f"mean {n}" for n in MEANS)):
+        return velocity_filter
+    samples = (1 if velocity_filter == "none" else int(velocity_filter.split()[1])) * periods
+    if samples == 1:
+        return "none"
+    return f"mean {samples:.0f}" if samples in MEANS else velocity_filter
+
+
+def _other_laws(structure: Structure, channel: bool) -> Iterator[Structure]:
+    cascades = ("none", "share", "full", *(["channel"] if channel else []))
+    others = ("difference", *(["channel"] if channel else []))
+    for integral in (False, True):
+        parts = structure.feedforward - ({CONSTANT} if integral else set())
+        for velocity in cascades:
+            law = "P-PI" if integral else "P-P"
+            if integral or velocity == "channel":
+                yield from _changed(structure, law=law, reference_velocity=velocity, feedforward=parts)
+            if velocity != "channel":  # the cascade has its own
+                beside = parts - {VELOCITY}
+                yield from _changed(structure, law=law, reference_velocity=velocity, feedforward=beside)
+        # A PD without the reference's velocity is a P-P; without a filter, one with its difference is one, too.
+        kinds = [kind for kind in others if kind != "difference" or structure.velocity_filter != "none"]
+        for velocity in [*kinds, *(["none"] if integral else [])]:
+            yield from _changed(
+                structure,
+                law="PID" if integral else "PD",
+                reference_velocity=velocity,
+                feedforward=parts,
+                every=1,
+                offset=0,
+            )
+
+
+def _changed(structure: Structure, **parts: Any) -> Iterator[Structure]:
+    other = replace(structure, **parts)
+    if other != structure:
+        yield other

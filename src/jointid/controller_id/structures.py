@@ -1,0 +1,344 @@
+"""What a law may be made of: structures, the numbers each leaves open, and the controller that they make."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, Literal
+
+from jointid.models.controllers import (
+    PD,
+    PID,
+    Cascade,
+    Controller,
+    Filter,
+    FirstOrder,
+    Interpolation,
+    Notch,
+    SecondOrder,
+)
+
+Law = Literal["P-P", "P-PI", "PD", "PID"]
+
+MEANS = (2, 3, 4, 6, 8, 16)
+"""Samples of the moving averages that are tried."""
+
+COMMON = ("none", "mean 2", "mean 4", "first order", "second order")
+"""Velocity filters that are tried in every law."""
+
+TORQUE_FILTERS = ("none", "first order", "second order", "notch")
+
+RATES = (2, 4, 8, 16)
+"""How many periods of a faster loop one sample of the log may be."""
+
+SLOWER = (2, 4, 8)
+"""How many of the loop's periods one of a slower position loop may be."""
+
+LATE = (1, 2, 3, 4)
+"""By how many samples the log may show the torque late."""
+
+VELOCITY, ACCELERATION, COULOMB, CONSTANT = "velocity", "acceleration", "coulomb", "constant"
+FEEDFORWARDS = (VELOCITY, ACCELERATION, COULOMB, CONSTANT)
+
+INTEGRAL = "integral"
+"""The torque that an integral holds at the first sample, in controller units: a number of the record, not the law."""
+
+_FULL = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Structure:
+    """A law without its numbers.
+
+    Attributes:
+        law: "P-P" and "P-PI" are cascades; see `jointid.models.controllers.laws`.
+        reference_velocity: of a PD or PID: "none", "difference", filtered like the position's, or "channel". Of a
+            cascade: "none", "share" of the reference's difference, "full", or a share of the "channel".
+        velocity_filter: "none", "mean 2", ..., "first order" or "second order".
+        feedforward: others than the velocity's of a cascade, of `FEEDFORWARDS`.
+        torque_filter: "none", "first order", "second order" or "notch".
+        reference_delay: whether the law sees the reference later.
+        late: samples by which the log shows the torque later than the position it follows from.
+        rate: periods of the law in one sample of the log.
+        curved: whether a law that is faster than the log fills in its reference by cubics; else by straight lines.
+        every, offset: of a cascade's position loop, in periods of the law.
+        limited: whether the limit acts in the record.
+    """
+
+    law: Law = "P-P"
+    reference_velocity: str = "none"
+    velocity_filter: str = "none"
+    feedforward: frozenset[str] = frozenset()
+    torque_filter: str = "none"
+    reference_delay: bool = False
+    late: int = 0
+    rate: int = 1
+    curved: bool = False
+    every: int = 1
+    offset: int = 0
+    limited: bool = False
+
+    @property
+    def cascade(self) -> bool:
+        """Whether it has a position loop around a velocity loop."""
+        return self.law in ("P-P", "P-PI")
+
+    @property
+    def integrates(self) -> bool:
+        """Whether it has an integral."""
+        return self.law in ("P-PI", "PID")
+
+    @property
+    def frame(self) -> Structure:
+        """The plain law with its clocks and filters."""
+        return Structure(
+            velocity_filter=self.velocity_filter,
+            torque_filter=self.torque_filter,
+            late=self.late,
+            rate=self.rate,
+            curved=self.curved,
+            every=self.every,
+            offset=self.offset,
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The numbers it leaves open, as `numbers_of` names them, and `INTEGRAL`."""
+        return tuple(self._names())
+
+    def _names(self) -> Iterator[str]:
+        yield from ("kp", "kv" if self.cascade else "kd")
+        if self.integrates:
+            yield from ("ki", INTEGRAL)
+        if self.cascade and self.reference_velocity in ("share", "channel"):
+            yield "velocity_feedforward"
+        for part in FEEDFORWARDS:
+            if part in self.feedforward:
+                yield FIELDS[part]
+        yield from _filter_names("velocity_filter", self.velocity_filter)
+        yield from _filter_names("torque_filters.0", self.torque_filter)
+        if self.reference_delay:
+            yield "reference_delay"
+        if self.limited:
+            yield "limit"
+
+    @property
+    def parts(self) -> int:
+        """How much it is made of: numbers, and each delay, rate or offset that is not as in a plain law."""
+        return len(self.names) + (self.rate > 1) + self.curved + (self.every > 1) + (self.late > 0)
+
+    def weight(self, rows: float) -> float:
+        """Return what a criterion charges for what it is made of: Schwarz's log(rows) for each part.
+
+        Of clocks there are many, and the best of many explains more by chance: a clock is charged the 2 log(choices) of
+        the extended criterion as well (Chen and Chen 2008, Biometrika 95(3)).
+
+        Args:
+            rows: independent numbers in the residual.
+        """
+        choices = (len(RATES) * 2, self.rate > 1), (sum(SLOWER), self.every > 1), (len(LATE), self.late > 0)
+        return self.parts * math.log(rows) + sum(2.0 * math.log(number) for number, chosen in choices if chosen)
+
+    @property
+    def words(self) -> str:
+        """What it is, in words."""
+        said: list[str] = [self.law]
+        if self.reference_velocity != "none":
+            said.append(_REFERENCE_VELOCITY[self.cascade, self.reference_velocity])
+        if self.feedforward:
+            said.append(" and ".join(p for p in FEEDFORWARDS if p in self.feedforward) + " feed-forward")
+        if self.velocity_filter != "none":
+            said.append(f"velocity filter {_spelled(self.velocity_filter)}")
+        if self.torque_filter != "none":
+            said.append(f"torque filter {self.torque_filter}")
+        if self.reference_delay:
+            said.append("reference delayed")
+        if self.late:
+            said.append(f"torque {self.late} samples late")
+        if self.rate > 1:
+            said.append(f"{self.rate} periods per sample" + (" on a curved reference" if self.curved else ""))
+        if self.every > 1:
+            said.append(f"position loop every {self.every} periods, from the {self.offset}th")
+        return ", ".join(said)
+
+
+FIELDS = {
+    VELOCITY: "viscous_feedforward",
+    ACCELERATION: "acceleration_feedforward",
+    COULOMB: "coulomb_feedforward",
+    CONSTANT: "constant_feedforward",
+}
+SIGNED = (INTEGRAL, "constant_feedforward")
+"""Numbers that may be negative."""
+
+_REFERENCE_VELOCITY = {
+    (True, "share"): "velocity feed-forward",
+    (True, "full"): "full velocity feed-forward",
+    (True, "channel"): "velocity feed-forward from its channel",
+    (False, "difference"): "on the reference's filtered difference",
+    (False, "channel"): "on the reference's velocity channel",
+}
+_FILTERS: Mapping[str, Mapping[str, tuple[float, ...]]] = {
+    "first order": {"time_constant": (0.5, 1.2, 3.0, 10.0)},
+    "second order": {"frequency": (0.03, 0.07, 0.12, 0.18, 0.27), "damping": (0.7,)},
+    "notch": {"frequency": (0.03, 0.06, 0.09, 0.13, 0.18, 0.27), "bandwidth": (0.035,), "depth": (0.2,)},
+}
+"""Numbers of the filters and where a search for them begins, in samples of the log and shares of its rate."""
+
+INTEGRAL_GAINS = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1)
+"""Where a cascade's ki is looked for, in shares of the log's rate."""
+
+_DELAYS = (0.3, 0.7, 1.3, 1.7, 2.3, 2.7, 3.3, 3.7)
+"""Where a delay of the reference is looked for, in samples of the log: twice in each, as it is filled in by lines."""
+
+
+def _filter_names(place: str, kind: str) -> list[str]:
+    return [f"{place}.{name}" for name in _FILTERS.get(kind, {})]
+
+
+def _spelled(kind: str) -> str:
+    return f"mean of {kind.split()[1]} samples" if kind.startswith("mean") else kind
+
+
+def starts(structure: Structure, known: Mapping[str, float], sample_time: float) -> Iterator[dict[str, float]]:
+    """Yield where to look for the numbers that a law is not linear in: as known of a similar structure, or on a grid.
+
+    Args:
+        structure: that they are for.
+        known: numbers of a similar one.
+        sample_time: of the log, seconds.
+    """
+    places: list[Iterable[dict[str, float]]] = []
+    for place, kind in (("velocity_filter", structure.velocity_filter), ("torque_filters.0", structure.torque_filter)):
+        names = _filter_names(place, kind)
+        if all(name in known for name in names):
+            places.append([{name: known[name] for name in names}])
+        else:
+            grid = product(*([_dimensioned(n, v, sample_time) for v in values] for n, values in _FILTERS[kind].items()))
+            places.append([dict(zip(names, one, strict=True)) for one in grid])
+    if structure.cascade and structure.integrates:
+        begun = [share / sample_time for share in INTEGRAL_GAINS]
+        given = known.get("ki", 0.0)
+        if "kv" not in known:  # kv kp ki of a cascade is the ki of a PID, its kv kp the kp
+            given = given / known["kp"] if known.get("kp") else 0.0
+        begun = [given] if given else begun
+        places.append([{"ki": ki} for ki in begun])
+    if structure.reference_delay:
+        begun = [known["reference_delay"]] if "reference_delay" in known else [n * sample_time for n in _DELAYS]
+        places.append([{"reference_delay": delay} for delay in begun])
+    for parts in product(*places):
+        yield {name: value for part in parts for name, value in part.items()}
+
+
+def converted(structure: Structure, known: Mapping[str, float]) -> dict[str, float]:
+    """Return a law's numbers from those of a similar one; ``kp kv`` of a cascade is the kp of a PD.
+
+    Args:
+        structure: of the law; what is not known of it is 0.
+        known: numbers of the other.
+    """
+    given = dict(known)
+    if structure.cascade and "kd" in given:
+        given["kv"] = given.pop("kd")
+        given["kp"] = given["kp"] / given["kv"] if given["kv"] else 0.0
+        given["ki"] = given.get("ki", 0.0) / max(given["kp"] * given["kv"], 1e-300)
+        given.setdefault("velocity_feedforward", given.get("viscous_feedforward", 0.0) / max(given["kv"], 1e-300))
+    elif not structure.cascade and "kv" in given:
+        given["kd"] = given.pop("kv")
+        given["kp"] = given["kp"] * given["kd"]
+        given["ki"] = given.get("ki", 0.0) * given["kp"]
+    return {name: given.get(name, 0.0) for name in structure.names}
+
+
+def _dimensioned(name: str, value: float, sample_time: float) -> float:
+    if name == "time_constant":
+        return value * sample_time
+    return value if name in ("damping", "depth") else value / sample_time
+
+
+def bounds(name: str, sample_time: float, rate: int) -> tuple[float, float]:
+    """Return between what a number is looked for.
+
+    Args:
+        name: of the number.
+        sample_time: of the log, seconds.
+        rate: of the law, in periods per sample of the log.
+    """
+    period = sample_time / rate
+    last = name.rpartition(".")[2]
+    if name in SIGNED:
+        return -math.inf, math.inf
+    return {
+        "time_constant": (1e-2 * period, 2e3 * period),
+        "frequency": (2e-4 / period, 0.45 / period),
+        "bandwidth": (2e-4 / period, 0.45 / period),
+        "damping": (0.4, 3.0),
+        "depth": (0.0, 1.0),
+        "reference_delay": (0.0, 50 * sample_time),
+    }.get(last, (0.0, math.inf))
+
+
+def controller(structure: Structure, numbers: Mapping[str, float], period: float, gain: float) -> Controller:
+    """Return the law of a structure.
+
+    Args:
+        structure: of the law.
+        numbers: those the structure leaves open.
+        period: of the log, seconds.
+        gain: torque per controller unit.
+    """
+    own = {name: value for name, value in numbers.items() if "." not in name and name not in (INTEGRAL, "limit")}
+    settings: dict[str, Any] = {"gain": gain, **own}
+    if structure.limited:
+        settings["limit"] = max(numbers["limit"], 1e-300)
+    velocity, torque = filters_of(structure, numbers)
+    if structure.velocity_filter != "none":
+        settings["velocity_filter"] = velocity
+    if structure.torque_filter != "none":
+        settings["torque_filters"] = (torque,)
+    if structure.late:
+        settings["delay"] = structure.late * period
+    if structure.rate > 1:
+        settings["period"] = period / structure.rate
+        settings["interpolation"] = interpolation(structure)
+    own_period = period / structure.rate
+    if structure.cascade:
+        if structure.every > 1:
+            settings |= {"position_period": structure.every * own_period}
+            settings |= {"position_offset": structure.offset * own_period} if structure.offset else {}
+        if structure.reference_velocity == "full":
+            settings["velocity_feedforward"] = _FULL
+        if structure.reference_velocity == "channel":
+            settings["reference_velocity"] = "channel"
+        return Cascade(**settings)
+    settings["reference_velocity"] = structure.reference_velocity
+    return PID(**settings) if structure.integrates else PD(**settings)
+
+
+def interpolation(structure: Structure) -> Interpolation | None:
+    """Return how a law that is faster than the log fills in its reference."""
+    if structure.rate == 1:
+        return None
+    return "cubic" if structure.curved else "linear"
+
+
+def filters_of(structure: Structure, numbers: Mapping[str, float]) -> tuple[Filter | tuple[float, ...], ...]:
+    """Return the filters of a structure, that of the velocity and that of the torque."""
+    return (
+        _filter(structure.velocity_filter, "velocity_filter", numbers),
+        _filter(structure.torque_filter, "torque_filters.0", numbers),
+    )
+
+
+def _filter(kind: str, place: str, numbers: Mapping[str, float]) -> Filter | tuple[float, ...]:
+    if kind == "none":
+        return (1.0,)
+    if kind.startswith("mean"):
+        samples = int(kind.split()[1])
+        return (1.0 / samples,) * samples
+    made = {name: numbers[f"{place}.{name}"] for name in _FILTERS[kind]}
+    if kind == "first order":
+        return FirstOrder(**made)
+    return SecondOrder(**made) if kind == "second order" else Notch(**made)

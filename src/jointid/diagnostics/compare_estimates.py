@@ -1,0 +1,270 @@
+"""What changed between two estimates of the same joint, and whether that is more than their errors.
+
+Of each quantity the difference of two independent estimates has the variance of both, and is tested against 0 by the
+normal distribution. Many quantities are tested at once, so the p-values are Holm's (1979): with nothing changed, the
+chance that any of them falls below the level is at most the level. Two estimates of one record share their errors, and
+their differences, which come from the settings, are shown without a test.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from jointid.common.errors import MethodError
+from jointid.common.text import aligned, number
+
+LEVEL = 0.05
+"""Share of pairs of estimates with nothing changed in which something is called changed, at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One quantity of an estimate as its file tells it.
+
+    Attributes:
+        name: in words.
+        symbol: or formula, of a sum.
+        unit: of the value.
+        value: None where it is refused.
+        std: None where it was kept fixed, or is refused.
+        free: whether it was identified.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    value: float | None
+    std: float | None
+    free: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """An estimate as far as its file tells it.
+
+    Attributes:
+        label: what it is called here, its file's name.
+        record: its name. fingerprint: of the record's torque.
+        model, kind, friction: of the joint.
+        side: of the transmission with its ratio, in words; empty without one.
+        torque_unit: of the record.
+        settings: by their names, in words: where two differ it is said.
+        error: of the raw torque, a ratio.
+        quantities: parameters, those of the initial state left out.
+        sums: of both sides of a flexible joint.
+    """
+
+    label: str
+    record: str
+    fingerprint: str
+    model: str
+    kind: str
+    friction: str
+    side: str
+    torque_unit: str
+    settings: Mapping[str, str]
+    error: float
+    quantities: tuple[Quantity, ...]
+    sums: tuple[Quantity, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Changed:
+    """One quantity in both estimates.
+
+    Attributes:
+        name, symbol, unit: what it is.
+        before, after: its values; None where refused.
+        difference: after less before; None where there is none.
+        std: of the difference; None where it is not tested.
+        p_value: of so large a difference by chance, for all that are tested together; None where it is not tested.
+        said: why it is not tested, in words.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    before: float | None
+    after: float | None
+    difference: float | None
+    std: float | None
+    p_value: float | None = None
+    said: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ReportComparison:
+    """What changed between two estimates.
+
+    Attributes:
+        before, after: the estimates.
+        rows: every quantity.
+        level: see `LEVEL`.
+        notes: what the reader must know, one sentence each.
+    """
+
+    before: Told
+    after: Told
+    rows: tuple[Changed, ...]
+    level: float
+    notes: tuple[str, ...]
+
+    @property
+    def same_record(self) -> bool:
+        """Whether both are of one record."""
+        return bool(self.before.fingerprint) and self.before.fingerprint == self.after.fingerprint
+
+    @property
+    def changed(self) -> tuple[Changed, ...]:
+        """What changed, the surest first."""
+        found = [row for row in self.rows if row.p_value is not None and row.p_value <= self.level]
+        return tuple(sorted(found, key=lambda row: row.p_value or 0.0))
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What was found, then the notes."""
+        tested = sum(row.p_value is not None for row in self.rows)
+        if not tested:
+            return ("No difference can be tested.", *self.notes)
+        if not self.changed:
+            said = f"Nothing changed that is more than the errors of both, of {tested} quantities at {self.level:g}."
+            return (said, *self.notes)
+        told = [_told(row) for row in self.changed]
+        return (f"{len(told)} of {tested} quantities changed: {'; '.join(told)}.", *self.notes)
+
+    def __str__(self) -> str:
+        """Return sentences and table."""
+        header = ("quantity", "A", "B", "B - A", "2 sigma", "unit", "p", "")
+        table = aligned(header, [self._row(row) for row in self.rows], (False, *[True] * 4, False, True, False))
+        errors = " and ".join(f"{100 * told.error:.2f} %" for told in (self.before, self.after))
+        lines = [
+            f"A  {self.before.label}, of {self.before.record}",
+            f"B  {self.after.label}, of {self.after.record}",
+            "",
+            table,
+            "",
+            f"torque error {errors}; p is Holm's, for all of them together",
+            *self.sentences,
+        ]
+        return "\n".join(lines)
+
+    def _row(self, row: Changed) -> tuple[str, ...]:
+        p = "-" if row.p_value is None else _p(row.p_value)
+        mark = "changed" if row in self.changed else row.said
+        return (
+            row.symbol, number(row.before), number(row.after), number(row.difference, 3),
+            "-" if row.std is None else number(2 * row.std, 2), row.unit, p, mark,
+        )  # fmt: skip
+
+
+def compare_reports(before: Told, after: Told, level: float = LEVEL) -> ReportComparison:
+    """Return what changed from one estimate to another of the same joint.
+
+    Args:
+        before: the first, from `jointid.output.json.read_report`.
+        after: the second.
+        level: of the test of all quantities together.
+
+    Raises:
+        MethodError: they are not of the same model, on the same side and in the same units, or the level is no
+            probability.
+    """
+    if not 0 < level < 1:
+        raise MethodError(f"The level of a test is between 0 and 1; received {level}.")
+    _require_alike(before, after)
+    same = bool(before.fingerprint) and before.fingerprint == after.fingerprint
+    pairs = [
+        *_paired(before.quantities, after.quantities),
+        *_paired(before.sums, after.sums),
+    ]
+    rows = [_changed(one, other, same) for one, other in pairs]
+    return ReportComparison(before, after, _holm(rows), level, _notes(before, after, same))
+
+
+def _require_alike(before: Told, after: Told) -> None:
+    """Raise a `MethodError` where two estimates cannot be compared."""
+    for what, one, other in (
+        ("model", before.model, after.model),
+        ("kind", before.kind, after.kind),
+        ("friction law", before.friction, after.friction),
+        ("transmission", before.side or "none", after.side or "none"),
+        ("torque unit", before.torque_unit, after.torque_unit),
+    ):
+        if one != other:
+            raise MethodError(
+                f"{before.label} and {after.label} are not of one joint as it was described: the {what} is {one} in "
+                f"the one and {other} in the other; identify both with the same joint file and options."
+            )
+    units = {q.name: q.unit for q in before.quantities}
+    wrong = [q for q in after.quantities if units.get(q.name, q.unit) != q.unit]
+    if wrong:
+        raise MethodError(
+            f"{wrong[0].name} is in {units[wrong[0].name]} in {before.label} and in {wrong[0].unit} in {after.label}; "
+            "identify both with the same joint file and options."
+        )
+
+
+def _paired(before: Sequence[Quantity], after: Sequence[Quantity]) -> list[tuple[Quantity, Quantity]]:
+    """Return each quantity of either with that of the other, refused where the other does not have it."""
+    there = {q.name: q for q in after}
+    here = {q.name for q in before}
+    found = [(q, there.get(q.name, replace(q, value=None, std=None))) for q in before]
+    return found + [(replace(q, value=None, std=None), q) for q in after if q.name not in here]
+
+
+def _changed(before: Quantity, after: Quantity, same: bool) -> Changed:
+    """Return a quantity of both, tested where it can be; the p-value is that of it alone."""
+    found = Changed(before.name, before.symbol, before.unit, before.value, after.value, None, None)
+    lost = [name for name, q in (("A", before), ("B", after)) if q.value is None]
+    if before.value is None or after.value is None:
+        return replace(found, said=f"not told in {' and '.join(lost)}")
+    found = replace(found, difference=after.value - before.value)
+    fixed = [name for name, q in (("A", before), ("B", after)) if not q.free or q.std is None]
+    if before.std is None or after.std is None or fixed:
+        return replace(found, said=f"kept fixed in {' and '.join(fixed)}")
+    std = math.hypot(before.std, after.std)
+    if same:
+        return replace(found, said="one record: not tested")
+    if not std > 0:
+        return replace(found, said="known without error: not tested")
+    assert found.difference is not None
+    return replace(found, std=std, p_value=math.erfc(abs(found.difference) / std / math.sqrt(2)))
+
+
+def _holm(rows: Sequence[Changed]) -> tuple[Changed, ...]:
+    """Return rows whose p-values are for all of them together."""
+    tested = sorted((row.p_value, i) for i, row in enumerate(rows) if row.p_value is not None)
+    found, largest = list(rows), 0.0
+    for rank, (p, i) in enumerate(tested):
+        largest = max(largest, min((len(tested) - rank) * p, 1.0))
+        found[i] = replace(rows[i], p_value=largest)
+    return tuple(found)
+
+
+def _notes(before: Told, after: Told, same: bool) -> tuple[str, ...]:
+    notes = []
+    if same:
+        notes.append(
+            "Both are of one record, so they share its errors: what differs comes from the settings, and is not tested."
+        )
+    for name, value in before.settings.items():
+        other = after.settings.get(name, "none")
+        if value != other:
+            notes.append(f"They differ in {name}, {value} in A and {other} in B, which may move values by itself.")
+    return tuple(notes)
+
+
+def _told(row: Changed) -> str:
+    assert row.difference is not None
+    assert row.std is not None
+    percent = f" ({100 * row.difference / abs(row.before):+.1f} %)" if row.before else ""
+    sense = "rose" if row.difference > 0 else "fell"
+    size = f"{number(abs(row.difference), 3)} +- {number(2 * row.std, 2)} {row.unit}"
+    return f"{row.symbol} {sense} by {size}{percent}, {_p(row.p_value or 0.0, said=True)}"
+
+
+def _p(p_value: float, *, said: bool = False) -> str:
+    text = "< 1e-6" if p_value < 1e-6 else number(p_value, 2)
+    return text if not said else f"p {text}" if text.startswith("<") else f"p = {text}"

@@ -1,0 +1,265 @@
+"""What another sensor, or another motion, would do to every interval of an estimate: before either is paid for.
+
+`advise` takes an estimate and its record. Covariances are predicted from exact sensitivities at the estimate, and
+begin at those that were reported: what is predicted is how much they change.
+
+- A sensor adds its information to the torque's (`encoders`).
+- A motion is simulated at the estimate and gives other sensitivities J. The residual is taken to keep the spectrum it
+  has in the record, and the covariance of least squares under it (`inference.uncertainty.stationary`) is set against
+  the same for the record's own motion. A loop that sees the same disturbance does keep it; friction that repeats with
+  the motion would change.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.progress import Progress, silent
+from jointid.common.text import aligned, number
+from jointid.diagnostics.sensor_information import Noise, informations, usual_step, with_information
+from jointid.diagnostics.variations import Variation, faster, pulse_of, pulsed
+from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITIAL_TORQUE
+from jointid.estimation.result.estimate import Estimate, fingerprint
+from jointid.models.parameters import POSITION_UNIT
+from jointid.models.transmission import Transmission, transmission_lines
+from jointid.records.encoder_step import step_of
+from jointid.records.record import Record, Tap
+from jointid.simulation.closed_loop import Outcome
+from jointid.uncertainty.covariance import covariance_of, stationary
+
+_WORTH = 0.8  # of a deviation: what narrows it less is not worth a sentence
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """What one change of sensors or motion would do.
+
+    Attributes:
+        name: of the change, a word or two.
+        described: what it is, with its numbers.
+        std: predicted standard deviations by name; empty where the loop cannot be simulated under it.
+    """
+
+    name: str
+    described: str
+    std: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Advice:
+    """What sensors and motions would do to an estimate.
+
+    Attributes:
+        record: its name.
+        noise: where the torque's residual is taken to come from: "loop" or "log".
+        symbols, units: of the parameters of the joint that were free, by name.
+        std: their standard deviations as reported.
+        sensors: predictions for encoders beside the torque.
+        tests: predictions for other motions, of the same duration, from the torque alone.
+        transmission: on whose `side` all numbers are.
+    """
+
+    record: str
+    noise: Noise
+    symbols: Mapping[str, str]
+    units: Mapping[str, str]
+    std: Mapping[str, float]
+    sensors: tuple[Prediction, ...]
+    tests: tuple[Prediction, ...]
+    transmission: Transmission | None = None
+
+    def ratio(self, change: str, name: str) -> float:
+        """Return the predicted deviation of a parameter under a change, over the reported one.
+
+        Raises:
+            KeyError: there is no such change, or parameter.
+        """
+        found = {one.name: one for one in (*self.sensors, *self.tests)}[change]
+        return found.std[name] / self.std[name]
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """For every change, which interval it narrows most."""
+        return tuple(self._sentence(one) for one in (*self.sensors, *self.tests))
+
+    def _sentence(self, change: Prediction) -> str:
+        if not change.std:
+            return f"{change.name}: {change.described}; the loop cannot be simulated so"
+        name = min(change.std, key=lambda n: change.std[n] / self.std[n])
+        before, after = self.std[name], change.std[name]
+        if after > _WORTH * before:
+            return f"{change.name}: {change.described}; narrows no interval by more than a fifth"
+        return (
+            f"{change.name}: {change.described}; narrows {self.symbols[name]} most, from +- {number(2 * before, 2)} to "
+            f"+- {number(2 * after, 2)} {self.units[name]}"
+        )
+
+    def __str__(self) -> str:
+        """Return a table for sensors and one for tests, then a sentence each."""
+        where = {
+            "loop": "a force inside the loop: the log is the controller's output",
+            "log": "the log's own noise",
+        }[self.noise]
+        parts = [
+            f"What would narrow the intervals of {self.record}; 2 sigma, predicted",
+            f"the torque's residual is taken to be {where}",
+            *transmission_lines(self.transmission),
+        ]
+        for kind, group in (("torque and", self.sensors), ("torque from", self.tests)):
+            header = ("symbol", "reported", *(f"{kind} {one.name}" for one in group), "unit")
+            parts.append(aligned(header, [self._row(name, group) for name in self.std], (False, *self._right(group))))
+        return "\n\n".join([*parts, "\n".join(self.sentences)])
+
+    def _row(self, name: str, group: tuple[Prediction, ...]) -> tuple[str, ...]:
+        told = (number(2 * one.std[name] if one.std else None, 2) for one in group)
+        return self.symbols[name], number(2 * self.std[name], 2), *told, self.units[name]
+
+    @staticmethod
+    def _right(group: tuple[Prediction, ...]) -> tuple[bool, ...]:
+        return True, *(True for _ in group), False
+
+
+def advise(
+    estimate: Estimate,
+    record: Record,
+    *,
+    encoder_step: float | None = None,
+    noise: Noise | None = None,
+    pulse: tuple[float, float] | None = None,
+    progress: Progress = silent,
+) -> Advice:
+    """Predict what encoders, pulses and a faster motion would do to the intervals of an estimate (see the module).
+
+    Args:
+        estimate: by DIDIM, nothing of it refused.
+        record: that it was identified from.
+        encoder_step: of encoders on motor and load, m or rad, on the joint's side of a transmission; None: as fine as
+            those of the record, or a millionth of the commanded travel where it has none.
+        noise: where the torque's residual comes from, "loop" or "log"; None: what the record's tap says, "log" for a
+            measured torque.
+        pulse: height (N or N m) and width (s) of the pulses that are tried; None: see `variations.pulse_of`.
+        progress: is told what is simulated.
+
+    Raises:
+        MethodError: the estimate is not one of a simulated loop as it was declared, has a refused value, or is of
+            another record.
+    """
+    problem, x = at_estimate(estimate, record)
+    if estimate.bounds:
+        raise MethodError(
+            "This estimate refuses the stiffness, so there is no joint to predict intervals of; "
+            "what_would_tell_more says which test would show one."
+        )
+    noise = noise or noise_of(record)
+    scale = np.array([p.std or 0.0 for p in estimate.parameters if p.free])
+    known = estimate.correlation * np.outer(scale, scale)
+    progress("simulating the loop for its positions")
+    sensors = _sensors(problem, x, noise, steps(record, encoder_step), known)
+    progress("simulating other motions")
+    height, width = pulse or pulse_of(problem, problem.values(x))
+    tests = _tests(problem, x, scale, (pulsed(problem, height, width), faster(problem, record)))
+    own = problem.free_joint
+    names = [p.name for p in own]
+    return Advice(
+        estimate.record,
+        noise,
+        {p.name: p.symbol for p in own},
+        {p.name: problem.units[p.name] for p in own},
+        dict(zip(names, map(float, scale), strict=False)),
+        sensors,
+        tests,
+        estimate.joint.transmission,
+    )
+
+
+def at_estimate(estimate: Estimate, record: Record) -> tuple[Problem, FloatArray]:
+    """Return the problem an estimate solved and its free parameters, those that were refused at 0.
+
+    Raises:
+        MethodError: it is not of a simulated loop as it was declared, or of another record.
+    """
+    if estimate.loop is None:
+        raise MethodError("Advice is for an estimate by DIDIM, which knows its loop; this one is by IDIM.")
+    assert record.torque is not None
+    if fingerprint(record.torque.values) != estimate.fingerprint:
+        raise MethodError(
+            f"The estimate is of {estimate.record}, and {record.name} holds another torque; give the record it is of."
+        )
+    freed = [p.name for p in estimate.parameters if p.free and not p.of_joint]
+    of_start = {p.name: p for p in (*INITIAL_STATE, INITIAL_TORQUE)}
+    if any(name not in of_start for name in freed):
+        raise MethodError(
+            f"Advice takes the loop as it is declared, and here {', '.join(freed)} was free; identify with those fixed."
+        )
+    found = {p.name: p for p in estimate.parameters}
+    parameters = tuple(
+        p if found[p.name].free else p.fixed(found[p.name].value or 0.0)
+        for p in (*estimate.joint.parameters, *(of_start[name] for name in found if name in of_start))
+    )
+    own = len(estimate.joint.parameters)
+    problem = torque_problem(record, estimate.loop, estimate.filtering, parameters[:own], parameters[own:])
+    return problem, problem.vector({name: p.value or 0.0 for name, p in found.items()})
+
+
+def noise_of(record: Record) -> Noise:
+    """Return where a torque's residual comes from, by where it was logged."""
+    return "log" if record.tap is Tap.MEASURED else "loop"
+
+
+def steps(record: Record, given: float | None) -> tuple[float, float]:
+    """Return the steps of an encoder on the motor and on the load: as given, or the record's own, or the usual."""
+    if given is not None:
+        if not (math.isfinite(given) and given > 0):
+            raise MethodError(f"The step of an encoder is a positive number; received {given}.")
+        return given, given
+    assert record.reference is not None
+    motor = step_of(record.motor_position) or usual_step(record.reference.values)
+    return motor, step_of(record.load_position) or motor
+
+
+def _sensors(
+    problem: Problem, x: FloatArray, noise: Noise, step: tuple[float, float], known: FloatArray
+) -> tuple[Prediction, ...]:
+    """Return the predictions for a motor encoder, a load encoder and both."""
+    added = informations(problem, x, noise, *step)
+    unit = POSITION_UNIT[problem.loop.joint.kind]
+    motor = ("motor encoder", f"steps of {step[0]:.2g} {unit}", added.motor)
+    sets = [motor]
+    if added.load is not None:
+        sets.append(("load encoder", f"steps of {step[1]:.2g} {unit}", added.load))
+        sets.append(("both", f"steps of {step[0]:.2g} and {step[1]:.2g} {unit}", added.motor + added.load))
+    names = [p.name for p in problem.free_joint]
+
+    def predicted(information: FloatArray) -> dict[str, float]:
+        std = covariance_of(with_information(known, information), 0).std
+        return dict(zip(names, map(float, std), strict=False))
+
+    return tuple(Prediction(name, said, predicted(information)) for name, said, information in sets)
+
+
+def _tests(
+    problem: Problem, x: FloatArray, scale: FloatArray, variations: tuple[Variation, ...]
+) -> tuple[Prediction, ...]:
+    """Return the predictions for other motions, of the record's duration."""
+    error, J = problem.linearised(x)
+    own = stationary(J, J, error).std
+    names = [p.name for p in problem.free_joint]
+
+    def predicted(variation: Variation) -> dict[str, float]:
+        changed = replace(problem, experiment=variation.experiment, measured=problem.measured[: variation.samples])
+        response, columns = changed.sensitivities(x)
+        if response.outcome is not Outcome.FINISHED:
+            return {}
+        J = changed.filtered(columns)
+        left = error[: len(J)]
+        std = stationary(J, J, left).std * math.sqrt(len(J) / error.size)
+        return dict(zip(names, map(float, scale * std / own), strict=False))
+
+    return tuple(Prediction(one.name, one.described, predicted(one)) for one in variations)

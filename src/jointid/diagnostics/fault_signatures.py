@@ -1,0 +1,143 @@
+"""What a record may have that is not declared: how each alternative would show in the torque.
+
+For a solved problem, each alternative is one column, the derivative of the filtered torque by the size of the fault,
+the joint's parameters held:
+
+- numbers of the law (``kp``, ``kv``, ``gain``, ..., ``delay``), ``log_gain`` and ``log_delay``: exact derivatives;
+- ``injected_gain``: the known signal is larger than the record says;
+- ``offset``: a constant force, where the joint is declared without one;
+- ``limit``: the law's output is cut off below its declared limit, at some shares of the largest torque it asks for;
+- ``stribeck``: the motor's friction is larger by ``S exp(-(v / vs)^2)`` at low speed, for some vs: a force on the
+  simulated motion, through the loop; ``presliding``: it is smaller by that.
+
+A wrong ``drive_gain`` is none of them: where everything in the record is scaled by it, the joint is, too, and nothing
+shows. What shows is a gain that one thing has and another has not: the law's (``gain``, ``kv``), the log's
+(``log_gain``), or that of a signal of known size (``injected_gain``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.estimation.problems.closed_loop import Problem
+from jointid.models.controllers import numbers_of
+from jointid.records.record import Tap
+from jointid.simulation.log_output import as_logged
+from jointid.simulation.loop_input import Experiment
+
+STRIBECK, PRESLIDING, LIMIT, OFFSET, INJECTED_GAIN = "stribeck", "presliding", "limit", "offset", "injected_gain"
+ONE_SIDED = (STRIBECK, PRESLIDING, LIMIT)
+"""Alternatives that can only be positive: each says in which direction it goes."""
+
+_SPEEDS = (0.02, 0.04, 0.08)  # of the largest speed: the Stribeck speeds that are tried
+_SHARES = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the largest torque the law asks for: the limits that are tried
+_FORCE = 1e-3  # of the largest torque: small enough for the friction to answer it linearly
+_STEP = 1e-4  # of the known signal
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alternative:
+    """One way in which a record may differ from what is declared.
+
+    Attributes:
+        name: of the suspect.
+        column: (rows,) derivative of the filtered torque by its size.
+        shape: what the column was made for: the level of a limit, a Stribeck speed; None where there is no choice.
+        raw: (samples,) the same before the filter, where no parameter of a problem stands for the fault.
+    """
+
+    name: str
+    column: FloatArray
+    shape: float | None = None
+    raw: FloatArray | None = None
+
+
+def sensitivities(problem: Problem, x: FloatArray) -> tuple[FloatArray, FloatArray, tuple[Alternative, ...]]:
+    """Return the residual, the columns of the free parameters, (rows, free), and those of all alternatives.
+
+    Args:
+        problem: solved; what it has free is no alternative.
+        x: its parameters.
+    """
+    taken = {p.name for p in problem.free}
+    names = [name for name in _exact(problem) if name not in taken]
+    wider = problem.freeing(*names)
+    bare = [p for p in wider.parameters if p.name == OFFSET and not p.free and (p.start or 0.0) == 0.0]
+    if bare:
+        wider = replace(wider, parameters=tuple(replace(p, free=True) if p in bare else p for p in wider.parameters))
+    residual, slopes = wider.linearised(wider.vector(problem.values(x)))
+    columns = dict(zip((p.name for p in wider.free), -slopes.T, strict=True))
+    own = np.column_stack([columns[p.name] for p in problem.free])
+    exact = [Alternative(name, columns[name]) for name in (*names, *(p.name for p in bare))]
+    tried = [*exact, *_injected(problem, x), *_stribeck(problem, x), *([] if LIMIT in taken else _limits(problem, x))]
+    return residual, own, tuple(a for a in tried if np.linalg.norm(a.column) > 0)
+
+
+def _exact(problem: Problem) -> tuple[str, ...]:
+    """Return the names of what surrounds the joint and can be derived by: a gain of 0 is a choice, not a mistake."""
+    controller = problem.loop.controller
+    numbers = [n for n, v in numbers_of(controller).items() if n == "delay" or (v and math.isfinite(v) and n != LIMIT)]
+    return (*numbers, "log_gain", "log_delay")
+
+
+def _injected(problem: Problem, x: FloatArray) -> Iterator[Alternative]:
+    """Yield the known signal's gain, where it is added after the limit."""
+    if np.any(problem.experiment.after_limit):
+        low, high = (problem.torque_if(x, partial(_injecting, by)) for by in (1 - _STEP, 1 + _STEP))
+        raw = (high - low) / (2 * _STEP)
+        yield Alternative(INJECTED_GAIN, problem.filtered(raw), raw=raw)
+
+
+def _stribeck(problem: Problem, x: FloatArray) -> Iterator[Alternative]:
+    """Yield the answers of the loop to a friction that is larger, or smaller, at low speed."""
+    velocity = problem.simulate(x).motor_velocity
+    if velocity.size != problem.experiment.after_limit.size:
+        return  # a force at the controller's instants needs the motion there
+    for share in _SPEEDS:
+        speed = share * float(np.max(np.abs(velocity), initial=0.0))
+        if speed > 0:
+            force = -np.exp(-((velocity / speed) ** 2)) * np.sign(velocity)
+            raw = _answer(problem, x, force)
+            column = problem.filtered(raw)
+            yield Alternative(STRIBECK, column, speed, raw)
+            yield Alternative(PRESLIDING, -column, speed, -raw)
+
+
+def _limits(problem: Problem, x: FloatArray) -> Iterator[Alternative]:
+    """Yield what a limit takes from the torque, as a whole: what is 1 times as large is the limit itself."""
+    if not hasattr(problem.loop.controller, LIMIT):
+        return
+    output = problem.torque_if(x, lambda e: replace(e, tap=Tap.COMMAND, logged=np.zeros_like(e.logged)))
+    asked, free = float(np.max(np.abs(output))), problem.torque(x)
+    for share in _SHARES:
+        level = share * asked
+        if level < problem.experiment.law.limit:
+            cut = problem.torque_if(x, partial(_limited, level))
+            yield Alternative(LIMIT, problem.filtered(cut - free), level)
+
+
+def _answer(problem: Problem, x: FloatArray, force: FloatArray) -> FloatArray:
+    """Return what the log shows of a force on the motor, (periods,), that no log contains."""
+    size = _FORCE * float(np.max(np.abs(problem.measured)))
+    low, high = (problem.torque_if(x, partial(_pushed, by * force)) for by in (-size, size))
+    seen = (high - low) / (2 * size)
+    return seen - as_logged(problem.experiment, force) if problem.experiment.tap is Tap.MEASURED else seen
+
+
+def _injecting(factor: float, experiment: Experiment) -> Experiment:
+    after, logged = factor * experiment.after_limit, factor * experiment.logged
+    return replace(experiment, after_limit=after, logged=logged)
+
+
+def _limited(level: float, experiment: Experiment) -> Experiment:
+    return experiment.with_law(experiment.law.limited(level))
+
+
+def _pushed(force: FloatArray, experiment: Experiment) -> Experiment:
+    return replace(experiment, after_limit=experiment.after_limit + force)

@@ -1,0 +1,162 @@
+"""The answer to "is the loop as declared?": every suspect's test, and what is named, in plain sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from jointid.common.text import aligned, number
+from jointid.diagnostics.fault_signatures import INJECTED_GAIN, LIMIT, OFFSET, PRESLIDING, STRIBECK
+from jointid.models.transmission import Side
+
+_SLIGHT = 0.5  # of a deviation: a smaller change of a parameter is not worth a word
+_TOLD = 3  # parameters whose change is told in a sentence
+_RATIOS = ("log_gain", INJECTED_GAIN)
+
+
+@dataclass(frozen=True, slots=True)
+class Suspect:
+    """The test of one alternative.
+
+    Attributes:
+        name: "kp", "delay", "log_gain", ...: see `alternatives`.
+        alike: others that no record of this loop can tell from it.
+        declared: the value that is declared; 0 for what is not declared at all.
+        size: how much more than declared it is; of a limit, the share of what it cuts off that is seen.
+        std: standard deviation of the size, autocorrelation-robust.
+        statistic: their ratio.
+        p_value: of a statistic so large by chance, for all tests of the record together.
+        shape: the level of a limit in the torque's unit, or a Stribeck speed.
+    """
+
+    name: str
+    alike: tuple[str, ...]
+    declared: float
+    size: float
+    std: float
+    statistic: float
+    p_value: float
+    shape: float | None = None
+
+    @property
+    def words(self) -> str:
+        """Its name, with those it cannot be told from."""
+        return " or ".join((self.name, *self.alike))
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """What a fault, taken in, does to a parameter of the joint: in its unit, and in its standard deviations."""
+
+    by: float
+    sigmas: float
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What is not as declared.
+
+    Attributes:
+        suspect: its test, given what was named before it.
+        value: what it is, where the problem could be solved with it free: in the unit it is declared in.
+        rivals: others that are nearly as likely: no more than 20 times less.
+        changes: of the joint's parameters, by name, when it is taken in.
+    """
+
+    suspect: Suspect
+    value: float | None
+    rivals: tuple[str, ...]
+    changes: Mapping[str, Change]
+
+
+@dataclass(frozen=True, slots=True)
+class LoopCheck:
+    """Whether the loop and the log are as declared.
+
+    Attributes:
+        findings: what is not, the likeliest first.
+        suspects: every test as if nothing else were wrong, the likeliest first.
+        level: the share of records with nothing wrong in which something is found, at most.
+        symbols: of the joint's parameters, by name.
+        units: of the joint's parameters by name, and of "torque" and "velocity".
+        side: of the transmission, on which all of these numbers are; None without one.
+    """
+
+    findings: tuple[Finding, ...]
+    suspects: tuple[Suspect, ...]
+    level: float
+    symbols: Mapping[str, str]
+    units: Mapping[str, str]
+    side: Side | None = None
+
+    @property
+    def as_declared(self) -> bool:
+        """Whether nothing was found."""
+        return not self.findings
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What was found, one sentence each; one that says so where nothing was."""
+        if self.findings:
+            return tuple(self._told(finding) for finding in self.findings)
+        least = min((s.p_value for s in self.suspects), default=1.0)
+        tested = ", ".join(s.words for s in self.suspects)
+        return (f"loop and log are as declared as far as this record shows ({tested}: p >= {number(least, 2)})",)
+
+    def __str__(self) -> str:
+        """Return the sentences, and the table of all tests."""
+        table = aligned(
+            ("suspect", "more than declared", "2 sigma", "statistic", "p"),
+            [_row(s) for s in self.suspects],
+            (False, True, True, True, True),
+        )
+        return "\n".join([*self.sentences, "", table])
+
+    def _told(self, finding: Finding) -> str:
+        s = finding.suspect
+        said = f"{self._fault(finding)} ({_p(s.p_value)})"
+        if s.alike:
+            said += f", or the like of {' or '.join(s.alike)}, which this loop does not tell from {s.name}"
+        if finding.rivals:
+            said += f"; {' or '.join(finding.rivals)} would explain nearly as much"
+        far = sorted(finding.changes.items(), key=lambda item: -abs(item[1].sigmas))[:_TOLD]
+        moved = [
+            f"{self.symbols[name]} by {change.by:+.3g} {self.units[name]} ({abs(change.sigmas):.1f} sigma)"
+            for name, change in far
+            if abs(change.sigmas) >= _SLIGHT
+        ]
+        return f"{said}; taking it in changes {', '.join(moved)}" if moved else said
+
+    def _fault(self, finding: Finding) -> str:
+        """Return what is wrong, in words."""
+        s, here = finding.suspect, "" if self.side is None else f" on the {self.side} side"
+        torque = self.units["torque"] + here
+        interval = f"{number(abs(s.size), 3)} +- {number(2 * s.std, 2)}"
+        if s.name in ("delay", "log_delay"):
+            sense = "later" if s.size > 0 else "earlier"
+            late = f"{number(1e3 * abs(s.size), 3)} +- {number(2e3 * s.std, 2)} ms {sense} than"
+            return (
+                f"the torque reacts {late} declared" if s.name == "delay" else f"the log shows it {late} its stamps say"
+            )
+        if s.name == LIMIT:
+            level = number(finding.value if finding.value is not None else s.shape, 4)
+            return f"the controller's output stops at {level} {torque}, which is not declared"
+        if s.name in (STRIBECK, PRESLIDING):
+            speed = f"{number(s.shape, 2)} {self.units['velocity']}"
+            sense = "larger" if s.name == STRIBECK else "smaller"
+            slow = f"towards standstill, below some {speed}{here}"
+            return f"{slow}, the friction is {interval} {self.units['torque']} {sense} than Coulomb's"
+        if s.name == OFFSET:
+            return f"a constant force of {number(s.size, 3)} +- {number(2 * s.std, 2)} {torque} is not declared"
+        scale = 1.0 if s.name in _RATIOS else abs(s.declared)
+        percent = f"{number(100 * abs(s.size) / scale, 2)} +- {number(200 * s.std / scale, 2)} %"
+        what = {"log_gain": "the logged torque", INJECTED_GAIN: "the injected signal"}.get(s.name, s.name)
+        return f"{what} is {percent} {'larger' if s.size > 0 else 'smaller'} than declared"
+
+
+def _row(s: Suspect) -> tuple[str, ...]:
+    return s.words, f"{s.size:+.3g}", number(2 * s.std, 2), f"{s.statistic:+.1f}", number(s.p_value, 2)
+
+
+def _p(p_value: float) -> str:
+    return "p < 1e-6" if p_value < 1e-6 else f"p = {number(p_value, 2)}"

@@ -1,0 +1,210 @@
+"""Every method that a record allows, side by side: where they agree, the answer does not hang on the method.
+
+DIDIM from torque and reference; IDIM by ordinary, weighted and robust least squares and by instruments, from positions;
+each with the joint's own friction, and DIDIM and ordinary least squares with the other law too. A method that cannot
+run is listed with the sentence that says why.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from jointid.common.errors import JointidError
+from jointid.common.progress import Progress, silent
+from jointid.common.text import aligned, number
+from jointid.estimation.identify import Method, identify
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.estimated import EstimatedParameter
+from jointid.models.friction import AsymmetricFriction, SymmetricFriction
+from jointid.models.joints import Joint
+from jointid.models.parameters import Parameter
+from jointid.models.transmission import transmission_lines
+from jointid.records.checks import check_record
+from jointid.records.record import Record
+from jointid.records.signals import Filtering
+from jointid.simulation.loop_input import ClosedLoop
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Compared:
+    """One method of a comparison.
+
+    Attributes:
+        name: of the method, in short.
+        estimate: what it found; None where it cannot run.
+        refusal: why not, in a sentence; "" where it ran.
+        seconds: that it took.
+    """
+
+    name: str
+    estimate: Estimate | None
+    refusal: str
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """What the methods found in one record.
+
+    Attributes:
+        record: its name.
+        model: of the joint.
+        methods: in the order they were tried.
+        disagreements: parameters on which two methods differ by more than both their intervals allow, in sentences.
+    """
+
+    record: str
+    model: str
+    methods: tuple[Compared, ...]
+    disagreements: tuple[str, ...]
+
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        """What those found that could run, by name."""
+        return {method.name: method.estimate for method in self.methods if method.estimate is not None}
+
+    def __str__(self) -> str:
+        """Return the table, what each method read, and what is to be said of them."""
+        found = self.estimates
+        lines = [f"{self.model.capitalize()} joint by every method that {self.record} allows; value +- 2 sigma"]
+        lines += [*transmission_lines(next((e.joint.transmission for e in found.values()), None)), ""]
+        if found:
+            lines += [_table(self), ""]
+        lines += [f"{name} reads {', '.join(estimate.channels)}" for name, estimate in found.items()]
+        lines += [f"{m.name} cannot run: {m.refusal}" for m in self.methods if m.estimate is None]
+        for name, estimate in found.items():
+            lines += [f"{name}, {test.name}: {test.sentence}" for test in estimate.tests]
+        agreed = ["no two methods differ by more than their intervals allow"] if len(found) > 1 else []
+        return "\n".join([*lines, *(self.disagreements or agreed)])
+
+
+def compare(
+    record: Record,
+    model: ClosedLoop | Joint,
+    *,
+    filtering: Filtering | None = None,
+    parameters: Mapping[str, Parameter] | None = None,
+    didim: DIDIM | FlexibleDIDIM | None = None,
+    progress: Progress = silent,
+) -> Comparison:
+    """Identify a joint by every method that the record and the model allow.
+
+    Args:
+        record: what was logged.
+        model: the loop (joint and controller), or the joint alone when the controller is not known.
+        filtering: of every method; see `Filtering`.
+        parameters: changes to the joint's parameters by name; with the other friction law, those that it has too.
+        didim: settings of DIDIM.
+        progress: is told each method's name.
+
+    Raises:
+        RecordError: the record cannot be what it is said to be; what single methods lack is part of the answer.
+    """
+    check_record(record)
+    tried = []
+    for name, variant, method in _methods(model, didim):
+        progress(f"trying {name}")
+        joint = variant.joint if isinstance(variant, ClosedLoop) else variant
+        has = {p.name for p in joint.parameters}
+        changes = {key: change for key, change in (parameters or {}).items() if variant is model or key in has}
+        began = time.perf_counter()
+        try:
+            estimate = identify(record, variant, method, filtering=filtering, parameters=changes)
+            refusal = ""
+        except JointidError as error:
+            estimate, refusal = None, str(error)
+        tried.append(Compared(name, estimate, refusal, time.perf_counter() - began))
+    joint = model.joint if isinstance(model, ClosedLoop) else model
+    return Comparison(record.name, joint.model, tuple(tried), _disagreements(tried))
+
+
+def _methods(
+    model: ClosedLoop | Joint, didim: DIDIM | FlexibleDIDIM | None
+) -> Iterator[tuple[str, ClosedLoop | Joint, Method]]:
+    """Yield the name of each method, the model with its friction law, and the method."""
+    joint = model.joint if isinstance(model, ClosedLoop) else model
+    torque_only = didim or (FlexibleDIDIM() if joint.model == "flexible" else DIDIM())
+    yield "DIDIM", model, torque_only
+    yield "IDIM-LS", model, IDIM()
+    if joint.model == "flexible":  # of a rigid joint's one equation the weight changes nothing
+        yield "IDIM-WLS", model, IDIM("weighted")
+    yield "IDIM-IRLS", model, IDIM("robust")
+    yield "IDIM-IV", model, IDIM("iv")
+    if joint.gravity is not None and joint.gravity.load == "constant":  # which asymmetric friction would hide
+        return
+    other, word = (
+        (AsymmetricFriction(), "asymmetric") if joint.friction.symmetric else (SymmetricFriction(), "symmetric")
+    )
+    turned = replace(joint, friction=other)
+    variant = ClosedLoop(turned, model.controller) if isinstance(model, ClosedLoop) else turned
+    yield f"DIDIM {word}", variant, torque_only
+    yield f"IDIM-LS {word}", variant, IDIM()
+
+
+def _disagreements(tried: list[Compared]) -> tuple[str, ...]:
+    """Return a sentence on each parameter's worst pair of methods, where it is beyond both intervals together.
+
+    All read one record, so that their errors mostly go together, and an honest pair is beyond far less often than in
+    one of twenty.
+    """
+    found = {method.name: method.estimate for method in tried if method.estimate is not None}
+    names = dict.fromkeys(p.name for estimate in found.values() for p in estimate.parameters if p.of_joint)
+    sentences = []
+    for name in names:
+        rows = {
+            key: p
+            for key, estimate in found.items()
+            for p in estimate.parameters
+            if p.name == name and p.value is not None and p.std is not None
+        }
+        pairs = [(_gap(rows[one], rows[two]), one, two) for one, two in combinations(rows, 2)]
+        worst, one, two = max(pairs, default=(0.0, "", ""))
+        if worst > 1.0:
+            first, second = rows[one], rows[two]
+            sentences.append(
+                f"{one} and {two} disagree on {name.replace('_', ' ')} beyond their intervals: "
+                f"{_interval(first)} and {_interval(second)} {first.unit}"
+            )
+    return tuple(sentences)
+
+
+def _gap(one: EstimatedParameter, two: EstimatedParameter) -> float:
+    """Return the difference of two estimates of one parameter, in 2-sigma intervals of it."""
+    assert one.value is not None
+    assert two.value is not None
+    spread = 2 * float(np.hypot(one.std or 0.0, two.std or 0.0))
+    return abs(one.value - two.value) / spread if spread else 0.0
+
+
+def _interval(p: EstimatedParameter | None) -> str:
+    if p is None:
+        return "-"
+    if p.value is None:
+        return "not identifiable"
+    return number(p.value) + (f" +- {number(2 * p.std, 2)}" if p.std is not None else "" if p.free else " fixed")
+
+
+def _table(comparison: Comparison) -> str:
+    found = comparison.estimates
+    seconds = {method.name: method.seconds for method in comparison.methods}
+    symbols: dict[str, tuple[str, str]] = {}
+    for estimate in found.values():
+        symbols |= {p.name: (p.symbol, p.unit) for p in estimate.parameters if p.of_joint}
+    rows = []
+    for name, (symbol, unit) in symbols.items():
+        lines = [next((p for p in e.parameters if p.name == name), None) for e in found.values()]
+        rows.append([symbol, unit, *map(_interval, lines)])
+    of_each = found.values()
+    rows.append(["torque error, raw", "%", *(f"{100 * e.relative_error:.2f}" for e in of_each)])
+    rows.append(["filtered", "%", *(f"{100 * e.filtered_error:.2f}" for e in of_each)])
+    rows.append(["simulations", "", *(str(e.simulations) for e in of_each)])
+    rows.append(["time", "s", *(f"{seconds[name]:.1f}" for name in found)])
+    return aligned(["", "unit", *found], rows, [False, False, *(True for _ in found)])

@@ -1,0 +1,127 @@
+"""The smallest change of a joint that the same motion would detect, at a stated false-alarm rate.
+
+A new record of the same motion, with the same noise, is identified as the first was, and the two estimates compared. A
+quantity with the standard deviation s in each of them differs by chance with the deviation sqrt(s1^2 + s2^2), which is
+s sqrt(2). A change is told where the difference exceeds ``z(1 - a/2) sqrt(s1^2 + s2^2)``, z the normal quantile:
+without a change that happens in a share a of the comparisons. With a probability p it happens where the change is ::
+
+    change = (z(1 - a/2) + z(p)) sqrt(s1^2 + s2^2)
+
+(the power of a two-sided test; the wrong tail is left out). The deviations are those of the estimate, widened for what
+of the residual repeats with the motion. Such an error is the same in both records and leaves their difference, so
+where it is large this errs on the side of too large a change. What the estimate does not know to vary from record to
+record, as friction with temperature, is seen as a change, which it is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from statistics import NormalDist
+
+from jointid.common.errors import MethodError
+from jointid.common.text import aligned, number
+from jointid.estimation.result.estimate import Estimate
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """What change of one quantity would be told.
+
+    Attributes:
+        name: of a parameter, or of a sum in words. formula: in symbols. unit: of both.
+        value: in the estimate. std: its deviation there.
+        size: the smallest change that is detected with the stated power.
+        limit: of the difference of two estimates, beyond which a change is said.
+    """
+
+    name: str
+    formula: str
+    unit: str
+    value: float
+    std: float
+    size: float
+    limit: float
+
+
+@dataclass(frozen=True, slots=True)
+class Detectable:
+    """What changes of a joint the same motion would detect.
+
+    Attributes:
+        record: its name.
+        false_alarm: share of comparisons that say a change where there is none.
+        power: share that say one where there is one of that size.
+        changes: of each parameter that is told, and of the sums and differences of both sides.
+    """
+
+    record: str
+    false_alarm: float
+    power: float
+    changes: tuple[Change, ...]
+
+    def __getitem__(self, name: str) -> Change:
+        """Return the change of a quantity by its name or formula."""
+        for change in self.changes:
+            if name in (change.name, change.formula):
+                return change
+        raise KeyError(name)
+
+    def __str__(self) -> str:
+        """Return the table."""
+        rows = [
+            (c.formula, c.name, number(c.value), number(c.size, 2), _percent(c), number(c.limit, 2), c.unit)
+            for c in self.changes
+        ]
+        header = ("symbol", "quantity", "value", "detectable", "%", "alarm beyond", "unit")
+        said = (
+            f"Smallest change that another record of this motion would tell ({100 * self.false_alarm:g} % false "
+            f"alarms, {100 * self.power:g} % detected)"
+        )
+        return f"{said}\n\n" + aligned(header, rows, (False, False, *(True,) * 4, False))
+
+
+def detectable(estimate: Estimate, *, false_alarm: float = 0.01, power: float = 0.9) -> Detectable:
+    """Return the smallest change of each quantity that the same motion would detect (the module's equation).
+
+    Args:
+        estimate: of a record; a new one is taken to have the same motion and noise.
+        false_alarm: share of comparisons in which a change is said where there is none, two-sided.
+        power: share in which one is said where there is.
+
+    Raises:
+        MethodError: a share is not between 0 and 1, or the estimate tells no quantity with a deviation.
+
+    Limits: a change so large that the estimate's slopes are others at its end is told a little sooner or later; one
+    that a friction law of another shape makes is not a change of these parameters.
+    """
+    if not (0 < false_alarm < 1 and 0.5 <= power < 1):
+        raise MethodError(
+            f"A false-alarm rate is between 0 and 1, and a power from 0.5 to 1; received {false_alarm} and {power}."
+        )
+    normal = NormalDist()
+    alarm = normal.inv_cdf(1 - false_alarm / 2)
+    both = alarm + normal.inv_cdf(power)
+    told = [
+        (p.name, p.symbol, p.unit, p.value, p.std)
+        for p in estimate.parameters
+        if p.of_joint and p.value is not None and p.std
+    ]
+    if estimate.known is not None:
+        told += [
+            (k.combination.name, k.combination.formula, k.combination.unit, k.value, k.std)
+            for k in estimate.known.physical
+        ]
+    if not told:
+        raise MethodError(
+            f"The estimate of {estimate.record} has no deviations, so no change can be told; identify by least squares."
+        )
+    changes = tuple(
+        Change(name, formula, unit, value, std, both * math.sqrt(2) * std, alarm * math.sqrt(2) * std)
+        for name, formula, unit, value, std in told
+    )
+    return Detectable(estimate.record, false_alarm, power, changes)
+
+
+def _percent(change: Change) -> str:
+    return number(100 * change.size / abs(change.value), 2) if change.value else "-"

@@ -1,0 +1,236 @@
+"""Is the loop as declared, and what is wrong with this record? The likeliest fault named, then what is left.
+
+Every alternative of `alternatives` is tested alone (`scores`), all tests of a record as one family, so that of records
+with nothing wrong at most 5 % are suspected at all. The largest statistic is named; what is nearly as likely, by the
+ratio of the likelihoods, is named with it. Then the problem is solved again with the fault taken in, which tells what
+it does to the joint's parameters, and what is left is tested again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.progress import silent
+from jointid.diagnostics.fault_signatures import (
+    INJECTED_GAIN,
+    LIMIT,
+    OFFSET,
+    PRESLIDING,
+    STRIBECK,
+    Alternative,
+    sensitivities,
+)
+from jointid.diagnostics.loop_check import Change, Finding, LoopCheck, Suspect
+from jointid.diagnostics.scores import strength, tested
+from jointid.estimation.problems.closed_loop import Problem
+from jointid.estimation.problems.nuisance_parameters import surrounding
+from jointid.estimation.search.descent import Descent, refined
+from jointid.models.controllers import with_numbers
+from jointid.models.parameters import Quantity, unit_of
+from jointid.uncertainty.covariance import larger, robust
+from jointid.uncertainty.position_dependent_error import Cells, by_place, cells, repeatable
+
+_NEARLY = 6.0  # twice the logarithm of a likelihood ratio of 20
+_LOW_SPEED = (STRIBECK, PRESLIDING)  # two of a kind: after one, another shape of it is no other fault
+_HALF = 0.5  # of the size by one step must be left when the problem is solved again
+_ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
+_TOLERANCE = 1e-6  # of the refinement with a fault taken in: far below a deviation
+
+
+@dataclass(frozen=True, slots=True)
+class LoopTests:
+    """Settings of the check of a loop.
+
+    Attributes:
+        level: the share of records with nothing wrong in which something is suspected, at most.
+        most: faults named at most, one after another.
+        suspects: names of those to test; all that a record can have when None.
+    """
+
+    level: float = 0.05
+    most: int = 3
+    suspects: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if not (0 < self.level < 1 and self.most >= 1):
+            raise MethodError(
+                f"A check has a level between 0 and 1 and names at least 1 fault; received {self.level} and "
+                f"{self.most}."
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    """A solved problem as the tests see it.
+
+    `beside` are faults taken in that no parameter of the problem stands for; `named` are all names that are settled.
+    """
+
+    problem: Problem
+    x: FloatArray
+    beside: tuple[Alternative, ...] = ()
+    named: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Tested:
+    """The residual and the columns of a state, (rows, ...), its alternatives, and their tests, the likeliest first."""
+
+    residual: FloatArray
+    own: FloatArray
+    alternatives: tuple[Alternative, ...]
+    suspects: tuple[Suspect, ...]
+
+    def alternative(self, suspect: Suspect) -> Alternative:
+        """Return the alternative a suspect was tested with."""
+        return next(a for a in self.alternatives if (a.name, a.shape) == (suspect.name, suspect.shape))
+
+
+def suspected(problem: Problem, x: FloatArray, settings: LoopTests | None = None) -> LoopCheck:
+    """Return what of a loop and its log is not as declared.
+
+    Args:
+        problem: with what was identified free; what is free is not suspected.
+        x: (free,) where it was solved.
+        settings: see `LoopTests`.
+
+    Raises:
+        MethodError: no suspect has one of the names asked for.
+    """
+    settings = settings or LoopTests()
+    state = _State(problem, np.asarray(x, dtype=np.float64))
+    findings: list[Finding] = []
+    first: tuple[Suspect, ...] | None = None
+    while len(findings) < settings.most:
+        found = _tested(state, settings)
+        first = found.suspects if first is None else first
+        rounding = np.linalg.norm(found.residual) <= _ROUNDING * np.linalg.norm(problem.filtered(problem.measured))
+        if rounding or not found.suspects or found.suspects[0].p_value > settings.level:
+            break
+        if not findings:  # a rigid joint's DIDIM ends near the least squares, not on them
+            state = replace(state, x=_solved(problem, state.x))
+        after = _taken_in(state, found)
+        findings.append(_finding(state, after, found, settings.level))
+        state = after
+    joint = problem.loop.joint
+    units = {p.name: joint.unit(p) for p in joint.parameters}
+    force = units[OFFSET]
+    units |= {"torque": force, "velocity": unit_of(Quantity.VELOCITY, joint.kind, force)}
+    symbols = {p.name: p.symbol for p in joint.parameters}
+    side = None if joint.transmission is None else joint.transmission.side
+    return LoopCheck(tuple(findings), first or (), settings.level, symbols, units, side)
+
+
+def _tested(state: _State, settings: LoopTests) -> _Tested:
+    """Test every alternative of a state, each alone."""
+    residual, own, alternatives = sensitivities(state.problem, state.x)
+    known = dict.fromkeys(a.name for a in alternatives)
+    wrong = [name for name in settings.suspects or () if name not in (*known, *state.named)]
+    if wrong:
+        raise MethodError(
+            f"No suspect of this record is called {', '.join(wrong)}; those that can be tested are {', '.join(known)}."
+        )
+    asked = [n for n in known if n not in state.named and (settings.suspects is None or n in settings.suspects)]
+    declared = {name: _declared(state, name) for name in asked}
+    where = cache(lambda: _cells(state))  # asked by every suspect that is found, and a simulation each time
+    suspects = tested(residual, _own(state, own), alternatives, declared, where)
+    return _Tested(residual, own, alternatives, suspects)
+
+
+def _own(state: _State, own: FloatArray) -> FloatArray:
+    return np.column_stack([own, *(a.column for a in state.beside)])
+
+
+def _cells(state: _State) -> Cells:
+    """Return where and how the axis was at each row."""
+    run = state.problem.simulate(state.x)
+    motion = state.problem.filtered(np.column_stack([run.motor_position, run.motor_velocity]))
+    return cells(motion[:, 0], motion[:, 1])
+
+
+def _declared(state: _State, name: str) -> float:
+    if name in (STRIBECK, PRESLIDING, LIMIT, OFFSET):
+        return 0.0
+    return 1.0 if name == INJECTED_GAIN else surrounding(name, state.problem.loop.controller).start or 0.0
+
+
+def _taken_in(state: _State, found: _Tested) -> _State:
+    """Return the state with the likeliest fault taken in, and the problem solved again.
+
+    A parameter that stands for the fault is freed. Where none does, what the fault adds is taken off the torque, and
+    its column set beside those of the joint, so that no later test is misled by its size.
+    """
+    suspect, problem = found.suspects[0], state.problem
+    alternative = found.alternative(suspect)
+    named = (*state.named, suspect.name, *suspect.alike, *(_LOW_SPEED if suspect.name in _LOW_SPEED else ()))
+    if alternative.raw is not None:
+        problem = replace(problem, measured=problem.measured - suspect.size * alternative.raw)
+        return _State(problem, _solved(problem, state.x), (*state.beside, alternative), named)
+    wider, start = _freed(problem, suspect)
+    x = _solved(wider, wider.vector(problem.values(state.x) | {suspect.name: start}))
+    reached = wider.values(x)[suspect.name] - suspect.declared
+    astray = suspect.name != LIMIT and reached * suspect.size < _HALF * suspect.size**2
+    if astray or np.linalg.norm(wider.residual(x)) > np.linalg.norm(found.residual):
+        # A bound is in the way, or what else is wrong leads elsewhere: the test stands, the joint stays as it is.
+        return _State(problem, state.x, (*state.beside, alternative), named)
+    return _State(wider, x, state.beside, named)
+
+
+def _solved(problem: Problem, start: FloatArray) -> FloatArray:
+    """Return the least-squares parameters near a start."""
+    inside = np.clip(start, [p.lower for p in problem.free], [p.upper for p in problem.free])
+    return np.asarray(refined(Descent(problem, silent), inside, _TOLERANCE).x)
+
+
+def _freed(problem: Problem, suspect: Suspect) -> tuple[Problem, float]:
+    """Return the problem with a suspect free, and where that begins."""
+    start = suspect.declared + suspect.size
+    if suspect.name == OFFSET:
+        parameters = tuple(replace(p, free=p.free or p.name == OFFSET) for p in problem.parameters)
+        return replace(problem, parameters=parameters), start
+    if suspect.name == LIMIT:  # what is declared may be infinite, where no search can begin
+        start = (suspect.shape or 0.0) / _torque_per_unit(problem)
+        loop = replace(problem.loop, controller=with_numbers(problem.loop.controller, {LIMIT: start}))
+        law = problem.experiment.law_of(loop.controller)
+        problem = replace(problem, loop=loop, experiment=problem.experiment.with_law(law))
+    wider = problem.freeing(suspect.name)
+    p = next(p for p in wider.parameters if p.name == suspect.name)
+    return wider, max(start, p.lower)
+
+
+def _torque_per_unit(problem: Problem) -> float:
+    """Return the torque on the joint for one unit of the controller."""
+    controller = problem.loop.controller
+    return float(getattr(controller, "gain", 1.0) * abs(getattr(controller, "ratio", 1.0)))
+
+
+def _finding(state: _State, after: _State, found: _Tested, level: float) -> Finding:
+    suspect = found.suspects[0]
+    best = strength(suspect) ** 2
+    rivals = tuple(s.words for s in found.suspects[1:] if s.p_value <= level and best - strength(s) ** 2 < _NEARLY)
+    own = _own(state, found.own)
+    names = [p.name for p in state.problem.free_joint]
+    std = robust(own, own, found.residual).std[: len(names)]
+    values = after.problem.values(after.x)
+    moved = np.array([values[name] for name in names]) - state.x[: len(names)]
+    changes = {
+        name: Change(float(by), float(by / s) if s > 0 else 0.0) for name, by, s in zip(names, moved, std, strict=True)
+    }
+    free = [p.name for p in after.problem.free]
+    if len(after.beside) > len(state.beside) or suspect.name not in free:
+        return Finding(suspect, None, rivals, changes)
+    value = values[suspect.name]
+    if suspect.name == LIMIT:
+        return Finding(suspect, value * _torque_per_unit(state.problem), rivals, changes)
+    residual, slopes = after.problem.linearised(after.x)
+    columns = _own(after, -slopes)
+    covariance, where = robust(columns, columns, residual), _cells(after)
+    if repeatable(residual, where).significant:
+        covariance = larger(covariance, by_place(columns, columns, residual, where))
+    refined_std = float(covariance.std[free.index(suspect.name)])
+    return Finding(replace(suspect, size=value - suspect.declared, std=refined_std), value, rivals, changes)

@@ -1,0 +1,183 @@
+"""The tests of alternatives, each alone: one Gauss-Newton step in a residual made white.
+
+With J the sensitivities of the free parameters and c the column of an alternative (`alternatives`), the residual e of a
+solved problem is regressed on both. The last coefficient is the size of the fault, and its ratio to its deviation the
+statistic. Before that, e, J and c go through one filter that makes the noise nearly white: the prediction error of an
+autoregressive model of what no alternative explains of e. So the statistic is nearly that of the likelihood, which
+tells kp from kv or a gain of the log where plain least squares, in a loop that shapes the noise, does not. The model
+need not be right: the deviation is the autocorrelation-robust one of `uncertainty`, widened where what is left repeats
+with the motion (`repeatable`).
+
+All tests of a record are one family: p-values are multiplied by the number of suspects, and of shapes tried for one
+(Bonferroni). Columns that are one after the joint's parameters have done what they can are one suspect.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.diagnostics.fault_signatures import INJECTED_GAIN, ONE_SIDED, Alternative
+from jointid.diagnostics.loop_check import Suspect
+from jointid.uncertainty.covariance import larger, robust
+from jointid.uncertainty.position_dependent_error import Cells, by_place, repeatable
+
+_ORDER, _FLOOR = 16, 1e-2  # of the autoregressive model; of its variance, white: a stop band is not to be blown up
+_RANK = 1e-10  # of the largest singular value of columns
+_UNSEEN = 1e-12  # of the square of a column: what is left of it by the joint's parameters is rounding
+_SAME = 0.999  # the cosine of two columns that are one
+_LAST = ("gain", INJECTED_GAIN)  # a fault is called theirs only where it cannot be another's
+_WIDENED = 0.05  # a test with a larger p-value names nothing, however wide its interval
+
+Filter: TypeAlias = Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Step:
+    """An alternative taken in by one step.
+
+    Attributes:
+        alternative: with the best of its shapes.
+        shapes: how many there were.
+        size: of the step.
+        gain: what the squared residual loses by it.
+        alone: (rows,) its column, white, without what the other columns explain of it.
+    """
+
+    alternative: Alternative
+    shapes: int
+    size: float
+    gain: float
+    alone: FloatArray
+
+
+def tested(
+    residual: FloatArray,
+    own: FloatArray,
+    alternatives: Sequence[Alternative],
+    declared: Mapping[str, float],
+    where: Callable[[], Cells],
+) -> tuple[Suspect, ...]:
+    """Return the tests of alternatives, each alone, the strongest first.
+
+    Args:
+        residual: (rows,) of a solved problem, in the order of time.
+        own: (rows, free) columns of its free parameters, and of faults already taken in.
+        alternatives: all there are: none of them is noise.
+        declared: the value declared, by the name of each alternative that is to be tested.
+        where: returns the rows' cells; asked only where something is found.
+    """
+    whiten = whitener(_without(np.column_stack([own, *(a.column for a in alternatives)]), residual))
+    basis, error = _basis(whiten(own)), whiten(residual)
+    left = error - basis @ (basis.T @ error)
+    steps = [_best([a for a in alternatives if a.name == name], whiten, basis, left) for name in declared]
+    groups = _grouped(steps)
+    found = [_judged(group, left, len(groups), declared, where) for group in groups]
+    return tuple(sorted(found, key=lambda s: -strength(s)))
+
+
+def strength(suspect: Suspect) -> float:
+    """Return how much a suspect explains: its statistic, of one that can only be positive nothing below 0."""
+    return max(suspect.statistic, 0.0) if suspect.name in ONE_SIDED else abs(suspect.statistic)
+
+
+def whitener(residual: FloatArray) -> Filter:
+    """Return the filter that makes a residual nearly white, of signals (rows,) or (rows, columns) alike.
+
+    It is the prediction error of an autoregressive model of order 16, by Yule and Walker, of the residual with 1 % of
+    its variance added as white noise.
+
+    Args:
+        residual: (rows,), in the order of time.
+    """
+    from scipy.linalg import solve_toeplitz
+    from scipy.signal import lfilter
+
+    rows = residual.size
+    order = min(_ORDER, rows // 4)
+    products = np.array([residual[lag:] @ residual[: rows - lag] for lag in range(order + 1)]) / rows
+    if not products[0] > 0:
+        return lambda signals: signals
+    products[0] *= 1 + _FLOOR
+    weights = solve_toeplitz(products[:-1], products[1:])
+    scale = math.sqrt(products[0] - weights @ products[1:])
+    taps = np.concatenate([[1.0], -weights]) / scale
+    return lambda signals: np.asarray(lfilter(taps, [1.0], signals, axis=0))
+
+
+def _without(columns: FloatArray, signal: FloatArray) -> FloatArray:
+    """Return a signal less its regression on columns that may be collinear."""
+    basis = _basis(columns)
+    return np.asarray(signal - basis @ (basis.T @ signal))
+
+
+def _basis(columns: FloatArray) -> FloatArray:
+    norms = np.linalg.norm(columns, axis=0)
+    left, sizes, _ = np.linalg.svd(columns / np.where(norms > 0, norms, 1.0), full_matrices=False)
+    return np.asarray(left[:, sizes > _RANK * sizes[0]])
+
+
+def _best(shapes: Sequence[Alternative], whiten: Filter, basis: FloatArray, left: FloatArray) -> _Step:
+    """Return the step with the shape of an alternative that takes most from the residual.
+
+    `basis`, (rows, rank), is that of the other columns, `left`, (rows,), what they leave of the residual.
+    """
+    steps = []
+    for alternative in shapes:
+        column = whiten(alternative.column)
+        alone = column - basis @ (basis.T @ column)
+        square = float(alone @ alone)
+        # What the joint's parameters do as well is no fault that shows.
+        size = float(alone @ left) / square if square > _UNSEEN * float(column @ column) else 0.0
+        gain = size * size * square if size > 0 or alternative.name not in ONE_SIDED else 0.0
+        steps.append(_Step(alternative, len(shapes), size, gain, alone))
+    return max(steps, key=lambda step: step.gain)
+
+
+def _grouped(steps: Sequence[_Step]) -> list[list[_Step]]:
+    """Return the steps, those together whose columns are one."""
+    groups: list[list[_Step]] = []
+    for step in sorted(steps, key=lambda step: step.alternative.name in _LAST):
+        size = float(np.linalg.norm(step.alone))
+        for group in groups:
+            other = group[0].alone
+            cosine = float(step.alone @ other) / max(size * float(np.linalg.norm(other)), np.finfo(float).tiny)
+            if step.alternative.name not in ONE_SIDED and abs(cosine) > _SAME:
+                group.append(step)
+                break
+        else:
+            groups.append([step])
+    return groups
+
+
+def _judged(
+    group: Sequence[_Step], left: FloatArray, family: int, declared: Mapping[str, float], where: Callable[[], Cells]
+) -> Suspect:
+    """Return the test of an alternative, by its size and the autocorrelation-robust deviation of that.
+
+    The regression of what the other columns leave of both is the regression on all of them (Frisch and Waugh).
+    """
+    step = group[0]
+    a, alone = step.alternative, step.alone[:, np.newaxis]
+    after = left - step.size * step.alone
+    covariance = robust(alone, alone, after)
+    if _chance(step, float(covariance.std[0]), family) <= _WIDENED and repeatable(after, where()).significant:
+        covariance = larger(covariance, by_place(alone, alone, after, where()))
+    std = float(covariance.std[0])
+    alike = tuple(other.alternative.name for other in group[1:])
+    statistic, p_value = step.size / std if std > 0 else 0.0, _chance(step, std, family)
+    return Suspect(a.name, alike, declared[a.name], step.size, std, statistic, p_value, a.shape)
+
+
+def _chance(step: _Step, std: float, family: int) -> float:
+    """Return the p-value of a step, for all tests together."""
+    from scipy.stats import norm
+
+    ratio = step.size / std if std > 0 else 0.0
+    tail = norm.sf(ratio) if step.alternative.name in ONE_SIDED else 2 * norm.sf(abs(ratio))
+    return min(float(tail) * step.shapes * family, 1.0)

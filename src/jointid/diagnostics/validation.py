@@ -1,0 +1,284 @@
+"""Validation as the paper does it: the direct test on the same record, the cross test on another one.
+
+The identified joint is simulated (DIDIM) or its inverse model evaluated (IDIM), and the torque compared with the
+measured one, ``||Y - Ys|| / ||Y||``. Only the motor's state at the first sample is estimated anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.estimation.methods.inverse_model import idim_channels, motion_of
+from jointid.estimation.methods.regression import least_squares
+from jointid.estimation.problems.closed_loop import Problem, initial_of, with_torque
+from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
+from jointid.estimation.result.estimate import (
+    Estimate,
+    IdentifiedJoint,
+    MethodName,
+    fingerprint,
+    law_fingerprint,
+    relative_error,
+)
+from jointid.estimation.search.starts import initial_state, reconstructed_position
+from jointid.models.disturbances import effect_parameters
+from jointid.models.joints import Motion
+from jointid.models.parameters import POSITION_UNIT
+from jointid.models.transmission import Transmission, transmission_lines
+from jointid.records.checks import check_record
+from jointid.records.record import Record
+from jointid.records.time_base.uniformity import Resampled, resampled_lines
+from jointid.simulation.closed_loop import Initial, Simulation, require_finished
+from jointid.simulation.loop_input import ClosedLoop, prepare
+
+_LAGS = 40  # of the residual's autocorrelation
+_STEPS = 6  # for two numbers that act almost linearly on the torque
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Validation:
+    """How well an estimate reproduces a record's torque.
+
+    Attributes:
+        test: "direct" on the record it was identified from, "cross" on another.
+        method: "didim" simulates the loop; "idim" evaluates the inverse model on the measured position.
+        record, identified_from: names of the records.
+        channels: of the record, that were read.
+        sample_time: of the torque, seconds.
+        torque_unit: of the torque: N, N m, A or V; position_unit: of the motion: m or rad.
+        measured, predicted: (samples,) raw torque.
+        borders: samples left out at each end of the relative error.
+        relative_error: of the raw torque; a ratio.
+        filtered_error: of the filtered and decimated torque, with the estimate's own filtering; a ratio.
+        tracking_error: ``||e - es|| / ||e||`` of the tracking error reference - position, where the record has a
+            motor position to compare with; a ratio.
+        initial: motor state that was found, for a simulation.
+        simulations: that were run.
+        autocorrelation: (lags + 1,) of the filtered torque error, 1 at lag 0; a white one stays within `white_band`.
+        rows: of the filtered torque error.
+        motor: motion the error is plotted against: simulated for DIDIM, measured for IDIM.
+        transmission: on whose `side` torque and motion are.
+        warnings: what the reader must know, one sentence each.
+        resampled: how the record's samples were brought to a uniform clock, None where they were logged so.
+    """
+
+    test: Literal["direct", "cross"]
+    method: MethodName
+    record: str
+    identified_from: str
+    channels: tuple[str, ...]
+    sample_time: float
+    torque_unit: str
+    position_unit: str
+    measured: FloatArray
+    predicted: FloatArray
+    borders: tuple[int, int]
+    relative_error: float
+    filtered_error: float
+    tracking_error: float | None
+    initial: Initial | None
+    simulations: int
+    autocorrelation: FloatArray
+    rows: int
+    motor: Motion
+    transmission: Transmission | None = None
+    warnings: tuple[str, ...] = ()
+    resampled: Resampled | None = None
+
+    @property
+    def white_band(self) -> float:
+        """Twice the standard deviation of an autocorrelation of white noise, ``2 / sqrt(rows)``."""
+        return float(2 / np.sqrt(self.rows))
+
+    @property
+    def outside_band(self) -> float:
+        """Share of the lags beyond 0 whose autocorrelation is outside the band; about 0.05 for a white residual."""
+        return float(np.mean(np.abs(self.autocorrelation[1:]) > self.white_band))
+
+    def __str__(self) -> str:
+        """Return the result in sentences."""
+        left_out = f"{self.borders[0]} + {self.borders[1]} samples at the ends left out"
+        how = "simulated from the reference" if self.method == "didim" else "computed from the measured position"
+        lines = [
+            f"{self.test.capitalize()} test on {self.record}, of the joint identified from {self.identified_from}; "
+            f"torque {how}",
+            *resampled_lines(self.resampled),
+            *transmission_lines(self.transmission),
+            f"torque error    {100 * self.relative_error:.4f} % raw ({left_out}), "
+            f"{100 * self.filtered_error:.4f} % filtered",
+        ]
+        if self.tracking_error is not None:
+            lines.append(f"tracking error  {100 * self.tracking_error:.4f} % away from the measured tracking error")
+        lines.append(
+            f"whiteness       {100 * self.outside_band:.0f} % of {self.autocorrelation.size - 1} autocorrelations of "
+            f"the filtered error beyond +-{self.white_band:.3f} (5 % if it were white)"
+        )
+        lines += [f"warning         {warning}" for warning in self.warnings]
+        return "\n".join(lines)
+
+
+def validate(estimate: Estimate | IdentifiedJoint, record: Record) -> Validation:
+    """Compare an identified joint with a record: directly if it is the record it came from, else across.
+
+    Args:
+        estimate: what was identified, fresh or read back from a file.
+        record: with the channels its method reads.
+
+    Raises:
+        RecordError: a channel is missing, or the record cannot be what it is said to be.
+        MethodError: the loop cannot be simulated on this record, or the estimate is of the drive side or the open
+            loop.
+    """
+    record.require(("torque",), "Validation")
+    check_record(record)
+    identified = estimate.identified if isinstance(estimate, Estimate) else estimate
+    if identified.method in ("drive_side", "open_loop"):
+        raise MethodError(
+            "A validation simulates the closed loop of a DIDIM estimate or evaluates the inverse model of an IDIM one; "
+            f'this estimate is of the method "{identified.method}": identify the other record too, and compare values.'
+        )
+    return _inverse(identified, record) if identified.loop is None else _simulated(identified, record)
+
+
+def _test(identified: IdentifiedJoint, record: Record) -> Literal["direct", "cross"]:
+    assert record.torque is not None
+    return "direct" if fingerprint(record.torque.values) == identified.fingerprint else "cross"
+
+
+def _inverse(identified: IdentifiedJoint, record: Record) -> Validation:
+    assert record.torque is not None
+    joint, filtering, sample_time = identified.joint, identified.filtering, record.torque.sample_time
+    model = motion_of(record, identified.delay, filtering, joint, identified.effects)
+    values = np.array([identified.values[p.name] for p in (*joint.parameters, *effect_parameters(identified.effects))])
+    measured, predicted = model.torque[0], model.columns[0] @ values
+    error, _ = model.decimated(filtering, sample_time, values)
+    whole, _ = model.decimated(filtering, sample_time, np.zeros_like(values))
+    return Validation(
+        test=_test(identified, record),
+        method=identified.method,
+        record=record.name,
+        identified_from=identified.record,
+        resampled=record.resampled,
+        channels=(*idim_channels(joint.model), *(("injected",) if record.injected is not None else ())),
+        sample_time=sample_time,
+        torque_unit=record.torque.unit,
+        position_unit=POSITION_UNIT[identified.joint.kind],
+        measured=measured,
+        predicted=predicted,
+        borders=filtering.borders,
+        relative_error=relative_error(measured, predicted, filtering.borders),
+        filtered_error=float(np.linalg.norm(error) / np.linalg.norm(whole)),
+        tracking_error=None,
+        initial=None,
+        simulations=0,
+        autocorrelation=autocorrelation(error[: error.size // len(model.torque)]),
+        rows=error.size // len(model.torque),
+        motor=model.motor,
+        transmission=identified.joint.transmission,
+    )
+
+
+def _simulated(identified: IdentifiedJoint, record: Record) -> Validation:
+    assert identified.loop is not None
+    assert record.torque is not None
+    loop, filtering = identified.loop, identified.filtering
+    record.require(loop.channels, "Validation of a DIDIM estimate")
+    fixed = tuple(p.fixed(identified.values[p.name]) for p in loop.joint.parameters)
+    experiment = prepare(loop, record)
+    measured = record.torque.values[: experiment.samples]
+    problem = Problem(
+        loop, experiment, (*fixed, *with_torque(INITIAL_STATE, experiment, measured)), measured, filtering
+    )
+    x, runs = _initial_fit(problem)
+    run = require_finished(problem.simulate(x))
+    error = problem.filtered(np.column_stack([measured - run.torque, measured]))
+    return Validation(
+        test=_test(identified, record),
+        method=identified.method,
+        record=record.name,
+        identified_from=identified.record,
+        resampled=record.resampled,
+        channels=(*loop.channels, *(("injected",) if record.injected is not None else ())),
+        sample_time=experiment.sample_time,
+        torque_unit=record.torque.unit,
+        position_unit=POSITION_UNIT[identified.joint.kind],
+        measured=measured,
+        predicted=run.torque,
+        borders=filtering.borders,
+        relative_error=relative_error(measured, run.torque, filtering.borders),
+        filtered_error=float(np.linalg.norm(error[:, 0]) / np.linalg.norm(error[:, 1])),
+        tracking_error=_tracking(record, run, filtering.borders),
+        initial=initial_of(problem.values(x)),
+        simulations=runs + 1,
+        autocorrelation=autocorrelation(error[:, 0]),
+        rows=len(error),
+        motor=Motion(run.motor_position, run.motor_velocity, run.motor.acceleration),
+        transmission=identified.joint.transmission,
+        warnings=_warnings(identified, loop),
+    )
+
+
+def autocorrelation(error: FloatArray) -> FloatArray:
+    """Return the autocorrelation of a residual at lags 0 to `_LAGS`, (lags + 1,)."""
+    centred = error - error.mean()
+    power = float(centred @ centred) or 1.0
+    lags = min(_LAGS, error.size - 1)
+    return np.array([float(centred[lag:] @ centred[: centred.size - lag]) / power for lag in range(lags + 1)])
+
+
+def _warnings(identified: IdentifiedJoint, loop: ClosedLoop) -> tuple[str, ...]:
+    if identified.controller in ("", law_fingerprint(loop)):
+        return ()
+    return (
+        "the controller is not the one the joint was identified under; that is right only if its gains were changed",
+    )
+
+
+def _initial_fit(problem: Problem) -> tuple[FloatArray, int]:
+    """Return the initial state that fits best, position and velocity, and the simulations it took.
+
+    A motor at rest and one that moves are two problems (see `didim`), so both are solved.
+    """
+    try:
+        start = initial_state(problem, reconstructed_position(problem))
+    except MethodError:  # a law that cannot be inverted: begin on the reference, at rest
+        start = {"initial_position": float(problem.experiment.inputs[0, 0]), "initial_velocity": 0.0}
+    kept = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
+    ends = [_gauss_newton(which, start) for which in (replace(problem, parameters=kept), problem)]
+    values, _, _ = min(ends, key=lambda end: end[1])
+    return problem.vector(values), sum(runs for _, _, runs in ends)
+
+
+def _gauss_newton(problem: Problem, start: dict[str, float]) -> tuple[dict[str, float], float, int]:
+    """Return the values of a problem that fit best, the norm of the error they leave, and the simulations run."""
+    names = tuple(p.name for p in problem.free)
+    x, runs = problem.vector(start), 0
+    error, J = problem.linearised(x)
+    for _ in range(_STEPS):
+        step = least_squares(-J, error, names).values
+        after, J = problem.linearised(x + step)
+        runs += 1
+        gain = np.linalg.norm(error) - np.linalg.norm(after)
+        if not gain > 0:
+            break
+        x, error = x + step, after
+        if gain < 1e-9 * np.linalg.norm(error):
+            break
+    return problem.values(x), float(np.linalg.norm(error)), runs + 1
+
+
+def _tracking(record: Record, run: Simulation, borders: tuple[int, int]) -> float | None:
+    """Return how far the simulated tracking error is from the measured one, where there is one at the same rate."""
+    reference, position = record.reference, record.motor_position
+    if reference is None or position is None or position.sample_time != run.sample_time:
+        return None
+    if reference.sample_time != run.sample_time:
+        return None
+    size = min(len(reference), len(position), run.motor_position.size)
+    asked = reference.values[:size]
+    return relative_error(asked - position.values[:size], asked - run.motor_position[:size], borders)

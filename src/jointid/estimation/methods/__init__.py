@@ -1,0 +1,1 @@
+"""The identification methods, one file each, and the regressions they share."""

@@ -1,0 +1,304 @@
+"""DIDIM for rigid joints: direct and inverse dynamic identification models, from torque and reference only.
+
+The closed loop is simulated at the current parameters; the inverse dynamic regressor is evaluated on the simulated
+motion; least squares on the torque gives the next parameters; until nothing changes [P section IV.A].
+
+The paper's form (11) solves ``tau = W chi``, which does not hold while an axis rests: friction then takes what it
+must, not Fc. The residual form ``tau - tau_sim = W dchi`` has the truth as its fixed point wherever the axis rests,
+and is the default. Both read W on the simulation, which the noise of the record cannot reach, so W acts as a set
+of instruments for the output sensitivities J = d tau_sim / d chi, and the covariance is that of an
+instrumental-variable estimator (`uncertainty`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.progress import Progress, silent
+from jointid.common.text import number
+from jointid.estimation.methods.regression import solution
+from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.result.build_estimate import answer
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.search.descent import Descent, with_free
+from jointid.estimation.search.search import End, Limits, Search, State, Step, require_simulated
+from jointid.estimation.search.starts import Start, given_start, inversion_start, regular_start
+from jointid.models.controllers import REFERENCE
+from jointid.models.parameters import Parameter
+from jointid.records.record import Record
+from jointid.records.signals import Filtering
+from jointid.simulation.loop_input import ClosedLoop
+from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
+
+_MOVING = 9.0  # times the residual's variance: what a velocity at the first sample must explain to be believed
+_NEAR = 1e-3  # of residual and parameters: with a change so small it may show whether the motor rested ...
+_SURE = 1e-2  # ... if the residual's norm differs by more than this share, which is as far as it can still go
+_AWAY = 1e100  # a derivative so large is of a loop that runs away
+_WORSE = 2.0  # times the residual: with an approximate Jacobian, a little worse is no reason to turn back
+
+
+@dataclass(frozen=True, slots=True)
+class DIDIM:
+    """Settings of DIDIM.
+
+    Attributes:
+        form: "residual" (see the module), or "paper": (11) as printed.
+        start: "inversion" of the controller; "regular": a regular inertia, no friction; "given": the starts of the
+            parameters.
+        scaled_iterations: for how many first iterations the simulated controller's gains are scaled with the
+            inertia, from a regular or a given start. Scaling at every iteration would bias the result where the
+            bandwidth it assumes is not the real one, so it always ends on the true gains.
+        tolerance: stop when the residual norm changes by at most this share ...
+        step_tolerance: ... and no parameter by more than this share of itself.
+        iterations: at most.
+        initial_state: "free" estimates where the motor is at the first sample, and whether it is at rest there or
+            how fast it moves; "reference" puts it on the reference, at rest.
+        free: what surrounds the joint and is identified with it, by least squares from where DIDIM ends: "kp", "kv",
+            "delay", ...; see `surroundings`.
+    """
+
+    form: Literal["residual", "paper"] = "residual"
+    start: Literal["inversion", "regular", "given"] = "inversion"
+    scaled_iterations: int = 2
+    tolerance: float = 1e-7
+    step_tolerance: float = 1e-7
+    iterations: int = 30
+    initial_state: Literal["free", "reference"] = "free"
+    free: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        choices = {
+            "form": (self.form, ("residual", "paper")),
+            "start": (self.start, ("inversion", "regular", "given")),
+            "initial_state": (self.initial_state, ("free", "reference")),
+        }
+        for name, (value, allowed) in choices.items():
+            if value not in allowed:
+                raise MethodError(f'DIDIM\'s {name} is one of {", ".join(allowed)}; received "{value}".')
+        if self.iterations < 1 or self.scaled_iterations < 0 or min(self.tolerance, self.step_tolerance) <= 0:
+            raise MethodError(
+                "DIDIM needs at least 1 iteration, 0 or more scaled iterations, and positive tolerances; received "
+                f"{self.iterations}, {self.scaled_iterations}, {self.tolerance} and {self.step_tolerance}."
+            )
+
+    @classmethod
+    def paper(cls) -> DIDIM:
+        """Return the settings of the paper: form (11), regular start, stop at 2.5 % or after 10 iterations."""
+        return cls("paper", "regular", 1, 0.025, 0.025, 10, "reference")
+
+
+@dataclass(frozen=True, slots=True)
+class _Steps:
+    """The steps of DIDIM on a search, as functions of an iterate."""
+
+    search: Search
+    form: str
+
+    def regressor(self, state: State) -> FloatArray:
+        """The step of the paper: the regressor stands for the Jacobian, in either form."""
+        both = self._residual(state, state.Z)
+        if self.form == "residual":
+            return both
+        after = self.inverse_model(state)
+        known = state.W.shape[1]
+        after[known:] = both[known:]  # the initial state has no inverse model: it takes the residual form
+        return after
+
+    def newton(self, state: State) -> FloatArray:
+        """The step towards where the first one ends, with the output sensitivities: from nearby ten times as good."""
+        if self.form == "paper":
+            return self.regressor(state)
+        Z = state.Z / np.linalg.norm(state.Z, axis=0)
+        return np.asarray(state.x + np.linalg.lstsq(Z.T @ state.J, Z.T @ state.error)[0])
+
+    def exact(self, state: State) -> FloatArray:
+        """The Gauss-Newton step with the output sensitivities."""
+        return self._residual(state, state.J)
+
+    def inverse_model(self, state: State) -> FloatArray:
+        """Form (11): solve ``tau = W chi`` for the joint; what surrounds it stays."""
+        problem = self.search.problem
+        kept = problem.filtered(problem.measured - problem.fixed_torque(state.simulation))
+        chi = solution(state.W, kept, tuple(p.name for p in problem.free_joint))
+        return np.concatenate([chi, state.x[chi.size :]])
+
+    def _residual(self, state: State, J: FloatArray) -> FloatArray:
+        problem = self.search.problem
+        names = tuple(p.name for p in problem.free)
+        if not np.max(np.abs(J)) < _AWAY:
+            told = problem.values(state.x)
+            joint = ", ".join(f"{p.name} {number(told[p.name], 3)} {problem.units[p.name]}" for p in problem.free_joint)
+            raise MethodError(
+                f"With the joint that torque and motion give ({joint}) the declared loop is not stable, and the real "
+                "one was; check the gain and unit of the torque channel, and the gains of the controller."
+            )
+        return np.asarray(state.x + solution(J, state.error, names))
+
+
+def _begun(search: Search, settings: DIDIM, start: Start) -> tuple[State, int]:
+    """Return where a search stands after its iterations on scaled gains, and how many these were."""
+    steps = _Steps(search, settings.form)
+    nominal = start.nominal_inertia
+    scaled = settings.scaled_iterations if nominal else 0
+
+    def scale(x: FloatArray) -> float:
+        return search.problem.values(x)["inertia"] / nominal if nominal else 1.0
+
+    x = search.problem.vector(start.values)
+    state = search.evaluate(x, scale(x) if scaled else 1.0)
+    search.note(state, None)
+    for count in range(1, scaled + 1):
+        require_simulated(state)
+        x = steps.inverse_model(state)
+        after = search.evaluate(x, scale(x) if count < scaled else 1.0)
+        search.note(after, state)
+        state = after
+    return state, scaled
+
+
+def _solve(search: Search, settings: DIDIM, state: State, step: Step, limits: Limits, most: int) -> End:
+    """Repeat a step on the true gains until the limits are kept, and where it does not lead there the exact one."""
+    end = search.repeat(state, step, limits, most, _WORSE)
+    if end.converged or settings.form == "paper":
+        return end
+    # Where the torque stands at its limit, or the loop is slow, the regressor is no approximation of the Jacobian.
+    search.progress("the regressor does not lead there; going on with the output sensitivities")
+    exact = _Steps(search, settings.form).exact
+    return search.repeat(end.state, exact, limits, settings.iterations, 1.0 + settings.tolerance)
+
+
+def _searched(problem: Problem, search: Search, settings: DIDIM, start: Start) -> End:
+    """Search from a start, the motor at rest at the first sample, or moving where that is better."""
+    free, residual = settings.initial_state == "free", settings.form == "residual"
+    steps = _Steps(search, settings.form)
+    limits = Limits(settings.tolerance, settings.step_tolerance, foreseen=free and residual)
+    state, scaled = _begun(search, settings, start)
+    most = max(settings.iterations - scaled, 1)
+    if not free:
+        return _solve(search, settings, state, steps.regressor, limits, most)
+    near = replace(limits, change=max(limits.change, _NEAR), step=max(limits.step, _NEAR))
+    begun = len(search.trace)
+    resting = _solve(search, settings, state, steps.regressor, near, most)
+    if resting.reproduced:
+        return resting
+    left = max(most - (len(search.trace) - begun), 1)
+    moving = _moving(problem, search, settings, resting.state, start, limits)
+    rough = resting.converged and near != limits
+    if rough and not (moving and _explains(moving, (1.0 - _SURE) * resting.state.norm)):
+        resting = _solve(search, settings, resting.state, steps.regressor, limits, left)
+    if moving is None or not _explains(moving, resting.state.norm):
+        return resting
+    search.problem = problem
+    return moving
+
+
+def _explains(moving: End, rest: float) -> bool:
+    """Whether a motor that moves leaves so much less than the norm that is left at rest that it is to be believed."""
+    return rest**2 - moving.state.norm**2 > _MOVING * rest**2 / moving.state.error.size
+
+
+def _known(search: Search, state: State) -> Uncertainty:
+    """Return what is known of the free parameters (see the module)."""
+    problem = search.problem
+    names = [p.name for p in problem.free]
+    return uncertainty(state.Z, state.J, state.error, problem.cells(state.simulation), names, problem.torque_unit)
+
+
+def identify_didim(
+    record: Record,
+    loop: ClosedLoop,
+    parameters: tuple[Parameter, ...],
+    filtering: Filtering,
+    settings: DIDIM | None = None,
+    progress: Progress = silent,
+) -> Estimate:
+    """Identify a rigid joint from torque and reference; a motor position in the record is not read.
+
+    Args:
+        record: with the torque and what the controller reads.
+        loop: rigid joint and controller.
+        parameters: of the joint; free ones are estimated.
+        filtering: cut-off and decimation of torque and columns alike. Well below the loop's bandwidth, the
+            regressor is the Jacobian; above it convergence slows down.
+        settings: see `DIDIM`.
+        progress: told each iteration.
+
+    Raises:
+        RecordError: a channel is missing.
+        MethodError: the joint is flexible, the record does not determine the parameters, or the loop cannot be
+            simulated at the start.
+    """
+    settings = settings or DIDIM()
+    problem = torque_problem(record, loop, filtering, parameters)
+    choose = {"inversion": inversion_start, "regular": regular_start, "given": given_start}
+    try:
+        start, began = choose[settings.start](problem), settings.start
+    except MethodError as error:
+        if settings.start != "inversion":
+            raise
+        progress(f"from a regular start instead: {error}")
+        start, began = regular_start(problem), "regular"
+    search = Search(_at_rest(problem, settings), progress)
+    end = _searched(problem, search, settings, start)
+    if settings.free:
+        end, known = _with_free(search, end, settings)
+    else:
+        known = _known(search, end.state)
+    state = end.state
+    found = answer(record, search.problem, state.x, state.simulation, (end.stop, end.converged), known, state.J)
+    form = "the paper's form (11)" if settings.form == "paper" else "residual form"
+    return replace(
+        found,
+        variant=f"DIDIM in {form} from {'an' if began == 'inversion' else 'a'} {began} start",
+        trace=tuple(search.trace),
+        simulations=search.simulations,
+    )
+
+
+def _with_free(search: Search, end: End, settings: DIDIM) -> tuple[End, Uncertainty]:
+    """Go on by least squares with more of what surrounds the joint free; what is known is that of least squares."""
+    descent = Descent(search.problem, search.progress)
+    x, stop, converged = with_free(descent, end.state.x, settings.free, settings.tolerance)
+    search.problem = problem = descent.problem
+    search.simulations += descent.simulations + 1
+    error, slopes = descent.linearised(x)
+    run, names = problem.simulate(x), [p.name for p in problem.free]
+    known = uncertainty(slopes, slopes, error, problem.cells(run), names, problem.torque_unit)
+    W = slopes[:, : end.state.W.shape[1]]
+    return End(State(x, run, error, W, slopes, end.state.scales), stop, converged), known
+
+
+def _at_rest(problem: Problem, settings: DIDIM) -> Problem:
+    """Return the problem with the motor at rest at the first sample."""
+    known = {"initial_velocity": 0.0}
+    if settings.initial_state == "reference":
+        known["initial_position"] = float(problem.experiment.inputs[0, REFERENCE])
+    kept = tuple(p.fixed(known[p.name]) if p.name in known else p for p in problem.parameters)
+    return replace(problem, parameters=kept)
+
+
+def _moving(
+    problem: Problem, search: Search, settings: DIDIM, resting: State, start: Start, limits: Limits
+) -> End | None:
+    """Return the answer for a motor that moves at the first sample; None where the loop cannot be simulated so.
+
+    Friction makes them two problems: a motor that slips a little before it sticks is not near one that stands, so
+    no search gets from one to the other.
+    """
+    at_rest = search.problem
+    velocity = {"initial_velocity": start.values["initial_velocity"]}
+    search.problem = problem
+    try:
+        state = search.evaluate(problem.vector(at_rest.values(resting.x) | velocity))
+        search.note(state, None)
+        return _solve(search, settings, state, _Steps(search, settings.form).newton, limits, settings.iterations)
+    except MethodError:  # a wrong guess of the velocity may make the loop impossible to simulate
+        search.progress("the motor cannot have been moving at the first sample")
+        return None
+    finally:
+        search.problem = at_rest

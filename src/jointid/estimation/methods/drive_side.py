@@ -1,0 +1,333 @@
+"""Drive-side identification: torque and motor position, without the controller and without a load encoder.
+
+The motor's motion is prescribed, the load is simulated behind it, and the torque this takes is compared with the
+measured one, filtered alike (`prescribed`). Bounded least squares with exact derivatives goes down from starts that
+need no guess: for each of a row of motor-locked frequencies, at which the motor sees an anti-resonance, a frictionless
+load of one unit is simulated, and everything else about the joint is then linear. The best few are refined.
+
+A motor inside a closed loop answers to what disturbs it, so its measured motion is correlated with the error, and least
+squares is biased (`instruments` tests that, and mends it where the record has a reference or an injected signal).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.progress import Progress, silent
+from jointid.estimation.methods.endogeneity import Judgement, judged
+from jointid.estimation.problems.drive_side_problem import CURRENT_LAG, MotionProblem, motion_problem
+from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
+from jointid.estimation.result.estimate import (
+    Estimate,
+    Iteration,
+    fingerprint,
+    poor_fit,
+    relative_error,
+)
+from jointid.estimation.result.estimated import EstimatedParameter
+from jointid.models.joints import acts_on_whole
+from jointid.models.parameters import Parameter
+from jointid.records.record import Record
+from jointid.records.signals import Filtering
+from jointid.simulation.closed_loop import in_threads
+from jointid.simulation.drive_side import LOAD_STATE, DriveSide
+from jointid.solvers.levenberg_marquardt import Bottom, descend
+from jointid.uncertainty.bands import band_words, with_bands
+from jointid.uncertainty.covariance import Covariance, sandwich, words
+
+_GUESSES = 28  # motor-locked frequencies to try, evenly on a logarithmic scale ...
+_LOWEST = 0.05  # ... from this share of the cut-off up to it
+_DAMPING = 0.05  # of the load that is tried: as wide as the steps of the grid
+_REFINED, _WORSE = 3, 3.0  # valleys of the grid that are refined, at most; and how much worse than the best
+_MOST_LATE = 20.0  # samples that the log may be late, or early
+_INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
+_RESTING = 0.02  # of the record: more is said
+
+
+@dataclass(frozen=True, slots=True)
+class DriveSideFit:
+    """Settings of the drive-side identification.
+
+    Attributes:
+        log_delay: seconds by which the log shows the torque later than it acts; estimated when None.
+        current_lag: time constant in seconds between log and torque beside that, see `CURRENT_LAG`; estimated when
+            None.
+        frequency: motor-locked, Hz, where a grid of starts is not wanted.
+        instruments: "tested" keeps least squares unless the record's reference or injected signal shows that it is
+            biased; "always" and "never" do not ask.
+        tolerance: relative, on the parameters and the criterion.
+    """
+
+    log_delay: float | None = None
+    current_lag: float | None = 0.0
+    frequency: float | None = None
+    instruments: str = "tested"
+    tolerance: float = 1e-8
+
+    def __post_init__(self) -> None:
+        if self.instruments not in ("tested", "always", "never"):
+            raise MethodError(f'Instruments are "tested", "always" or "never"; received "{self.instruments}".')
+        frequency = 1.0 if self.frequency is None else self.frequency
+        if (self.current_lag or 0.0) < 0 or not min(self.tolerance, frequency) > 0:
+            raise MethodError(
+                "A time constant is 0 or more, a frequency and a tolerance are positive; received "
+                f"{self.current_lag}, {self.frequency} and {self.tolerance}."
+            )
+
+    def surroundings(self, sample_time: float) -> tuple[Parameter, ...]:
+        """Return the parameters of the log, free where they are to be estimated."""
+        late = _MOST_LATE * sample_time
+        delay = replace(LOG_DELAY, free=True, lower=-late, upper=late)
+        lag = replace(CURRENT_LAG, free=True, start=0.3 * sample_time, lower=1e-3 * sample_time, upper=late)
+        return (
+            delay if self.log_delay is None else delay.fixed(self.log_delay),
+            lag if self.current_lag is None else CURRENT_LAG.fixed(self.current_lag),
+        )
+
+
+def identify_drive_side(
+    record: Record,
+    closing: DriveSide,
+    parameters: tuple[Parameter, ...],
+    filtering: Filtering,
+    settings: DriveSideFit | None = None,
+    progress: Progress = silent,
+) -> Estimate:
+    """Identify a joint from torque and motor position, whatever its controller.
+
+    Args:
+        record: with torque and motor position at one rate; its reference and injected signal serve as instruments.
+        closing: the joint.
+        parameters: of the joint; a start of its own replaces that of the method.
+        filtering: the position's cut-off at least five times the free-free frequency, the other one above it.
+        settings: see `DriveSideFit`.
+        progress: is told the iterations.
+
+    Raises:
+        RecordError: a channel is missing, or at another rate.
+        MethodError: no start gives a joint with positive inertias.
+    """
+    settings = settings or DriveSideFit()
+    record.require(closing.channels, "Drive-side identification")
+    assert record.torque is not None
+    around = settings.surroundings(record.torque.sample_time)
+    problem = motion_problem(record, closing, filtering, parameters, around)
+    starts, simulations = _starts(problem, settings)
+    bottom = descend(problem, starts, settings.tolerance, progress)
+    bottom = replace(bottom, evaluations=bottom.evaluations + simulations)
+    verdict = judged(record, problem, bottom, settings.instruments, progress)
+    return _answer(record, problem, bottom, verdict)
+
+
+def _starts(problem: MotionProblem, settings: DriveSideFit) -> tuple[list[FloatArray], int]:
+    """Return the best few starts, and the simulations they took (see the module)."""
+    if problem.joint.model == "rigid":
+        return [_vector(problem, _linear(problem, None)[1])], 1
+    cutoff = problem.filtering.cutoff
+    assert cutoff is not None
+    grid = [settings.frequency or 0.0]
+    if settings.frequency is None:
+        grid = [cutoff * _LOWEST ** (1 - i / (_GUESSES - 1)) for i in range(_GUESSES)]
+    tried = in_threads(lambda frequency: _linear(problem, frequency), grid)
+    costs = np.array([cost for cost, _ in tried])
+    # A valley of the criterion is refined once; the ends of the row are no worse than what lies beyond them.
+    around = np.concatenate([[np.inf], costs, [np.inf]])
+    valleys = [i for i in range(costs.size) if costs[i] < np.inf and around[i] >= costs[i] <= around[i + 2]]
+    if not valleys:
+        raise MethodError(
+            "At no motor-locked frequency below the cut-off do torque and motor position give a joint with positive "
+            "inertias: one of them has the wrong sign (set sign = -1), or they do not belong together."
+        )
+    # One that explains much less of the torque than another will not overtake it.
+    lowest = float(min(costs))
+    best = sorted((i for i in valleys if costs[i] <= _WORSE * lowest), key=lambda i: float(costs[i]))[:_REFINED]
+    return [_vector(problem, tried[i][1]) for i in best], len(grid)
+
+
+def _linear(problem: MotionProblem, frequency: float | None) -> tuple[float, dict[str, float]]:
+    """Return what a joint with that motor-locked frequency leaves of the torque, and its parameters: one regression.
+
+    The load is frictionless and weighs nothing in the simulation, so that its inertia multiplies one column; what it
+    weighs is then a column, too, and a counterbalance is part of it. The log's delay is the factor of the measured
+    torque's slope.
+    """
+    flexible = frequency is not None
+    inertia, prefix = ("motor_inertia", "motor_") if flexible else ("inertia", "")
+    friction = tuple(p.name for p in problem.joint.friction.parameters(prefix, ""))
+    unit = {p.name: 0.0 for p in problem.parameters} | {inertia: 1.0}
+    if frequency is not None:
+        rate = 2 * math.pi * frequency
+        unit |= {"load_inertia": 1.0, "stiffness": rate**2, "damping": 2 * _DAMPING * rate}
+    forces = tuple(p.name for p in problem.joint.parameters if p.free and acts_on_whole(p.name))
+    names = (inertia, *friction, *forces)
+    trial = replace(problem, parameters=tuple(_told(p, names, unit[p.name]) for p in problem.parameters))
+    x = np.array([unit[p.name] for p in trial.free])
+    error, J = trial.linearised(x)
+    W = [-column for column in J.T]
+    if flexible:
+        W.append(trial.filtered(problem.measured) - error + J[:, 0])  # the prediction, less the motor's inertia
+    if any(p.name == LOG_DELAY.name and p.free for p in problem.parameters):
+        W.append(-problem.filtered(np.gradient(problem.measured, problem.sample_time)))
+    columns = np.column_stack(W)
+    Y = problem.filtered(problem.measured)
+    norms = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    chi = np.linalg.lstsq(columns / norms, Y, rcond=1e-10)[0] / norms
+    found = dict(zip((p.name for p in trial.free), map(float, chi), strict=False))
+    if flexible:
+        load = float(chi[len(trial.free)])
+        found |= {name: load * unit[name] for name in ("load_inertia", "stiffness", "damping")}
+        for name in friction:  # what the regression finds is that of both sides
+            found[name] = 0.5 * max(found[name], 0.0)
+            found[name.replace("motor_", "load_")] = found[name]
+    positive = min(found[inertia], found.get("load_inertia", 1.0)) > 0
+    return (float(np.linalg.norm(Y - columns @ chi)) if positive else math.inf), found
+
+
+def _told(p: Parameter, names: Sequence[str], value: float) -> Parameter:
+    """Return a parameter free where a regression finds it, else fixed."""
+    return replace(p, free=True) if p.name in names else p.fixed(value)
+
+
+def _vector(problem: MotionProblem, found: Mapping[str, float]) -> FloatArray:
+    """Return a start: what the user gives goes before what was found."""
+    given = {p.name: p.start for p in problem.parameters if p.start is not None}
+    return problem.vector({**found, **given})
+
+
+def _answer(record: Record, problem: MotionProblem, bottom: Bottom, verdict: Judgement) -> Estimate:
+    """Return the estimate: of least squares, or of the instruments where these were preferred."""
+    assert record.torque is not None
+    covariance = verdict.covariance or covariance_of(bottom)
+    x = bottom.x if verdict.x is None else verdict.x
+    values, predicted = problem.values(x), problem.predicted(x)
+    error = problem.residual(x)
+    spread = dict(zip((p.name for p in problem.free), map(float, covariance.std), strict=True))
+    own = {p.name for p in problem.joint.parameters}
+    lost = unsure(values, spread)
+    rows = tuple(
+        EstimatedParameter(
+            p.name, p.symbol, problem.joint.unit(p), values[p.name], spread.get(p.name), p.free,
+            p.free and p.name not in lost, of_joint=p.name in own,
+        )
+        for p in problem.parameters
+    )  # fmt: skip
+    borders = problem.filtering.borders
+    filtered_error = float(np.linalg.norm(error) / np.linalg.norm(problem.filtered(problem.measured)))
+    resting = 1 - float(np.mean(problem.weights))
+    rest = f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
+    warnings = (
+        *warnings_of(problem, x, covariance, lost, bottom),
+        *((rest,) if resting > _RESTING else ()),
+        *verdict.warnings,
+        *poor_fit(filtered_error),
+    )
+    how = "least squares" if verdict.x is None else "instrumental variables"
+    return Estimate(
+        method="drive_side",
+        variant=f"drive-side by {how}",
+        joint=problem.joint,
+        loop=None,
+        parameters=rows,
+        channels=("torque", "motor_position", *verdict.channels),
+        record=record.name,
+        sample_time=problem.sample_time,
+        torque_unit=record.torque.unit,
+        measured=problem.measured,
+        predicted=predicted,
+        borders=borders,
+        relative_error=relative_error(problem.measured, predicted, borders),
+        filtered_error=filtered_error,
+        rows=error.size,
+        conditioning=None,
+        initial=None,
+        filtering=problem.filtering,
+        trace=trace_of(problem, bottom),
+        simulations=bottom.evaluations + verdict.simulations,
+        stop=bottom.stop,
+        converged=bottom.converged,
+        intervals=f"from the sensitivities of the torque: {words(covariance)}; {band_words()}",
+        warnings=warnings,
+        fingerprint=fingerprint(record.torque.values),
+        delay=-values[LOG_DELAY.name],
+        correlation=covariance.correlation,
+    )
+
+
+def covariance_of(bottom: Bottom) -> Covariance:
+    """Return the covariance of a least-squares estimate, by rows and by bands of frequency."""
+    return with_bands(sandwich(bottom.J, bottom.J, bottom.error), bottom.J, bottom.J, bottom.error)
+
+
+class Judged(Protocol):
+    """What is asked of a problem for the answer: its criterion, names and values."""
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters that are identified."""
+
+    @property
+    def filtering(self) -> Filtering:
+        """As used."""
+
+    @property
+    def sample_time(self) -> float:
+        """Of the record, seconds."""
+
+    def values(self, x: FloatArray) -> dict[str, float]:
+        """Return every parameter by name."""
+
+    def vector(self, values: Mapping[str, float]) -> FloatArray:
+        """Return the free parameters of `values`."""
+
+
+def trace_of(problem: Judged, bottom: Bottom) -> tuple[Iteration, ...]:
+    """Return every step of a descent."""
+    lines: list[Iteration] = []
+    for number, (x, norm) in enumerate(zip(bottom.path, bottom.norms, strict=True)):
+        change = step = None
+        if lines:
+            before = problem.vector(lines[-1].values)
+            change = abs(norm - lines[-1].residual_norm) / max(lines[-1].residual_norm, 1e-300)
+            step = float(np.max(np.abs(x - before) / np.maximum(np.abs(x), 1e-300)))
+        lines.append(Iteration(number, problem.values(x), norm, change, step, number + 1))
+    return tuple(lines)
+
+
+def unsure(values: Mapping[str, float], spread: Mapping[str, float]) -> tuple[str, ...]:
+    """Return the names of the inertias and the stiffness that the record does not tell from 0."""
+    physical = ("motor_inertia", "load_inertia", "stiffness")
+    return tuple(name for name in physical if name in spread and values[name] <= 2 * spread[name])
+
+
+def warnings_of(
+    problem: Judged, x: FloatArray, covariance: Covariance, lost: Sequence[str], bottom: Bottom
+) -> tuple[str, ...]:
+    """Return what the reader of an answer must know of the search and the parameters."""
+    found = [f"{name} is not identifiable from this record: its interval holds 0" for name in lost]
+    if not bottom.converged:
+        found.append("the search did not converge; the values are where it stopped")
+    names = [p.name for p in problem.free]
+    found += [
+        f"{p.name} is not told by this record: it may be anything within its bounds"
+        for p, std in zip(problem.free, covariance.std, strict=True)
+        if 2 * std > p.upper - p.lower
+    ]
+    near = 1e-6 * np.maximum(np.abs(x), np.linalg.norm(bottom.error) / np.linalg.norm(bottom.J, axis=0).clip(1e-300))
+    for p, value, gap in zip(problem.free, x, near, strict=True):
+        if value <= p.lower + gap or value >= p.upper - gap:
+            found.append(f"{p.name} is at its bound, where it does not follow the record")
+    found += [
+        f"{names[i]} and {names[j]} are hard to tell apart in this record "
+        f"(correlation {covariance.correlation[i, j]:+.3f})"
+        for i in range(len(names))
+        for j in range(i)
+        if abs(covariance.correlation[i, j]) > _INSEPARABLE and not {names[i], names[j]} & set(LOAD_STATE)
+    ]
+    return (*found, *problem.filtering.warnings(problem.sample_time))

@@ -1,0 +1,282 @@
+"""Is a prescribed motion correlated with the error, and what does the record say if it is: instrumental variables.
+
+In a closed loop the motor answers to what disturbs it. Its measured motion, and the sensitivities J that are simulated
+along it, are then correlated with the torque error e, and least squares, ``J' e = 0``, is biased. Two stages mend that:
+
+1. the motion that the known signals alone would have made: the measured one regressed on the reference's velocity and
+   its direction, and on the injected signal, each through a response of its own to the past (`known_motions`). A
+   regression also explains some of the noise, a quarter of a narrow-band disturbance on the paper's axis; so each half
+   of the record takes the responses that the other half gave;
+2. ``Z' e = 0`` with Z the sensitivities along *that* motion, while e keeps the measured one.
+
+The contrast of the two estimates is the test of Durbin, Wu and Hausman: without correlation they differ by no more than
+noise, whose covariance follows from the difference of their influences, robust to autocorrelation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.progress import Progress
+from jointid.estimation.problems.drive_side_problem import MotionProblem
+from jointid.records.record import Record
+from jointid.records.signals import decimate
+from jointid.simulation.drive_side import LOAD_STATE, PARTS, prescribed_motion
+from jointid.solvers.levenberg_marquardt import Bottom
+from jointid.uncertainty.bands import with_bands
+from jointid.uncertainty.covariance import Covariance, bandwidth, sandwich
+
+_MEMORY = 40  # rows of the filtered torque that a response goes back
+_ITERATIONS = 25
+_STEP = 0.05  # of the standard deviations: a step to stop at
+_WHOLE = 6  # steps; then halves of them, since where the load's direction flips they may go round in circles
+_LONGEST = 0.3  # of an inertia or the stiffness: the longest step
+_ACCEPTED = 0.01  # a contrast that noise alone would reach less often is none of noise
+_BLIND = 0.05  # of a parameter: a bias that a test should be able to see
+_ANY = 10.0  # of a parameter: a bias beyond this is of any size
+_PHYSICAL = ("inertia", "motor_inertia", "stiffness", "load_inertia")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judgement:
+    """What the instruments say.
+
+    Attributes:
+        x, covariance: of the instrumental estimate, where it is preferred; None keeps least squares.
+        warnings: for the answer.
+        channels: of the record that served.
+        simulations: that it took.
+        probability: of so large a contrast if the motion is not correlated with the error; None without a test.
+    """
+
+    x: FloatArray | None = None
+    covariance: Covariance | None = None
+    warnings: tuple[str, ...] = ()
+    channels: tuple[str, ...] = ()
+    simulations: int = 0
+    probability: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Instrumental:
+    """The solution of ``Z' e = 0``.
+
+    Attributes:
+        x: all free parameters; moving: those that were solved for, the others being at a bound.
+        error: residual; J, Z: its derivatives along the measured and the known motion, (rows, moving).
+        steps: that were taken; converged: whether the last was small enough.
+    """
+
+    x: FloatArray
+    moving: NDArray[np.bool_]
+    error: FloatArray
+    J: FloatArray
+    Z: FloatArray
+    steps: int
+    converged: bool
+
+
+def judged(record: Record, problem: MotionProblem, bottom: Bottom, instruments: str, progress: Progress) -> Judgement:
+    """Test a least-squares estimate for endogeneity, and prefer the instruments where it fails.
+
+    Args:
+        record: whose reference and injected signal are the instruments.
+        problem: that was solved.
+        bottom: its least-squares solution.
+        instruments: "tested", "always" or "never".
+        progress: is told the probability.
+
+    Raises:
+        MethodError: instruments are demanded, but the record has none.
+    """
+    channels = tuple(name for name in ("reference", "injected") if getattr(record, name) is not None)
+    if instruments == "never":
+        return Judgement()
+    if not channels:
+        if instruments == "always":
+            raise MethodError(
+                "Instruments are a reference or an injected signal; this record has "
+                f'{", ".join(record.channels)}: log one of them, or use instruments = "never".'
+            )
+        return Judgement(warnings=(_UNTESTED,))
+    found = solved(problem, _Shadow.of(record, problem), bottom)
+    if not found.converged or not np.isin([p.name for p in problem.free], _PHYSICAL)[found.moving].any():
+        return Judgement(warnings=(_NOT_CONVERGED,), channels=channels, simulations=3 * found.steps)
+    probability, blind = contrast(problem, bottom, found)
+    progress(f"instruments from {' and '.join(channels)}: probability of the contrast {probability:.2g}")
+    biased = probability < _ACCEPTED
+    warnings = [_words(problem, bottom, found, probability)] if biased else []
+    if blind > _BLIND:
+        size = f"by {100 * blind:.0f} %" if blind < _ANY else "of any size"
+        tested = "" if biased else f", and a bias of least squares {size} would not have been noticed"
+        warnings.append(f"the instruments are weak: they know less than least squares{tested}")
+    verdict = Judgement(None, None, tuple(warnings), channels, 3 * found.steps, probability)
+    if not (biased or instruments == "always"):
+        return verdict
+    return replace(verdict, x=found.x, covariance=_covariance(found))
+
+
+_NOT_CONVERGED = (
+    "the instruments are too weak to converge within the bounds; least squares is kept, and whether the motion is "
+    "correlated with the error was not tested"
+)
+_UNTESTED = (
+    "the motion is taken as measured: if the motor was under control, what disturbed it biases the inertias, and this "
+    "record has no reference or injected signal that could show it"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Shadow:
+    """The problem along the motions that the known signals explain: the first holds in the second half of the rows."""
+
+    halves: tuple[MotionProblem, MotionProblem]
+
+    @classmethod
+    def of(cls, record: Record, problem: MotionProblem) -> _Shadow:
+        motions = [prescribed_motion(known, problem.sample_time) for known in known_motions(record, problem)]
+        return cls((replace(problem, motion=motions[0]), replace(problem, motion=motions[1])))
+
+    def sensitivities(self, x: FloatArray) -> FloatArray:
+        """Return Z, (rows, free)."""
+        first, second = (half.linearised(x)[1] for half in self.halves)
+        middle = len(first) // 2
+        return np.concatenate([second[:middle], first[middle:]])
+
+
+def known_motions(record: Record, problem: MotionProblem) -> tuple[FloatArray, FloatArray]:
+    """Return the motor position that reference and injected signal explain, (samples,): by each half's responses."""
+    position, sample_time = problem.motion.position[::PARTS], problem.sample_time
+    base, W = _past(record, problem, position)
+    seen = decimate(np.column_stack([position - base, W])[problem.inside], problem.filtering, sample_time)
+    norms = np.maximum(np.linalg.norm(seen[:, 1:], axis=0), 1e-300)
+    middle = len(seen) // 2
+    responses = [
+        np.linalg.lstsq(half[:, 1:] / norms, half[:, 0], rcond=1e-8)[0] / norms
+        for half in (seen[:middle], seen[middle:])
+    ]
+    return base + W @ responses[0], base + W @ responses[1]
+
+
+def _past(record: Record, problem: MotionProblem, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return what the motor follows at once, (samples,), and the past of the known signals, (samples, columns)."""
+    size, sample_time = position.size, problem.sample_time
+    base, signals = np.full(size, float(np.mean(position))), []
+    if record.reference is not None:
+        base = _resampled(record.reference.values, record.reference.sample_time, size, sample_time)
+        velocity = np.gradient(base, sample_time)
+        signals += [velocity, np.sign(velocity) * (np.abs(velocity) > 1e-6 * np.max(np.abs(velocity)))]
+    if record.injected is not None:
+        channel = record.injected.channel
+        signals.append(_resampled(channel.values, channel.sample_time, size, sample_time))
+    spacing = problem.filtering.decimation or 1
+    columns = [np.ones(size)]
+    hat = np.concatenate([np.arange(1, spacing + 1), np.arange(spacing - 1, 0, -1)]) / spacing**2
+    for signal in signals:
+        held = np.concatenate([np.full(spacing * (_MEMORY + 1), signal[0]), signal])  # as it was before the record
+        smooth = np.convolve(held, hat)[spacing - 1 : spacing - 1 + held.size]
+        offset = held.size - size
+        columns += [smooth[offset - lag * spacing :][:size] for lag in range(_MEMORY)]
+    return base, np.column_stack(columns)
+
+
+def _resampled(values: FloatArray, period: float, size: int, sample_time: float) -> FloatArray:
+    at = np.arange(size) * (sample_time / period)
+    return np.asarray(np.interp(at, np.arange(values.size), values), dtype=np.float64)
+
+
+def solved(problem: MotionProblem, shadow: _Shadow, bottom: Bottom) -> Instrumental:
+    """Solve ``Z' e = 0`` by Newton's steps from a least-squares solution, within the bounds.
+
+    The load's first state is left where least squares has it: a few rows know of it, and they are no instruments.
+    """
+    names = [p.name for p in problem.free]
+    lower, upper = (np.array([getattr(p, side) for p in problem.free]) for side in ("lower", "upper"))
+    physical, load_state = np.isin(names, _PHYSICAL), np.isin(names, LOAD_STATE)
+    x, error, J = bottom.x.copy(), bottom.error, bottom.J
+    converged, steps = False, 0
+    while True:
+        Z = shadow.sensitivities(x)
+        moving = ~load_state & (np.linalg.norm(Z, axis=0) > 0) & (np.linalg.norm(J, axis=0) > 0)
+        while True:
+            step = np.zeros(x.size)
+            step[moving] = -_projection(Z[:, moving], J[:, moving]) @ error
+            outwards = ((x <= lower) & (step < 0)) | ((x >= upper) & (step > 0))
+            if not np.any(outwards):
+                break
+            moving &= ~outwards
+        if converged or steps == _ITERATIONS:
+            return Instrumental(x, moving, error, J[:, moving], Z[:, moving], steps, converged)
+        near = physical & (x != 0)  # at a bound of 0 there is no sign to keep
+        far = float(np.max(np.abs(step[near]) / np.abs(x[near]), initial=0.0))
+        step *= min(1.0, _LONGEST / max(far, 1e-300))  # a joint of another sign cannot be simulated
+        step *= 0.5 if steps >= _WHOLE else 1.0
+        after = np.minimum(np.maximum(x + step, lower), upper)
+        std = sandwich(Z[:, moving], J[:, moving], error).std
+        converged = bool(np.all(np.abs(after - x)[moving] <= _STEP * std))
+        x = after
+        error, J = problem.linearised(x)
+        steps += 1
+
+
+def contrast(problem: MotionProblem, bottom: Bottom, found: Instrumental) -> tuple[float, float]:
+    """Return how probable the contrast of both estimates is by noise alone, and the relative bias it cannot see."""
+    from scipy.special import gammaincc
+
+    J, Z, error = found.J, found.Z, found.error
+    influences = (_projection(J, J) - _projection(Z, J)) * error
+    names = np.array([p.name for p in problem.free])[found.moving]
+    chosen = np.flatnonzero(np.isin(names, _PHYSICAL))
+    spread = _long_run(influences[chosen].T)
+    difference = (bottom.x - found.x)[found.moving][chosen]
+    scale = np.sqrt(np.diag(spread))
+    scaled = spread / np.outer(scale, scale)
+    statistic = float((difference / scale) @ np.linalg.pinv(scaled, rcond=1e-8) @ (difference / scale))
+    blind = float(np.max(2 * scale / np.abs(found.x[found.moving][chosen])))
+    return float(gammaincc(0.5 * chosen.size, 0.5 * statistic)), blind
+
+
+def _projection(Z: FloatArray, J: FloatArray) -> FloatArray:
+    """Return ``(Z' J)^-1 Z'``, (parameters, rows), with columns of one size: their units differ by powers of ten."""
+    of_Z, of_J = np.linalg.norm(Z, axis=0), np.linalg.norm(J, axis=0)
+    scaled = np.linalg.pinv((Z / of_Z).T @ (J / of_J)) @ (Z / of_Z).T
+    return np.asarray(scaled / of_J[:, np.newaxis])
+
+
+def _long_run(scores: FloatArray) -> FloatArray:
+    """Return the covariance of a sum of scores, (rows, parameters), that are correlated with their neighbours."""
+    lags = bandwidth(len(scores))
+    found = scores.T @ scores
+    for lag in range(1, lags + 1):
+        together = scores[lag:].T @ scores[:-lag]
+        found += (1 - lag / (lags + 1)) * (together + together.T)
+    return np.asarray(found)
+
+
+def _covariance(found: Instrumental) -> Covariance:
+    """Return the covariance of all free parameters; one at a bound has no deviation."""
+    inner = with_bands(sandwich(found.Z, found.J, found.error), found.Z, found.J, found.error)
+    whole, together = np.zeros(found.moving.size), np.eye(found.moving.size)
+    whole[found.moving] = inner.std
+    together[np.ix_(found.moving, found.moving)] = inner.correlation
+    return Covariance(whole, together, inner.bandwidth)
+
+
+def _words(problem: MotionProblem, bottom: Bottom, found: Instrumental, probability: float) -> str:
+    """Return what a test that failed means for the answer."""
+    names = [p.name for p in problem.free]
+    off = [
+        f"{name} by {100 * (bottom.x[i] / found.x[i] - 1):+.1f} %"
+        for i, name in enumerate(names)
+        if name in _PHYSICAL and found.moving[i] and found.x[i]
+    ]
+    return (
+        "the motor's motion is correlated with the error, as in a loop that answers to a disturbance "
+        f"(Durbin-Wu-Hausman test, probability {probability:.1g}): least squares is off, {', '.join(off)}; the values "
+        "are those of the instruments"
+    )

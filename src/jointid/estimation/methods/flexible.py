@@ -1,0 +1,287 @@
+"""DIDIM for flexible joints: the criterion (9) minimised over all the parameters of (2), from torque and reference.
+
+The load is not controlled, so the regressor on the simulated motion is no approximation of the Jacobian [P section
+IV.B]; what is left is the criterion itself, ``J = ||Y - Ys||^2`` of the filtered, decimated torque. Two ways down:
+
+- least squares with the output sensitivities, by SciPy's bounded trust region;
+- Nelder-Mead by the rules of MATLAB's ``fminsearch``, as the paper did, restarted because it stops early.
+
+Both begin as the paper does, with a rigid identification at low frequency. Its values are divided between the sides,
+by halves in the paper (13), and the stiffness follows from a known or guessed frequency: ``K12 = mu (2 pi f)^2`` with
+``mu = ZZ1 ZZ2 / (ZZ1 + ZZ2)``. Where the frequency is not known, a grid of frequencies and load shares is simulated,
+and the best few are refined: half of such a grid is unstable for a fast loop, and the rest has local minima.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.progress import Progress, silent
+from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
+from jointid.estimation.result.build_estimate import answer
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.stiffness_identifiability import Visibility, visible
+from jointid.estimation.search.descent import Descent, by_simplex, reason, refined, with_free
+from jointid.estimation.search.exploration import rigid_estimate
+from jointid.estimation.search.multistart import End, by_least_squares, by_nelder_mead, or_moving
+from jointid.estimation.search.starts import resting_position
+from jointid.models.joints import FlexibleJoint, acts_on_whole
+from jointid.models.parameters import Parameter
+from jointid.records.record import Record
+from jointid.records.signals import Filtering
+from jointid.simulation.loop_input import ClosedLoop
+from jointid.uncertainty.combination import Combination
+from jointid.uncertainty.covariance import Covariance
+from jointid.uncertainty.identifiability import Known
+from jointid.uncertainty.position_dependent_error import uncertainty
+from jointid.uncertainty.verdict import Verdict
+
+_LOWER = (4.0, 16.0)  # times lower cut-offs of the rigid start, where no end explains the torque
+_TOLERANCE, _SIMPLEX_TOLERANCE = 1e-8, 1e-4  # the latter is that of fminsearch
+_NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
+
+
+@dataclass(frozen=True, slots=True)
+class FlexibleDIDIM:
+    """Settings of DIDIM for a flexible joint.
+
+    Attributes:
+        minimiser: "least-squares", or the paper's "nelder-mead".
+        frequency: free-free frequency in Hz the stiffness starts from; several load shares are tried with it, and
+            for Nelder-Mead the inertia is halved as in (13) unless that loop is unstable. None tries a grid of both,
+            a simulation each.
+        rigid_cutoff: Hz, of the rigid identification that gives the start; 0.5 % of the sampling frequency when None.
+        tolerance: relative, on the parameters and the criterion; when None 1e-8, and 1e-4 for Nelder-Mead.
+        simulations: at most, of one descent.
+        restarts: of Nelder-Mead, each from where the last one stopped; it ends when one gains nothing.
+        statistics: "sensitivities" for the deviations of the output sensitivities, or the paper's "inverse-model".
+        free: what surrounds the joint and is identified with it, from what is declared: "kp", "kv", "delay", ...; see
+            `surroundings`. The offset is one of the joint's own parameters, and free by default.
+    """
+
+    minimiser: Literal["least-squares", "nelder-mead"] = "least-squares"
+    frequency: float | None = None
+    rigid_cutoff: float | None = None
+    tolerance: float | None = None
+    simulations: int = 6000
+    restarts: int = 3
+    statistics: Literal["sensitivities", "inverse-model"] = "sensitivities"
+    free: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        choices = {
+            "minimiser": (self.minimiser, ("least-squares", "nelder-mead")),
+            "statistics": (self.statistics, ("sensitivities", "inverse-model")),
+        }
+        for name, (value, allowed) in choices.items():
+            if value not in allowed:
+                raise MethodError(f'The {name} is one of {", ".join(allowed)}; received "{value}".')
+        positive = (self.frequency or 1.0, self.rigid_cutoff or 1.0, self.tolerance or 1.0, float(self.simulations))
+        if min(positive) <= 0 or self.tolerance == 0 or self.restarts < 0:
+            raise MethodError(
+                "Frequencies, tolerance and simulations are positive, restarts 0 or more; received "
+                f"{self.frequency}, {self.rigid_cutoff}, {self.tolerance}, {self.simulations} and {self.restarts}."
+            )
+
+    @classmethod
+    def paper(cls, frequency: float | None = 30.0) -> FlexibleDIDIM:
+        """Return the settings of the paper: Nelder-Mead with the tolerance of ``fminsearch``, its statistics.
+
+        The frequency is the 30 Hz the paper measured with its output blocked.
+        """
+        return cls("nelder-mead", frequency, None, 1e-4, 6000, 1, "inverse-model")
+
+
+def stopping_tolerance(settings: FlexibleDIDIM) -> float:
+    """Return the tolerance that settings stop at: their own, or their minimiser's."""
+    return settings.tolerance or (_TOLERANCE if settings.minimiser == "least-squares" else _SIMPLEX_TOLERANCE)
+
+
+def identify_flexible(
+    record: Record,
+    loop: ClosedLoop,
+    parameters: tuple[Parameter, ...],
+    filtering: Filtering,
+    settings: FlexibleDIDIM | None = None,
+    progress: Progress = silent,
+) -> Estimate:
+    """Identify a flexible joint from torque and reference.
+
+    Args:
+        record: with the torque and what the controller reads.
+        loop: flexible joint and controller.
+        parameters: of the joint; a start of its own replaces that of the method.
+        filtering: cut-off and decimation; the mode must lie below the cut-off.
+        settings: see `FlexibleDIDIM`.
+        progress: is told the iterations.
+
+    Raises:
+        RecordError: a channel is missing.
+        MethodError: the loop cannot be simulated at any start.
+    """
+    settings = settings or FlexibleDIDIM()
+    rigid = rigid_estimate(record, loop, settings.rigid_cutoff, progress)
+    problem = torque_problem(record, loop, filtering, parameters, _at_rest(record, settings))
+    problem = problem if loop.joint.gravity is None else _hanging(problem)
+    descent = Descent(problem, progress)
+    end, simulations = _searched(descent, record, loop, rigid, filtering, settings)
+    if settings.free:
+        end = End(*with_free(descent, end.x, settings.free, stopping_tolerance(settings)), end.led)
+    problem, x = descent.problem, end.x
+    error, J = descent.linearised(x)
+    run = problem.simulate(x)
+    descent.simulations += 1
+    stop, converged = end.stop, end.converged
+    if np.linalg.norm(error) > _NOTHING * descent.size:
+        stop, converged = f"no answer: the search ended where the model explains little of the torque ({stop})", False
+    names = [p.name for p in problem.free]
+    known = uncertainty(J, J, error, problem.cells(run), names, problem.torque_unit)
+    paper = settings.minimiser == "nelder-mead"
+    how = "Nelder-Mead" if paper else "least squares"
+    if settings.statistics == "inverse-model":
+        found = answer(record, problem, x, run, (stop, converged), known, J)
+        descent.simulations += 1
+        found = with_paper_statistics(found, inverse_model_covariance(problem, x, error), len(problem.free_joint))
+    else:
+        spring = visible(problem, x, known, end.led, progress)
+        descent.simulations += spring.simulations
+        found = answer(record, problem, x, run, (stop, converged), known, J, spring.rigid_error)
+        found = replace(found, verdicts=(*found.verdicts, spring.verdict))
+        found = found if spring.shown else refused(found, spring)
+    return replace(
+        found,
+        variant=f"DIDIM by {how} {'from the pseudo-regular start' if paper else 'from a grid of starts'}",
+        trace=tuple(descent.trace),
+        simulations=descent.simulations + simulations,
+    )
+
+
+def _searched(
+    descent: Descent, record: Record, loop: ClosedLoop, rigid: Estimate, filtering: Filtering, settings: FlexibleDIDIM
+) -> tuple[End, int]:
+    """Return where the search ends, from a rough rigid joint or lower ones, and the simulations that these took."""
+    paper, tolerance = settings.minimiser == "nelder-mead", stopping_tolerance(settings)
+    problem, progress = descent.problem, descent.progress
+
+    def down(start: FloatArray) -> End:
+        if paper:
+            return End(*by_simplex(descent, start, tolerance, settings.simulations, settings.restarts))
+        found = refined(descent, start, tolerance)
+        return End(np.asarray(found.x), *reason(found.status, found.nfev, tolerance))
+
+    def solved(rigid: Estimate) -> End:
+        if paper:
+            return by_nelder_mead(descent, rigid, settings.frequency, down)
+        return by_least_squares(descent, filtering, rigid, settings.frequency, tolerance)
+
+    end = solved(rigid)
+    assert rigid.filtering.cutoff is not None
+    edge, simulations = rigid.filtering.cutoff, rigid.simulations
+    for lower in () if paper or settings.rigid_cutoff else _LOWER:
+        if np.linalg.norm(descent.residual(end.x)) <= _NOTHING * descent.size:
+            break
+        # A mode near the cut-off of the rigid start makes it a poor one, and all that is explored from it.
+        progress("the search ended where the model explains little; beginning again, below a lower frequency")
+        descent.problem = problem
+        rigid = rigid_estimate(record, loop, edge / lower, progress)
+        simulations += rigid.simulations
+        end = solved(rigid)
+    if rigid["initial_velocity"].free:  # below its resonance the axis seemed to move at the first sample
+        end = or_moving(descent, end, rigid, not paper, down)
+    return end, simulations
+
+
+def refused(estimate: Estimate, spring: Visibility) -> Estimate:
+    """Return the estimate without what the record does not tell: all that parts the motor from the load.
+
+    What a rigid joint tells takes its place: the sums of both sides.
+    """
+    assert isinstance(estimate.joint, FlexibleJoint)
+    whole = tuple(
+        Known(_sum_of(p, estimate.joint.unit(p)), spring.rigid[p.name], std, std / (abs(spring.rigid[p.name]) or 1.0))
+        for p in estimate.joint.rigid.parameters
+        if (std := spring.rigid_std.get(p.name)) is not None and not acts_on_whole(p.name)
+    )
+    parted = ("motor_", "load_", "stiffness", "damping")
+    lost = tuple(
+        replace(p, value=None, std=None, identifiable=False) if p.name.startswith(parted) and p.free else p
+        for p in estimate.parameters
+    )
+    assert estimate.known is not None
+    known = replace(estimate.known, parameters=(), physical=whole, directions=(), sentences=())
+    only = Verdict("identifiability", False, "only the sums of both sides are told, not how they divide")
+    verdicts = tuple(only if v.subject == only.subject else v for v in estimate.verdicts)
+    return replace(estimate, parameters=lost, known=known, bounds=spring.bounds, verdicts=verdicts)
+
+
+def _sum_of(p: Parameter, unit: str) -> Combination:
+    """Return the sum of both sides that a rigid joint's parameter is."""
+    formula = f"{p.symbol}1 + {p.symbol}2" if p.symbol[-1] not in "+-" else f"{p.symbol} of both sides"
+    return Combination(f"total {p.name}", formula, unit, {f"motor_{p.name}": 1.0, f"load_{p.name}": 1.0})
+
+
+def with_paper_statistics(estimate: Estimate, covariance: Covariance, joint: int) -> Estimate:
+    """Return the estimate with the deviations of the paper, and none for what surrounds the joint."""
+    found, index = [], 0
+    for p in estimate.parameters:
+        std = None
+        if p.free and index < joint:
+            std, index = float(covariance.std[index]), index + 1
+        found.append(replace(p, std=std))
+    return replace(
+        estimate,
+        parameters=tuple(found),
+        correlation=covariance.correlation,
+        intervals="the paper's: of the inverse model on the simulated motion, which was not solved; far too small",
+    )
+
+
+def _at_rest(record: Record, settings: FlexibleDIDIM) -> tuple[Parameter, ...]:
+    """Return the initial state at rest: on the reference for Nelder-Mead, which should search no more than it must.
+
+    Where a rigid model of a flexible joint puts the motor is no guide: it is off by more than its deviations say.
+    """
+    assert record.reference is not None
+    position, velocity = INITIAL_STATE
+    home = float(record.reference.values[0])
+    known = position.fixed(home) if settings.minimiser == "nelder-mead" else replace(position, start=home)
+    return known, velocity.fixed(0.0)
+
+
+def _hanging(problem: Problem) -> Problem:
+    """Return the problem with the motor, at the first sample, where its load makes it hang."""
+    home = resting_position(problem)
+    begun = (replace(p, start=home) if p.name == "initial_position" else p for p in problem.parameters)
+    return replace(problem, parameters=tuple(begun))
+
+
+def inverse_model_covariance(problem: Problem, x: FloatArray, error: FloatArray) -> Covariance:
+    """Return the paper's covariance of the joint's free parameters, ``s^2 (W' W)^-1`` with W on the simulated motion.
+
+    It is that of a regression on W, which is not what torque-only identification solves: for a flexible joint the
+    output sensitivities are not W, and Fv1, Fv2 come out many times surer than they are.
+    """
+    run = problem.simulate(x)
+    columns = problem.loop.joint.regressor(run.motor, run.load)
+    names = [p.name for p in problem.loop.joint.parameters]
+    free = [names.index(p.name) for p in problem.free_joint]
+    W = np.concatenate([problem.filtered(equation[:, free]) for equation in columns])
+    variance = float(error @ error) / (len(W) - W.shape[1])  # the paper's r counts the rows of both equations
+    norms = np.linalg.norm(W, axis=0)
+    inverse = np.linalg.inv((W / norms).T @ (W / norms))
+    roots = np.sqrt(np.diag(inverse))
+    return Covariance(np.sqrt(variance) * roots / norms, inverse / np.outer(roots, roots), 0)
+
+
+def refined_least_squares(problem: Problem, start: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
+    """Return the least-squares parameters near a start, and the sensitivities there, filtered (rows, parameters)."""
+    descent = Descent(problem, silent)
+    descent.scales = np.where(start != 0.0, np.abs(start), 1.0)
+    found = refined(descent, start, tolerance)
+    return np.asarray(found.x), -np.asarray(found.jac)

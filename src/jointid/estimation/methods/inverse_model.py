@@ -1,0 +1,180 @@
+"""The inverse dynamic model of a measured motion: torque on one side, the columns of the parameters on the other.
+
+Butterworth low-pass forwards and backwards on the positions, derivatives, borders dropped, the same
+low-pass-and-decimate on torque and every column [P section III; EMPS report]. A rigid joint needs the motor's
+position, a flexible one the load's too: both rows of (2) are then stacked.
+
+Torque and columns are seen through one window (`signals.windowed_torque`), so that a held, averaged or delayed torque
+is compared with the motion it made. The published pipeline reads it as sampled and differentiates twice centrally.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import RecordError
+from jointid.models.disturbances import Effect, effect_columns
+from jointid.models.joints import Joint, Motion
+from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
+from jointid.records.refer import require_units
+from jointid.records.signals import (
+    Filtering,
+    decimate,
+    decimate_all,
+    derivative,
+    differences,
+    lowpass,
+    picked,
+    windowed,
+    windowed_torque,
+)
+
+
+def idim_channels(model: str) -> tuple[str, ...]:
+    """Return the channels that IDIM of a rigid or a flexible joint reads."""
+    return ("torque", "motor_position", *(("load_position",) if model == "flexible" else ()))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InverseModel:
+    """The torque of one motion, and the columns whose sum with the parameters it is, raw.
+
+    Attributes:
+        torque: (equations, samples): of the motor, and for a flexible joint 0 for the load.
+        columns: (equations, samples, parameters) all of the joint's, then those of its effects.
+        inside: the samples that the position filter's ends do not reach.
+        motor, load: their motion, filtered; the load's is None for a rigid joint.
+    """
+
+    torque: FloatArray
+    columns: FloatArray
+    inside: slice
+    motor: Motion
+    load: Motion | None = None
+
+    def decimated(
+        self, filtering: Filtering, sample_time: float, values: FloatArray, *, compiled: bool = False
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return torque less that of `values` (rows,), and columns (rows, parameters), filtered; equations stacked."""
+        torque = self.torque - self.columns @ values
+        both = np.concatenate([torque[..., np.newaxis], self.columns], axis=2)
+        seen = self.thinned(both, filtering, sample_time, compiled=compiled)
+        return seen[:, 0], seen[:, 1:]
+
+    def thinned(
+        self, columns: FloatArray, filtering: Filtering, sample_time: float, *, compiled: bool = False
+    ) -> FloatArray:
+        """Return columns, (equations, samples, parameters), filtered and decimated; equations stacked."""
+        inside = columns[:, self.inside]
+        if compiled:
+            return np.concatenate(decimate_all(list(inside), filtering, sample_time))
+        return np.concatenate([decimate(equation, filtering, sample_time) for equation in inside])
+
+
+def inverse_model(
+    joint: Joint,
+    torque: Channel,
+    positions: tuple[FloatArray, ...],
+    filtering: Filtering,
+    delay: float = 0.0,
+    effects: Sequence[Effect] = (),
+) -> InverseModel:
+    """Return torque and regressor of a measured, simulated or reconstructed motion.
+
+    Args:
+        joint: whose columns come first.
+        torque: on the motor.
+        positions: (samples,) each, raw, at the torque's rate: motor, and load for a flexible joint.
+        filtering: resolved.
+        delay: seconds from the logged torque to the torque that acts.
+        effects: whose columns follow, in order.
+    """
+    sample_time, size = torque.sample_time, torque.values.size
+    respected = filtering.timing == "respected"
+    motor, *others = (_motion(position, sample_time, filtering) for position in positions)
+    load = others[0] if others else None
+    regressor = joint.regressor(motor, load)
+    further = effect_columns(effects, motor, load, sample_time, len(regressor))
+    columns = through_window(np.concatenate([regressor, further], axis=2), filtering)
+    rows = np.zeros((len(columns), size))
+    rows[0] = windowed_torque(torque, delay) if respected else torque.values
+    inside = slice(filtering.borders[0], size - filtering.borders[1])
+    return InverseModel(rows, columns, inside, motor, load)
+
+
+def through_window(columns: FloatArray, filtering: Filtering) -> FloatArray:
+    """Return columns, (equations, samples, parameters), as a torque whose timing is respected sees them."""
+    if filtering.timing != "respected":
+        return columns
+    return windowed(columns.transpose(1, 0, 2)).transpose(1, 0, 2)
+
+
+def _motion(position: FloatArray, sample_time: float, filtering: Filtering) -> Motion:
+    assert filtering.position_cutoff is not None
+    smooth = lowpass(position, filtering.position_cutoff, sample_time)
+    if filtering.timing == "respected":
+        return Motion(smooth, *differences(smooth, sample_time))
+    velocity = derivative(smooth, sample_time)
+    return Motion(smooth, velocity, derivative(velocity, sample_time))
+
+
+def motor_torque(record: Record) -> Channel:
+    """Return the torque on the motor: the log, with what was injected after the limit where the log lacks it."""
+    assert record.torque is not None
+    torque, added = record.torque, record.injected
+    if not isinstance(added, Injection) or added.at is InjectionPoint.BEFORE_LIMIT or added.in_torque:
+        return torque
+    if added.channel.sample_time != torque.sample_time:
+        raise RecordError(
+            "IDIM adds the injected signal to the logged torque, so both need one sample time; "
+            f"they have {added.channel.sample_time:g} s and {torque.sample_time:g} s."
+        )
+    size = min(len(torque), len(added.channel))
+    whole = torque.values[:size] + added.channel.values[:size]
+    return Channel(whole, torque.unit, torque.sample_time, torque.timing, torque.source)
+
+
+def motion_of(
+    record: Record, delay: float, filtering: Filtering, joint: Joint, effects: Sequence[Effect] = ()
+) -> InverseModel:
+    """Return torque and regressor of a record with the positions a joint needs; `filtering` resolved.
+
+    Raises:
+        RecordError: a channel is missing, not sampled, or at another rate.
+    """
+    needed = idim_channels(joint.model)
+    require_units(record, joint)
+    record.require(needed, "IDIM of a flexible joint" if joint.model == "flexible" else "IDIM")
+    torque = motor_torque(record)
+    positions = []
+    for name in needed[1:]:
+        position = picked(getattr(record, name), torque.sample_time)
+        if position.timing is not Timing.SAMPLED:
+            raise RecordError(f"IDIM needs a sampled {name}; this one is {position.timing.value}.")
+        if abs(position.sample_time / torque.sample_time - 1.0) > 1e-9:
+            raise RecordError(
+                f"IDIM needs torque and {name} at one rate; they have sample times of {torque.sample_time:g} s "
+                f"and {position.sample_time:g} s. DIDIM needs no position."
+            )
+        positions.append(position.values[: len(torque)])
+    size = min(len(torque), *(len(position) for position in positions))
+    cut = Channel(torque.values[:size], torque.unit, torque.sample_time, torque.timing, torque.source)
+    late = _late(record, delay, torque.sample_time)
+    return inverse_model(joint, cut, tuple(position[:size] for position in positions), filtering, late, effects)
+
+
+def _late(record: Record, delay: float, period: float) -> float:
+    """Return how long after its stamp a logged torque begins to act, in seconds.
+
+    A measured torque is the one that acts; behind a delay of a broken number of periods it began within the period
+    before the sample that shows it, and an average over that period is stamped at its end.
+    """
+    if record.tap is not Tap.MEASURED:
+        return delay
+    fraction = delay / period % 1.0
+    averaged = record.torque is not None and record.torque.timing is Timing.AVERAGED
+    return 0.0 if averaged or min(fraction, 1 - fraction) < 1e-6 else (fraction - 1.0) * period

@@ -1,0 +1,216 @@
+"""The estimators of ``Y = W x``: ordinary, weighted and robust least squares, and instrumental variables.
+
+A flexible joint has two equations, one row after the other at every instant. Their errors differ in size, that of the
+motor's by the noise of the torque, that of the load's by what filters and friction laws leave; weighting makes them
+alike. But the load's equation is homogeneous, all its unknowns stand on one side. Weighted by its own residual r it
+would pull them towards 0, by the share ``n var`` for n rows and the relative variance `var` with which the motor's
+equation knows their common scale: on the paper's axis by 3 to 11 %. So its size is taken large enough for the pull to
+stay below a tenth of the deviation, ``s^2 >= 10 ||r||^2 s1 / ||u||``, where u is the torque that this scale explains
+alone and s1 its error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.estimation.methods.regression import Fit, least_squares
+from jointid.uncertainty.covariance import Covariance, sandwich
+
+_PULL = 10.0  # deviations in units of which the pull of a homogeneous equation stays below one
+_NORMAL = 0.6744897501960817  # median of the absolute value of a standard normal
+_HUBER, _BISQUARE = 1.345, 4.685  # both 95 % efficient for normal errors
+_SETTLED = 1e-8  # relative change of the values that ends a reweighting
+_REWEIGHTINGS = 100
+_TINY = 1e-12  # of the torque: a size that no error falls below
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """A linear regression.
+
+    Attributes:
+        Y: (rows,) the torque, filtered and decimated; the rows of one equation after those of the other.
+        W: (rows, parameters) the columns.
+        names: of the parameters.
+        equations: how many share their instants.
+    """
+
+    Y: FloatArray
+    W: FloatArray
+    names: tuple[str, ...]
+    equations: int
+
+    def by_equation(self, values: FloatArray) -> FloatArray:
+        """Return the values of all rows, (equations, instants)."""
+        return values.reshape(self.equations, -1)
+
+    def spread_out(self, sizes: FloatArray) -> FloatArray:
+        """Return one number for each row, (rows,), from one for each equation."""
+        return np.repeat(sizes, self.Y.size // self.equations)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """What an estimator found.
+
+    Attributes:
+        fit: values, residual and conditioning; its relative error is of the rows as they are, not weighted.
+        covariance: robust to autocorrelation, and to what the weights are.
+        sizes: (equations,) of the error, by which the rows were divided.
+        shares: (rows,) weight of each row beside that, from 0 to 1.
+        steps: reweightings that were made; 1 for none.
+    """
+
+    fit: Fit
+    covariance: Covariance
+    sizes: FloatArray
+    shares: FloatArray
+    steps: int
+
+
+def ordinary(rows: Rows) -> Solution:
+    """Return ordinary least squares."""
+    fit = least_squares(rows.W, rows.Y, rows.names)
+    covariance = sandwich(rows.W, rows.W, fit.residual, rows.equations)
+    return Solution(fit, covariance, np.ones(rows.equations), np.ones(rows.Y.size), 1)
+
+
+def weighted(rows: Rows) -> Solution:
+    """Return least squares with each equation divided by the size of its error, repeated until that is settled.
+
+    Raises:
+        MethodError: there is one equation, whose weight changes nothing; or as `least_squares`.
+    """
+    if rows.equations == 1:
+        raise MethodError(
+            "Weighting balances the two equations of a flexible joint; a rigid joint has one, whose weight changes "
+            'nothing: use estimator = "ols", or "robust".'
+        )
+    return _reweighted(rows, least_squares(rows.W, rows.Y, rows.names), np.ones_like, np.ones_like, _rms)
+
+
+def robust(rows: Rows) -> Solution:
+    """Return iteratively reweighted least squares with Tukey's bisquare, on the scale of the median absolute deviation.
+
+    Rows whose error is beyond 4.685 sizes weigh nothing. The bisquare has several solutions, so it is begun at the only
+    one of Huber's function. (Huber 1964; Beaton and Tukey 1974; Holland and Welsch 1977 for the constants.)
+    """
+    first = least_squares(rows.W, rows.Y, rows.names)
+    huber = _reweighted(rows, first, _huber_share, _huber_slope, _mad)
+    return _reweighted(rows, huber.fit, _bisquare_share, _bisquare_slope, _mad, huber.steps)
+
+
+def instrumental(rows: Rows, Z: FloatArray, values: FloatArray) -> Solution:
+    """Return the solution of ``Z' (Y - W x) = 0``, each equation divided by the size of its error at `values`.
+
+    Args:
+        rows: the regression.
+        Z: (rows, parameters) the instruments: columns that the errors of W and Y cannot reach.
+        values: (parameters,) of the step before.
+
+    Raises:
+        MethodError: the instruments do not determine the parameters.
+    """
+    sizes = _sizes(rows, values, _rms)
+    scale = rows.spread_out(sizes)[:, np.newaxis]
+    Zs, Ws, Ys = Z / scale, rows.W / scale, rows.Y / scale[:, 0]
+    try:
+        least_squares(Zs, Ys, rows.names)
+    except MethodError as error:
+        raise MethodError(
+            f"The simulated motion does not determine the parameters ({str(error).split(';')[0]}); check that the "
+            "controller is the one the record was made with, or use another estimator."
+        ) from None
+    norms = np.linalg.norm(Zs, axis=0)
+    found = np.linalg.solve((Zs / norms).T @ (Ws / norms), (Zs / norms).T @ Ys) / norms
+    covariance = sandwich(Zs, Ws, Ys - Ws @ found, rows.equations)
+    return Solution(_plain_fit(rows, found, Ws), covariance, sizes, np.ones(rows.Y.size), 1)
+
+
+def _reweighted(
+    rows: Rows,
+    start: Fit,
+    share: Callable[[FloatArray], FloatArray],
+    slope: Callable[[FloatArray], FloatArray],
+    size: Callable[[FloatArray], float],
+    steps: int = 0,
+) -> Solution:
+    """Return the fixed point of reweighting, from `start`.
+
+    Args:
+        rows: the regression.
+        start: where it begins.
+        share: weight of a row by its error in sizes.
+        slope: derivative of share times error.
+        size: of the errors of one equation.
+        steps: made before.
+    """
+    values, last = start.values, steps + _REWEIGHTINGS
+    while steps < last:
+        sizes = _sizes(rows, values, size)
+        scale = rows.spread_out(sizes)
+        weight = np.sqrt(share((rows.Y - rows.W @ values) / scale)) / scale
+        before, values = values, least_squares(rows.W * weight[:, np.newaxis], rows.Y * weight, rows.names).values
+        steps += 1
+        if np.all(np.abs(values - before) <= _SETTLED * np.abs(values)):
+            break
+    error = (rows.Y - rows.W @ values) / scale
+    Z = rows.W / scale[:, np.newaxis]
+    covariance = sandwich(Z, Z * slope(error)[:, np.newaxis], error * share(error), rows.equations)
+    return Solution(_plain_fit(rows, values, Z), covariance, sizes, share(error), steps)
+
+
+def _plain_fit(rows: Rows, values: FloatArray, W: FloatArray) -> Fit:
+    """Return given values as a `Fit`, with the error of the rows as they are and the conditioning of W."""
+    shape = least_squares(W, rows.Y, rows.names)
+    residual = rows.Y - rows.W @ values
+    sigma = float(np.linalg.norm(residual) / math.sqrt(rows.Y.size - values.size))
+    error = float(np.linalg.norm(residual) / np.linalg.norm(rows.Y))
+    return Fit(values, shape.std, residual, sigma, error, shape.conditioning)
+
+
+def _sizes(rows: Rows, values: FloatArray, size: Callable[[FloatArray], float]) -> FloatArray:
+    """Return the size of each equation's error, (equations,), a homogeneous one's held back (see the module)."""
+    error, torque = rows.by_equation(rows.Y - rows.W @ values), rows.by_equation(rows.Y)
+    least = _TINY * _rms(rows.Y)
+    sizes = np.array([max(size(equation), least) for equation in error])
+    for number in np.flatnonzero(~np.any(torque, axis=1)):
+        of_it = np.arange(rows.equations).repeat(torque.shape[1]) == number
+        inside = np.any(rows.W[of_it] != 0, axis=0)
+        scale, others = rows.W[~of_it][:, inside] @ values[inside], rows.W[~of_it][:, ~inside]
+        alone = np.linalg.norm(scale - others @ np.linalg.lstsq(others, scale, rcond=None)[0])
+        rest = float(np.delete(sizes, number).max())
+        pull = _PULL * float(error[number] @ error[number]) * rest / max(float(alone), least)
+        sizes[number] = max(sizes[number], math.sqrt(pull))
+    return sizes
+
+
+def _rms(error: FloatArray) -> float:
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def _mad(error: FloatArray) -> float:
+    return float(np.median(np.abs(error))) / _NORMAL
+
+
+def _huber_share(u: FloatArray) -> FloatArray:
+    return np.asarray(_HUBER / np.maximum(np.abs(u), _HUBER))
+
+
+def _huber_slope(u: FloatArray) -> FloatArray:
+    return np.asarray((np.abs(u) <= _HUBER) * 1.0)
+
+
+def _bisquare_share(u: FloatArray) -> FloatArray:
+    return np.asarray(np.maximum(1 - (u / _BISQUARE) ** 2, 0.0) ** 2)
+
+
+def _bisquare_slope(u: FloatArray) -> FloatArray:
+    square = (u / _BISQUARE) ** 2
+    return np.asarray(np.maximum(1 - square, 0.0) * (1 - 5 * square))

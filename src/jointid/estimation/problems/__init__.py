@@ -1,0 +1,1 @@
+"""Identification problems: a record and a model in, filtered residual and Jacobian out."""

@@ -1,0 +1,312 @@
+"""The problem an estimator solves: a vector of free parameters in, the filtered torque error and its slopes out.
+
+It owns the record, what closes the loop around the joint, the filter that torque and Jacobian go through alike, and
+which parameters are free: those of the joint, then those of what surrounds it (`surroundings`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITIAL_TORQUE, of_law, surrounding
+from jointid.models.controllers import number, with_numbers
+from jointid.models.joints import RigidJoint
+from jointid.models.parameters import TORQUE_UNIT, Parameter
+from jointid.records.record import Record
+from jointid.records.signals import Filtering, decimate_all
+from jointid.simulation.closed_loop import Initial, Outcome, Response, Simulation, simulate, simulate_torque
+from jointid.simulation.loop_input import ClosedLoop, Experiment, prepare
+from jointid.simulation.sensitivities import Sensitivities, simulate_sensitivities
+from jointid.uncertainty.position_dependent_error import Cells, cells
+
+_FLOOR = 1e-3  # a parameter smaller than this share of the torque is measured against that share
+_FAILED = 1e3  # times the torque: the error of a candidate that cannot be simulated
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Candidate:
+    """What is simulated for one vector of parameters."""
+
+    loop: ClosedLoop
+    experiment: Experiment
+    values: Mapping[str, float]  # of the joint, per torque of the log
+    initial: Initial
+    drive_gain: float
+    log_gain: float
+    log_delay: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """The torque of one record against one loop; a `criterion.Criterion`.
+
+    Attributes:
+        loop, experiment: what is simulated.
+        parameters: all of the joint, then of what surrounds it.
+        measured: (samples,) raw torque.
+        filtering: resolved; its borders are left out of the reported error, not of the residual, because the
+            first samples hold what is known of the initial state and no position is differentiated.
+    """
+
+    loop: ClosedLoop
+    experiment: Experiment
+    parameters: tuple[Parameter, ...]
+    measured: FloatArray
+    filtering: Filtering
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters that are identified."""
+        return tuple(p for p in self.parameters if p.free)
+
+    @property
+    def torque_unit(self) -> str:
+        """Of the residual."""
+        return self.loop.joint.torque_unit or TORQUE_UNIT[self.loop.joint.kind]
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Of every parameter, by name."""
+        return {p.name: self.loop.joint.unit(p) for p in self.parameters}
+
+    @property
+    def free_joint(self) -> tuple[Parameter, ...]:
+        """Those of them that belong to the joint; they come first."""
+        own = {p.name for p in self.loop.joint.parameters}
+        return tuple(p for p in self.free if p.name in own)
+
+    def freeing(self, *names: str) -> Problem:
+        """Return the same problem with more of what surrounds the joint free.
+
+        Raises:
+            MethodError: nothing around the joint has that name.
+        """
+        new = [surrounding(name, self.loop.controller, self.experiment.law.period) for name in names]
+        kept = tuple(p for p in self.parameters if p.name not in names)
+        return replace(self, parameters=(*kept, *new))
+
+    def values(self, x: FloatArray) -> dict[str, float]:
+        """Return every parameter by name, the fixed ones too."""
+        given = {p.name: p.start for p in self.parameters if not p.free}
+        found = dict(zip((p.name for p in self.free), map(float, x), strict=True))
+        return {p.name: found[p.name] if p.free else float(given[p.name] or 0.0) for p in self.parameters}
+
+    def vector(self, values: Mapping[str, float]) -> FloatArray:
+        """Return the free parameters of `values`, in order; one that is not there starts as declared."""
+        return np.array([values.get(p.name, p.start or 0.0) for p in self.free])
+
+    def filtered(self, columns: FloatArray) -> FloatArray:
+        """Return signals, (samples,) or (samples, columns), through the problem's own filter."""
+        return decimate_all([columns], self.filtering, self.experiment.sample_time)[0]
+
+    def simulate(self, x: FloatArray) -> Simulation:
+        """Return the loop's run with these parameters, its torque as the log should show it."""
+        c = self._candidate(x)
+        run = simulate(c.loop, c.experiment, c.values, c.initial)
+        return replace(run, torque=self._shown(run.torque, c))
+
+    def loop_at(self, x: FloatArray) -> ClosedLoop:
+        """Return the loop with the controller's numbers that these parameters say."""
+        return self._candidate(x).loop
+
+    def torque(self, x: FloatArray) -> FloatArray:
+        """Return the torque the log should show, raw, (samples,)."""
+        c = self._candidate(x)
+        return self._shown(simulate_torque(c.loop, c.experiment, c.values, c.initial).torque, c)
+
+    def torque_if(self, x: FloatArray, driven: Callable[[Experiment], Experiment]) -> FloatArray:
+        """Return the torque the log should show, raw, (samples,), if the loop were driven otherwise.
+
+        Args:
+            x: free parameters.
+            driven: from what the loop is driven with, to what it might be.
+        """
+        c = self._candidate(x)
+        return self._shown(simulate_torque(c.loop, driven(c.experiment), c.values, c.initial).torque, c)
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the filtered, decimated torque error, (rows,); of a candidate that fails, something large."""
+        c = self._candidate(x)
+        response = simulate_torque(c.loop, c.experiment, c.values, c.initial)
+        return self.error(replace(response, torque=self._shown(response.torque, c)))
+
+    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free), from one run."""
+        response, columns = self.sensitivities(x)
+        error, slopes = self.seen(response, columns)
+        return error, -slopes
+
+    def sensitivities(self, x: FloatArray) -> tuple[Response, FloatArray]:
+        """Return what the log should show, and its derivatives by the free parameters, (samples, free), raw.
+
+        Where the candidate cannot be simulated the derivatives are 0.
+        """
+        c = self._candidate(x)
+        own = [p.name for p in self.loop.joint.parameters]
+        names = [p.name for p in self.free if p.name not in ("drive_gain", "log_gain", "log_delay")]
+        scaled = any(p.name == "drive_gain" for p in self.free)
+        wanted = [*names, *(name for name in own if scaled and name not in names)]
+        run = simulate_sensitivities(c.loop, c.experiment, c.values, wanted, c.initial)
+        if len(names) == len(self.free) == len(wanted) and (c.drive_gain, c.log_gain, c.log_delay) == (1.0, 1.0, 0.0):
+            return run.response, run.torque
+        columns = dict(zip(wanted, run.torque.T, strict=True))
+        shown = self._shown(run.response.torque, c)
+        if scaled:  # all of the joint's parameters are measured in the torque that acts
+            columns["drive_gain"] = -sum((c.values[n] / c.drive_gain) * columns[n] for n in own)
+        for name in own:
+            if name in columns and c.drive_gain != 1.0:
+                columns[name] = columns[name] / c.drive_gain
+        if c.log_gain != 1.0 or c.log_delay != 0.0:
+            columns = {name: self._shown(column, c) for name, column in columns.items()}
+        columns["log_gain"] = shown / c.log_gain
+        columns["log_delay"] = self._slope(run.response.torque, c)
+        return replace(run.response, torque=shown), np.column_stack([columns[p.name] for p in self.free])
+
+    def positions(self, x: FloatArray) -> Sensitivities:
+        """Return the derivatives of torque and positions by the joint's free parameters and its first state, raw."""
+        c = self._candidate(x)
+        names = [p.name for p in self.free if p.name not in ("drive_gain", "log_gain", "log_delay")]
+        return simulate_sensitivities(c.loop, c.experiment, c.values, names, c.initial, positions=True)
+
+    def error(self, run: Simulation | Response) -> FloatArray:
+        """Return the filtered torque error of a run; of one that failed, something large and finite."""
+        return self.filtered(self._left(run))
+
+    def seen(self, run: Simulation | Response, *columns: FloatArray) -> tuple[FloatArray, ...]:
+        """Return the filtered torque error of a run, (rows,), and raw columns through the same filter, at once."""
+        return tuple(decimate_all([self._left(run), *columns], self.filtering, self.experiment.sample_time))
+
+    def _left(self, run: Simulation | Response) -> FloatArray:
+        error = self.measured - run.torque
+        if run.outcome is not Outcome.FINISHED:
+            # The earlier it failed the worse: a search must see which way to go.
+            size = float(np.sqrt(np.mean(self.measured**2)))
+            error = np.full_like(error, _FAILED * size * (2.0 - run.finished))
+        return error
+
+    def cells(self, simulation: Simulation) -> Cells:
+        """Return where and how the motor was, in a simulation, when each row of the residual was taken."""
+        keep = self.filtering.decimation or 1
+        last = (self.measured.size - 1) % keep
+        return cells(simulation.motor_position[last::keep], simulation.motor_velocity[last::keep])
+
+    def regressor(self, simulation: Simulation) -> FloatArray:
+        """Return the inverse-dynamic columns of the free joint parameters on a run, raw, (samples, parameters)."""
+        if not isinstance(self.loop.joint, RigidJoint):
+            raise MethodError(
+                "The inverse-dynamic regressor of a simulated flexible joint is no approximation of its Jacobian "
+                "(the load is not controlled); identify the joint as rigid, at low frequency."
+            )
+        columns, own = self.loop.joint.regressor(simulation.motor)[0], self.loop.joint.parameters
+        free = [p.free for p in self.parameters[: len(own)]]
+        return columns if all(free) else np.asarray(columns[:, free])
+
+    def fixed_torque(self, simulation: Simulation) -> FloatArray:
+        """Return the torque that the joint's fixed parameters take on a run, (samples,)."""
+        joint = self.loop.joint
+        assert isinstance(joint, RigidJoint)
+        kept = [0.0 if p.free else p.start or 0.0 for p in self.parameters[: len(joint.parameters)]]
+        return np.asarray(joint.regressor(simulation.motor)[0] @ np.array(kept))
+
+    def scales(self, x: FloatArray, columns: FloatArray, size: float) -> FloatArray:
+        """Return the size a change of each joint parameter is measured against: its value, or a small torque's.
+
+        Args:
+            x: free parameters.
+            columns: (rows, free of the joint) of the torque, filtered.
+            size: norm of the torque, filtered.
+        """
+        norms = np.linalg.norm(columns, axis=0)
+        return np.asarray(np.maximum(np.abs(x[: norms.size]), _FLOOR * size / np.where(norms > 0, norms, 1.0)))
+
+    def _candidate(self, x: FloatArray) -> _Candidate:
+        values = self.values(x)
+        own = {p.name for p in self.loop.joint.parameters}
+        gain = values.get("drive_gain", 1.0)
+        numbers = {n: v for n, v in values.items() if n not in own and of_law(n)}
+        loop, experiment = self.loop, self.experiment
+        if any(v != number(loop.controller, n) for n, v in numbers.items()):
+            loop = replace(loop, controller=with_numbers(loop.controller, numbers))
+            experiment = experiment.with_law(experiment.law_of(loop.controller))
+        joint = {n: values[n] / gain for n in own}
+        return _Candidate(
+            loop, experiment, joint, initial_of(values), gain, values.get("log_gain", 1.0), values.get("log_delay", 0.0)
+        )
+
+    def _shown(self, torque: FloatArray, c: _Candidate) -> FloatArray:
+        """Return the torque with the gain of the log, and as much later as its stamps are wrong."""
+        if c.log_delay == 0.0:
+            return torque if c.log_gain == 1.0 else c.log_gain * torque
+        whole, part = _split(c.log_delay / self.experiment.sample_time)
+        return c.log_gain * ((1 - part) * _shifted(torque, whole) + part * _shifted(torque, whole + 1))
+
+    def _slope(self, torque: FloatArray, c: _Candidate) -> FloatArray:
+        """Return the derivative of the shown torque by the log's delay."""
+        whole, _ = _split(c.log_delay / self.experiment.sample_time)
+        if c.log_delay == 0.0:  # between two samples the shown torque has one slope, on a sample the mean of two
+            return c.log_gain * (_shifted(torque, 1) - _shifted(torque, -1)) / (2 * self.experiment.sample_time)
+        return c.log_gain * (_shifted(torque, whole + 1) - _shifted(torque, whole)) / self.experiment.sample_time
+
+
+def _split(samples: float) -> tuple[int, float]:
+    whole = math.floor(samples)
+    return whole, samples - whole
+
+
+def _shifted(signal: FloatArray, samples: int) -> FloatArray:
+    """Return a signal so many samples later; its ends last."""
+    at = np.clip(np.arange(signal.size) - samples, 0, signal.size - 1)
+    return np.asarray(signal[at])
+
+
+def initial_of(values: Mapping[str, float]) -> Initial:
+    """Return the initial state among a problem's values; on the reference, at rest, where there is none."""
+    return Initial(values.get("initial_position"), values.get("initial_velocity"), values.get("initial_torque"))
+
+
+def with_torque(
+    surroundings: Sequence[Parameter], experiment: Experiment, measured: FloatArray
+) -> tuple[Parameter, ...]:
+    """Return them with the torque at the first sample, from the log, if the law has an integral and they have none."""
+    if not experiment.law.integrates or any(p.name == INITIAL_TORQUE.name for p in surroundings):
+        return tuple(surroundings)
+    return (*surroundings, replace(INITIAL_TORQUE, start=float(measured[0])))
+
+
+def torque_problem(
+    record: Record,
+    loop: ClosedLoop,
+    filtering: Filtering,
+    parameters: tuple[Parameter, ...],
+    surroundings: Sequence[Parameter] = INITIAL_STATE,
+) -> Problem:
+    """Return the problem of reproducing a record's torque by simulating the loop from its reference.
+
+    Raises:
+        RecordError: the record lacks a channel the loop needs.
+        MethodError: no parameter of the joint is free, or the filtering is impossible.
+    """
+    record.require(loop.channels, "DIDIM")
+    assert record.torque is not None
+    require_free(parameters)
+    experiment = prepare(loop, record)
+    measured = record.torque.values[: experiment.samples]
+    return Problem(
+        loop,
+        experiment,
+        (*parameters, *with_torque(surroundings, experiment, measured)),
+        measured,
+        filtering.resolved(experiment.sample_time, loop.joint.model),
+    )
+
+
+def require_free(parameters: tuple[Parameter, ...]) -> None:
+    """Raise a `MethodError` if no parameter of a joint is free."""
+    if not any(p.free for p in parameters):
+        raise MethodError("Every parameter of the joint is fixed, so there is nothing to identify; free one of them.")

@@ -1,0 +1,261 @@
+"""The problem of a prescribed motion: a joint's parameters in, the filtered torque error and its slopes out.
+
+The motor's motion comes from the record, filtered; the torque it takes is predicted (`simulation.drive_side`) and seen
+as the log saw it: late by ``log_delay``, and a first-order ``current_lag`` away, where these are free. Both act on the
+prediction. On the measurement they would let a fit shrink both sides to nothing.
+
+While the motor rests, its friction takes what it must and the torque says nothing; these samples weigh nothing, on
+both sides alike and before the filter, which would smear them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import RecordError
+from jointid.estimation.methods.inverse_model import motor_torque
+from jointid.estimation.problems.closed_loop import require_free
+from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
+from jointid.models.joints import Joint
+from jointid.models.parameters import Parameter, Quantity
+from jointid.records.record import Channel, Record, Tap, Timing
+from jointid.records.refer import require_units
+from jointid.records.signals import Filtering, decimate, lowpass, picked, windowed_parts, windowed_torque
+from jointid.simulation.drive_side import (
+    LOAD_STATE,
+    PARTS,
+    DriveSide,
+    DriveSideRun,
+    PrescribedMotion,
+    prescribed_motion,
+    simulate_drive_side,
+)
+from jointid.simulation.open_loop import OpenLoop
+
+CURRENT_LAG = Parameter("current_lag", "T i", Quantity.TIME, free=False, start=0.0, lower=0.0)
+"""Time constant between the log and the torque, beside the delay: a command is logged before the current loop that
+makes it a torque, a measured torque behind a filter of the drive."""
+
+_LOAD_PARAMETERS = (
+    Parameter(LOAD_STATE[0], "dq12(0)", Quantity.POSITION),
+    Parameter(LOAD_STATE[1], "dv12(0)", Quantity.VELOCITY),
+)
+_REST = 0.02  # of the root mean square speed: a motor slower than that ...
+_LONG = 3  # ... for so many samples rests, or sticks as it turns round: there friction takes what it must
+_REACH = 3  # samples on each side that the window smears a rest over
+_FAILED = 1e3  # times the torque: the error of a candidate that cannot be simulated
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionProblem:
+    """The torque of one record along its own motor motion; a `criterion.Criterion`.
+
+    Attributes:
+        joint: what is identified.
+        motion: of the motor, prescribed.
+        parameters: all of the joint, then `LOAD_STATE`, ``log_delay`` and ``current_lag``.
+        measured: (samples,) torque through the window of `signals.windowed_torque`.
+        weights: (samples,) 0 where the motor rests, else 1.
+        filtering: resolved; its borders are left out before it is applied.
+        leads: whether the log shows the torque before its ``current_lag``, as a command does; else behind it.
+        sample_time: seconds.
+    """
+
+    joint: Joint
+    motion: PrescribedMotion
+    parameters: tuple[Parameter, ...]
+    measured: FloatArray
+    weights: FloatArray
+    filtering: Filtering
+    leads: bool
+    sample_time: float
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters that are identified."""
+        return tuple(p for p in self.parameters if p.free)
+
+    @property
+    def inside(self) -> slice:
+        """The samples that are compared."""
+        before, after = self.filtering.borders
+        return slice(before, self.measured.size - after)
+
+    def values(self, x: FloatArray) -> dict[str, float]:
+        """Return every parameter by name, the fixed ones too."""
+        found = dict(zip((p.name for p in self.free), map(float, x), strict=True))
+        return {p.name: found.get(p.name, p.start or 0.0) for p in self.parameters}
+
+    def vector(self, values: Mapping[str, float]) -> FloatArray:
+        """Return the free parameters of `values`, in order; one that is not there starts as declared."""
+        return np.array([values.get(p.name, p.start or 0.0) for p in self.free])
+
+    def filtered(self, columns: FloatArray) -> FloatArray:
+        """Return signals, (samples,) or (samples, columns), weighted, through the problem's own filter."""
+        weights = self.weights if columns.ndim == 1 else self.weights[:, np.newaxis]
+        return decimate((weights * columns)[self.inside], self.filtering, self.sample_time)
+
+    def predicted(self, x: FloatArray) -> FloatArray:
+        """Return the torque that `measured` should show, (samples,)."""
+        return self._seen(x, ())[0]
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the filtered, decimated torque error, (rows,); of a candidate that fails, something large."""
+        prediction, _, finished = self._seen(x, ())
+        return self.filtered(self.measured - prediction if finished else self._failed())
+
+    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
+        prediction, slopes, finished = self._seen(x, tuple(p.name for p in self.free))
+        error = self.measured - prediction if finished else self._failed()
+        return self.filtered(error), -self.filtered(slopes)
+
+    def _failed(self) -> FloatArray:
+        return np.full_like(self.measured, _FAILED * float(np.sqrt(np.mean(self.measured**2))))
+
+    def _seen(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
+        """Return the prediction, (samples,), its derivatives, (samples, names), and whether it could be simulated."""
+        values = self.values(x)
+        inner = tuple(n for n in names if n not in (LOG_DELAY.name, CURRENT_LAG.name))
+        run = simulate_drive_side(self.joint, self.motion, values, inner)
+        cells, lag = np.column_stack([run.torque, run.derivatives]), values[CURRENT_LAG.name]
+        late, by_lag = values[LOG_DELAY.name] / self.sample_time, np.zeros((self.measured.size, 1))
+        if lag > 0 and not self.leads:
+            cells, moved = behind_lag(cells, self.motion.step, lag)
+            by_lag = windowed_parts(moved, PARTS, late)
+        seen = windowed_parts(cells, PARTS, late)
+        by_delay = windowed_parts(cells[:, :1], PARTS, late, 1) / self.sample_time
+        if self.leads and lag > 0:
+            seen -= lag / self.sample_time * windowed_parts(cells, PARTS, late, 1)
+        if self.leads:  # the rate of a signal is what its delay takes from it
+            by_lag = -by_delay
+            by_delay = by_delay - lag / self.sample_time**2 * windowed_parts(cells[:, :1], PARTS, late, 2)
+        columns = dict(zip(inner, seen[:, 1:].T, strict=True))
+        columns |= {LOG_DELAY.name: by_delay[:, 0], CURRENT_LAG.name: by_lag[:, 0]}
+        slopes = [columns[name] for name in names]
+        return seen[:, 0], np.column_stack([np.zeros((len(seen), 0)), *slopes]), run.finished
+
+    def run(self, x: FloatArray) -> DriveSideRun:
+        """Return the simulation itself, part by part."""
+        return simulate_drive_side(self.joint, self.motion, self.values(x))
+
+
+def behind_lag(cells: FloatArray, step: float, lag: float) -> tuple[FloatArray, FloatArray]:
+    """Return signals behind a first-order lag, (cells, columns), and how the first depends on the lag, (cells, 1).
+
+    Signals are constant over cells of `step` seconds, and so are the answers: means over the cells. Exact.
+    """
+    from scipy.signal import lfilter
+
+    kept = float(np.exp(-step / lag))
+    slope = kept * step / lag**2  # of `kept` by the lag
+    state = np.vstack([cells[:1], lfilter([1 - kept], [1, -kept], cells, axis=0, zi=kept * cells[:1])[0]])
+    rise = np.diff(state, axis=0) / step
+    moved = np.append(0.0, lfilter([1.0], [1, -kept], slope * (state[:-1, 0] - cells[:, 0])))
+    return cells - lag * rise, (-rise[:, 0] - lag * np.diff(moved) / step)[:, np.newaxis]
+
+
+def motion_problem(
+    record: Record,
+    closing: DriveSide,
+    filtering: Filtering,
+    parameters: tuple[Parameter, ...],
+    surroundings: tuple[Parameter, ...] = (),
+) -> MotionProblem:
+    """Return the problem of reproducing a record's torque along its motor motion.
+
+    Args:
+        record: with torque and motor position at one rate, the position sampled.
+        closing: the joint.
+        filtering: of position and torque.
+        parameters: of the joint.
+        surroundings: changed ``log_delay`` and ``current_lag``; both are fixed at 0 otherwise.
+
+    Raises:
+        RecordError: a channel is missing, or at another rate.
+        MethodError: no parameter of the joint is free.
+    """
+    torque, position = torque_and_position(record, closing, parameters, "Drive-side identification")
+    sample_time, size = torque.sample_time, min(len(torque), len(position))
+    filtering = filtering.resolved(sample_time, closing.joint.model)
+    assert filtering.position_cutoff is not None
+    smooth = lowpass(position.values[:size], filtering.position_cutoff, sample_time)
+    motion = _from_rest(prescribed_motion(smooth, sample_time))
+    given = {p.name: p for p in surroundings}
+    around = tuple(given.get(p.name, p) for p in (LOG_DELAY, CURRENT_LAG))
+    measured = windowed_torque(replace(torque, values=torque.values[:size]))
+    return MotionProblem(
+        closing.joint,
+        motion,
+        (*parameters, *_load_state(closing.joint, motion), *around),
+        measured,
+        weights_of(motion),
+        filtering,
+        record.tap is not Tap.MEASURED,
+        sample_time,
+    )
+
+
+def torque_and_position(
+    record: Record, closing: DriveSide | OpenLoop, parameters: tuple[Parameter, ...], method: str
+) -> tuple[Channel, Channel]:
+    """Return the torque on the motor and its position, once both are sampled at one rate and a parameter is free.
+
+    Args:
+        record: with both.
+        closing: the joint, and the channels it needs.
+        parameters: of the joint.
+        method: as an error names it.
+
+    Raises:
+        RecordError: a channel is missing, in another unit, or at another rate.
+        MethodError: no parameter of the joint is free.
+    """
+    record.require(closing.channels, method)
+    require_units(record, closing.joint)
+    require_free(parameters)
+    torque, position = motor_torque(record), record.motor_position
+    assert position is not None
+    position = picked(position, torque.sample_time)
+    if position.timing is not Timing.SAMPLED or abs(position.sample_time / torque.sample_time - 1.0) > 1e-9:
+        raise RecordError(
+            f"{method} needs a sampled motor_position at the torque's rate; this one is {position.timing.value} every "
+            f"{position.sample_time:g} s, and the torque comes every {torque.sample_time:g} s: resample it."
+        )
+    return torque, position
+
+
+def weights_of(motion: PrescribedMotion) -> FloatArray:
+    """Return 0 for the samples at which the motor rests, and 1 for the others (see the module)."""
+    speed = np.abs(motion.velocity[::PARTS])
+    slow = speed < _REST * float(np.sqrt(np.mean(speed**2)))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]])))
+    weights = np.ones(speed.size)
+    for start, end in zip(edges[::2], edges[1::2], strict=True):
+        if end - start >= _LONG:
+            weights[max(start - _REACH, 0) : end + _REACH] = 0.0
+    return weights
+
+
+def _from_rest(motion: PrescribedMotion) -> PrescribedMotion:
+    """Return the motion with no velocity at the first sample if the motor rests there.
+
+    The rounding of an encoder would have a load that moves steadily begin where its Coulomb force drags it.
+    """
+    if weights_of(motion)[0]:
+        return motion
+    velocity = motion.velocity.copy()
+    velocity[0] = 0.0
+    return replace(motion, velocity=velocity)
+
+
+def _load_state(joint: Joint, motion: PrescribedMotion) -> tuple[Parameter, ...]:
+    """Return the load's first state, free where the motor moves then: a load at rest rests where it was left."""
+    if joint.model == "rigid":
+        return ()
+    moving = bool(weights_of(motion)[0])
+    return tuple(replace(p, free=moving, start=0.0) for p in _LOAD_PARAMETERS)

@@ -1,0 +1,1 @@
+"""The estimate: parameters with their uncertainty, verdicts and printed table."""

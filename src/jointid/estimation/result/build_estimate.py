@@ -1,0 +1,133 @@
+"""The answer of an identification in closed loop: the estimate that a search's end, its simulation and its errors make.
+
+Rigid or flexible, by whatever search, an answer says alike how well the torque is explained, what is known of each
+parameter, and what its reader must be warned of.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.estimation.problems.closed_loop import Problem, initial_of
+from jointid.estimation.result.estimate import Estimate, fingerprint, poor_fit, relative_error
+from jointid.estimation.result.estimated import EstimatedParameter
+from jointid.records.record import Record
+from jointid.simulation.closed_loop import Simulation
+from jointid.uncertainty.identifiability import identifiability
+from jointid.uncertainty.position_dependent_error import Uncertainty
+from jointid.uncertainty.residual_tests import residual_report
+from jointid.uncertainty.verdict import (
+    Verdict,
+    bounds_verdict,
+    fit_verdict,
+    identifiability_verdict,
+    residual_verdicts,
+)
+
+_AT_LIMIT = 0.01  # of the periods: more is said
+
+
+def answer(
+    record: Record,
+    problem: Problem,
+    x: FloatArray,
+    run: Simulation,
+    end: tuple[str, bool],
+    known: Uncertainty,
+    J: FloatArray,
+    rigid_error: FloatArray | None = None,
+) -> Estimate:
+    """Return the estimate that ends a simulation of the loop; how it was found is for the caller to add.
+
+    Args:
+        record: what was identified from.
+        problem: what was solved.
+        x: free parameters.
+        run: simulation with them.
+        end: why the search ended, and whether that is a good end.
+        known: of the errors of the free parameters.
+        J: (rows, free) sensitivities, filtered.
+        rigid_error: (rows,) what a rigid joint leaves, for a flexible one.
+    """
+    assert record.torque is not None
+    assert problem.filtering.cutoff is not None
+    values, joint, borders = problem.values(x), problem.loop.joint, problem.filtering.borders
+    spread = dict(zip((p.name for p in problem.free), map(float, known.covariance.std), strict=True))
+    of_joint = {p.name for p in joint.parameters}
+    rows = tuple(
+        EstimatedParameter(
+            p.name, p.symbol, joint.unit(p), values[p.name], spread.get(p.name), p.free, p.free,
+            of_joint=p.name in of_joint,
+        )
+        for p in problem.parameters
+    )  # fmt: skip
+    error, whole = problem.seen(run, problem.measured[:, np.newaxis])
+    whole = whole[:, 0]
+    left = float(np.linalg.norm(error) / np.linalg.norm(whole))
+    step = problem.experiment.sample_time * (problem.filtering.decimation or 1)
+    report = residual_report(
+        error, whole, step, problem.filtering.cutoff, record.torque.unit, rigid_error=rigid_error,
+        repeatable=known.repeatable,
+    )  # fmt: skip
+    told = identifiability(problem.free, problem.units, x, J, known.covariance)
+    verdicts = (
+        Verdict("solver", end[1], end[0]),
+        fit_verdict(report),
+        *residual_verdicts(report),
+        identifiability_verdict(told),
+        bounds_verdict(_touched(problem, x)),
+    )
+    return Estimate(
+        method="didim",
+        variant="DIDIM",
+        joint=joint,
+        loop=problem.loop_at(x),
+        parameters=rows,
+        channels=(*problem.loop.channels, *(("injected",) if record.injected is not None else ())),
+        record=record.name,
+        sample_time=problem.experiment.sample_time,
+        torque_unit=record.torque.unit,
+        measured=problem.measured,
+        predicted=run.torque,
+        borders=borders,
+        relative_error=relative_error(problem.measured, run.torque, borders),
+        filtered_error=left,
+        rows=error.size,
+        conditioning=None,
+        initial=initial_of(values),
+        filtering=problem.filtering,
+        trace=(),
+        simulations=0,
+        stop=end[0],
+        converged=end[1],
+        intervals=f"from the output sensitivities, {known.sentences[0]}",
+        warnings=_warnings(problem, run, known, end[1], left),
+        fingerprint=fingerprint(record.torque.values),
+        delay=values.get("delay", problem.experiment.law.delay),
+        correlation=known.covariance.correlation,
+        verdicts=verdicts,
+        known=told,
+        residuals=report,
+    )
+
+
+def _touched(problem: Problem, x: FloatArray) -> tuple[str, ...]:
+    """Return the names of the parameters that a bound holds."""
+    scale = np.where(x != 0.0, np.abs(x), np.max(np.abs(x)) * 1e-6)
+    return tuple(
+        p.name
+        for p, value, gap in zip(problem.free, x, 1e-6 * scale, strict=True)
+        if value <= p.lower + gap or value >= p.upper - gap
+    )
+
+
+def _warnings(problem: Problem, run: Simulation, known: Uncertainty, converged: bool, left: float) -> tuple[str, ...]:
+    found = [] if converged else ["the search did not converge; the values are where it stopped"]
+    if run.at_limit > _AT_LIMIT:
+        found.append(
+            f"the controller is at its limit in {100 * run.at_limit:.1f} % of the periods, where the "
+            "torque says nothing of the joint"
+        )
+    aliased = problem.filtering.warnings(problem.experiment.sample_time)
+    return (*found, *known.sentences[2:], *aliased, *poor_fit(left))

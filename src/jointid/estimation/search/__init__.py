@@ -1,0 +1,1 @@
+"""The search for the parameters: descents, starts and multistart."""

@@ -1,0 +1,224 @@
+"""What is said when the fit of several records has ended: deviations, agreement, and what the reader must know."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jointid.estimation.problems.closed_loop import initial_of
+from jointid.estimation.problems.nuisance_parameters import INITIAL
+from jointid.estimation.problems.several_records import Several, at_rows
+from jointid.estimation.result.estimate import fingerprint, poor_fit, relative_error
+from jointid.estimation.result.estimated import EstimatedParameter
+from jointid.estimation.several_records.common_estimate import CommonEstimate, RecordShare
+from jointid.estimation.several_records.heterogeneity import Agreement, Alone, agreement
+from jointid.estimation.several_records.per_record_fit import BySelf, End, bounds
+from jointid.estimation.several_records.record_layout import Arrangement
+from jointid.models.parameters import Parameter, Quantity
+from jointid.records.record import Record
+from jointid.uncertainty.covariance import Covariance, covariance_of
+from jointid.uncertainty.position_dependent_error import Uncertainty, cells, uncertainty
+
+_INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
+_ROUNDING = 1e-8  # of a value
+_PHYSICAL = (Quantity.INERTIA, Quantity.STIFFNESS)  # what no joint has none of
+
+
+def concluded(
+    records: Sequence[Record],
+    arranged: Arrangement,
+    criterion: Several,
+    end: End,
+    alone: Sequence[BySelf],
+    simulations: int,
+    weighting: str,
+) -> CommonEstimate:
+    """Return the answer.
+
+    Args:
+        records: what was identified from.
+        arranged: how they belong together.
+        criterion: what was solved.
+        end: its solution.
+        alone: each record by itself.
+        simulations: that were run before.
+        weighting: of the rows, in words.
+    """
+    ended = _Ended(records, arranged, criterion, end, alone)
+    judged, compared = ended.judged(), ended.agreement()
+    covariance = _widened(judged.covariance, ended.names, compared)
+    return CommonEstimate(
+        joint=arranged.joint,
+        torque_unit=arranged.torque_unit,
+        parameters=ended.shared(covariance),
+        records=tuple(ended.share(k, covariance) for k in range(len(records))),
+        names=ended.names,
+        correlation=covariance.correlation,
+        agreement=compared,
+        simulations=simulations + (end.evaluations + 2) * len(records),
+        stop=end.stop,
+        converged=end.converged,
+        weighting=weighting,
+        intervals=f"from the output sensitivities, {judged.sentences[0]}; no record's rows correlated with another's",
+        warnings=ended.warnings(judged, compared, covariance),
+    )
+
+
+def _widened(covariance: Covariance, names: Sequence[str], compared: Agreement) -> Covariance:
+    """Return the covariance with the variance between runs of the parameters that disagree."""
+    more = {p.name: p.widening for p in compared.parameters}
+    extra = np.diag([more.get(name, 0.0) for name in names])
+    return covariance_of(covariance.matrix + extra, covariance.bandwidth)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ended:
+    """All that is known when the fit has ended; see `concluded`."""
+
+    records: Sequence[Record]
+    arranged: Arrangement
+    criterion: Several
+    end: End
+    alone: Sequence[BySelf]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the free parameters, those of record k as ``name@k``."""
+        return tuple(p.name for p in self.criterion.free)
+
+    @property
+    def gain(self) -> float:
+        """Of the drive: the torque that acts over that in the log."""
+        return dict(zip(self.names, map(float, self.end.x), strict=True)).get("drive_gain", 1.0)
+
+    def judged(self) -> Uncertainty:
+        """Return what is known of the errors, before the records are compared."""
+        runs = [p.simulate(self.criterion.of_record(self.end.x, k)) for k, p in enumerate(self.criterion.problems)]
+        seen = [at_rows(p, run) for p, run in zip(self.criterion.problems, runs, strict=True)]
+        where = cells(np.concatenate([at for at, _ in seen]), np.concatenate([speed for _, speed in seen]))
+        J, error, unit = self.end.J, self.end.error, self.arranged.joint.torque_unit or self.arranged.torque_unit
+        return uncertainty(J, J, error, where, self.names, unit, [at.size for at, _ in seen])
+
+    def agreement(self) -> Agreement:
+        """Return whether the records, each by itself, agree in what they share.
+
+        Per torque that acts, by the gain that was found. The inertia that tells the gain is not compared.
+        """
+        told = {name for more in self.arranged.added for name in more} if "drive_gain" in self.arranged.free else set()
+        shared = {p.name: self.arranged.unit(p) for p in self.criterion.free if "@" not in p.name}
+        units = {name: unit for name, unit in shared.items() if name not in told | {"drive_gain"}}
+        each = []
+        for k, one in enumerate(self.alone):
+            lower, upper = bounds(one.problem)
+            inside = (one.end.x > lower) & (one.end.x < upper) & (one.uncertainty.covariance.std > 0)
+            rows = {p.name: p for p in self.by_itself(k)}
+            free = [p.name for p in one.problem.free]
+            kept = [i for i, name in enumerate(free) if name in units and inside[i] and name in self.sharing(k)]
+            # Where a torque is reproduced to rounding, records differ by rounding, which no deviation knows.
+            std = np.array([max(rows[free[i]].std or 0.0, _ROUNDING * abs(rows[free[i]].value or 0.0)) for i in kept])
+            correlation = one.uncertainty.covariance.correlation[np.ix_(kept, kept)]
+            values = {free[i]: rows[free[i]].value or 0.0 for i in kept}
+            each.append(Alone(values, Covariance(std, correlation, one.uncertainty.covariance.bandwidth)))
+        return agreement(each, units)
+
+    def sharing(self, number: int) -> set[str]:
+        """Return the names of the parameters that a record shares."""
+        return {self.names[place] for place in self.criterion.places[number]}
+
+    def by_itself(self, number: int) -> tuple[EstimatedParameter, ...]:
+        """Return what a record says alone, per torque that acts, without what was added."""
+        one, more = self.alone[number], self.arranged.added[number]
+        values = one.acting(self.gain)
+        own = {p.name for p in self.arranged.joint.parameters}
+        found = []
+        for p, std in zip(one.problem.free, one.uncertainty.covariance.std, strict=True):
+            scale = self.gain if p.name in own else 1.0
+            value = values[p.name] - more.get(p.name, 0.0)
+            found.append(self._row(p, value, scale * float(std)))
+        return tuple(found)
+
+    def shared(self, covariance: Covariance) -> tuple[EstimatedParameter, ...]:
+        """Return the parameters that records share, fixed ones included."""
+        found = []
+        for p in self.criterion.problems[0].parameters:
+            if p.name in self.names:
+                found.append(self._estimated(self.names.index(p.name), covariance))
+            elif not p.free and p.name not in INITIAL:
+                value = (p.start or 0.0) - self.arranged.added[0].get(p.name, 0.0)
+                found.append(self._row(p, value, None))
+        return tuple(found)
+
+    def share(self, number: int, covariance: Covariance) -> RecordShare:
+        """Return what is a record's own, and how well the common model explains it."""
+        problem, record, one = self.criterion.problems[number], self.records[number], self.alone[number]
+        x = self.criterion.of_record(self.end.x, number)
+        values, predicted, size = (
+            problem.values(x),
+            problem.torque(x),
+            np.linalg.norm(problem.filtered(problem.measured)),
+        )
+        assert record.torque is not None
+        return RecordShare(
+            name=record.name,
+            fingerprint=fingerprint(record.torque.values),
+            resampled=record.resampled,
+            loop=problem.loop,
+            channels=(*problem.loop.channels, *(("injected",) if record.injected is not None else ())),
+            added_inertia=sum(self.arranged.added[number].values()),
+            parameters=tuple(
+                self._estimated(int(i), covariance) for i in self.criterion.places[number] if "@" in self.names[i]
+            ),
+            alone=self.by_itself(number),
+            values={p.name: values[p.name] for p in self.arranged.joint.parameters},
+            initial=initial_of(values),
+            level=one.level,
+            repeatable=one.repeatable,
+            sample_time=problem.experiment.sample_time,
+            filtering=problem.filtering,
+            rows=one.error.size,
+            measured=problem.measured,
+            predicted=predicted,
+            relative_error=relative_error(problem.measured, predicted, problem.filtering.borders),
+            filtered_error=float(np.linalg.norm(problem.filtered(problem.measured - predicted)) / size),
+            alone_error=float(np.linalg.norm(one.error) / size),
+        )
+
+    def warnings(self, judged: Uncertainty, compared: Agreement, covariance: Covariance) -> tuple[str, ...]:
+        """Return what the reader must know, one sentence each."""
+        found = [] if self.end.converged else ["the search did not converge; the values are where it stopped"]
+        found += [str(compared)] if compared.differs else []
+        free = self.criterion.free
+        for p, value, std in zip(free, self.end.x, covariance.std, strict=True):
+            if p.quantity in _PHYSICAL and value <= 2 * std:
+                found.append(f"{p.name} is not identifiable from these records: its interval holds 0")
+        lower, upper = bounds(self.criterion)
+        near = 1e-6 * np.abs(self.end.x)
+        held = (self.end.x <= lower + near) | (self.end.x >= upper - near)
+        found += [f"{p.name} is at its bound, where it does not follow the records" for p in np.array(free)[held]]
+        told = [i for i, p in enumerate(free) if p.name.partition("@")[0] not in INITIAL]
+        found += [
+            f"{free[i].name} and {free[j].name} are hard to tell apart in these records (correlation {r:+.3f})"
+            for i in told
+            for j in told
+            if j < i and abs(r := covariance.correlation[i, j]) > _INSEPARABLE
+        ]
+        found += list(judged.sentences[2:]) + ([judged.sentences[1]] if judged.repeatable.significant else [])
+        for number, one in enumerate(self.alone, 1):
+            size = np.linalg.norm(one.problem.filtered(one.problem.measured))
+            found += [f"record {number}: {said}" for said in poor_fit(float(np.linalg.norm(one.error) / size))]
+        return tuple(found)
+
+    def _estimated(self, at: int, covariance: Covariance) -> EstimatedParameter:
+        return self._row(self.criterion.free[at], float(self.end.x[at]), float(covariance.std[at]))
+
+    def _row(self, p: Parameter, value: float, std: float | None) -> EstimatedParameter:
+        """Return a line of the table; a record's own parameter under its plain name."""
+        name = p.name.partition("@")[0]
+        told = std is not None and not (p.quantity in _PHYSICAL and value <= 2 * std)
+        own = {q.name for q in self.arranged.joint.parameters}
+        return EstimatedParameter(
+            name, p.symbol.partition("@")[0], self.arranged.unit(p), value, std, std is not None, told,
+            of_joint=name in own,
+        )  # fmt: skip

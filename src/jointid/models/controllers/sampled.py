@@ -1,0 +1,267 @@
+"""What every controller becomes: a sampled linear law with limits inside, evaluated once per period.
+
+Period k is in phase p = k mod `phases` of a cycle, one phase for a law whose parts all run at one rate. With the inputs
+named below, the states z, and elements i = 1, 2, ... in the order in which they are evaluated::
+
+    raw_i[k] = C_i z[k] + D_i inputs[k] + sum over j < i of E_ij excess_j[k]
+    z[k+1]   = A z[k] + B inputs[k] + F excess[k]
+
+A limit's excess is ``clip(raw, -limit, limit) - raw``. A gate, which stops an integrator while a limit acts, has the
+excess ``-raw`` where raw pushes its limit further, 0 elsewhere. The value of an element is raw plus excess; that of
+the element `output` is the torque, which acts `delay` after the period's instant and is held for a period.
+
+Written so, all that is not linear is in the excesses, and the answers to the inputs, one by one, add up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+
+REFERENCE, REFERENCE_VELOCITY, DIRECTION, CONSTANT, INJECTED, POSITION = range(6)
+"""Inputs of a law: the reference, its velocity as a channel, the sign of its motion, 1, the signal that is added before
+the limit, and the motor position."""
+
+INPUTS = POSITION + 1
+
+LIMIT = -1
+"""What stands for a limit where a gate has the place of its limit."""
+
+_SINGULAR = 1e13  # a condition number
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledLaw:
+    """A controller in state-space form, in torque units (the module's equations).
+
+    Attributes:
+        A: (phases, states, states). B: (phases, states, INPUTS). C: (phases, elements, states).
+        D: (phases, elements, INPUTS). E: (phases, elements, elements), below the diagonal.
+        F: (phases, states, elements).
+        limits: (elements,) of the elements that are limits; infinite for one that only has a value.
+        gates: (elements,) the place of the limit that a gate watches; LIMIT for a limit.
+        scales: (elements,) whether an element is in units of torque.
+        output: which element's value acts. tap: which one's is logged at the tap "command", behind the torque's limit.
+        period: seconds between evaluations.
+        delay: seconds from the evaluation's instant to the instant the torque acts.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    E: FloatArray
+    F: FloatArray
+    limits: FloatArray
+    gates: NDArray[np.int64]
+    scales: NDArray[np.bool_]
+    output: int
+    tap: int
+    period: float
+    delay: float = 0.0
+
+    @property
+    def phases(self) -> int:
+        """Periods in a cycle."""
+        return len(self.A)
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return int(self.A.shape[1])
+
+    @property
+    def limit(self) -> float:
+        """Of the torque; infinite when there is none."""
+        return float(self.limits[self.tap])
+
+    def limited(self, level: float) -> SampledLaw:
+        """Return the law with another limit of the torque."""
+        limits = self.limits.copy()
+        limits[self.tap] = level
+        return replace(self, limits=limits)
+
+    def memory(self, column: int, value: float, slope: float) -> FloatArray:
+        """Return the states an input leaves that has moved uniformly until now, at `value` with `slope` per second.
+
+        Memories of several inputs add up. An integrator's own content is taken as 0: `integral` says what a content is.
+        """
+        at = np.arange(INPUTS) == column
+        return self.memories(value * at, slope * at)
+
+    def memories(self, values: FloatArray, slopes: FloatArray) -> FloatArray:
+        """Return the states that all inputs leave, (INPUTS,) values and slopes per second; see `memory`."""
+        memory = np.zeros(self.order)
+        moving = ~self._integrators()
+        valued, sloped = self.B @ values, self.B @ slopes
+        if not np.any(moving) or not (np.any(valued) or np.any(sloped)):
+            return memory
+        whole = np.eye(self.order)
+        still = np.zeros(self.order)  # what a cycle adds by the values
+        rising, drift = still.copy(), still.copy()  # by the slopes as if they were values, and by what they add in it
+        # An integrator is kept at 0 within the cycle, too.
+        parts = zip(self.A * moving[:, np.newaxis], valued * moving, sloped * moving, strict=True)
+        for j, (A, by_value, by_slope) in enumerate(parts):
+            whole, still, rising = A @ whole, A @ still + by_value, A @ rising + by_slope
+            drift = A @ drift + by_slope * (j * self.period)
+        rest = (np.eye(self.order) - whole)[np.ix_(moving, moving)]
+        at_slope = _solved(rest, rising[moving])
+        change = drift[moving] - self.phases * self.period * at_slope
+        memory[moving] = _solved(rest, still[moving] + change)
+        return memory
+
+    def integral(self) -> FloatArray | None:
+        """Return the states at rest, by an integrator's content, in which the output is 1; None without integrator."""
+        integrators = np.flatnonzero(self._integrators())
+        if not integrators.size:
+            return None
+        whole = self._cycle()
+        states = np.zeros(self.order)
+        states[integrators[0]] = 1.0
+        moving = ~self._integrators()
+        rest = (np.eye(self.order) - whole)[np.ix_(moving, moving)]
+        states[moving] = _solved(rest, whole[moving, integrators[0]])
+        out = float(self.C[0, self.output] @ states)
+        return states / out if out else None
+
+    def _cycle(self) -> FloatArray:
+        whole = np.eye(self.order)
+        for A in self.A:
+            whole = A @ whole
+        return whole
+
+    def _integrators(self) -> NDArray[np.bool_]:
+        """Return which states keep what they have, over a cycle, and add to it.
+
+        A filter's state may have a 1 there, too, but what it puts into other states comes back.
+        """
+        whole = self._cycle()
+        found = np.diag(whole) == 1.0
+        edges = whole != 0.0
+        np.fill_diagonal(edges, False)
+        for i in np.flatnonzero(found):
+            found[i] = not edges[i] @ _reached(edges, edges[:, i])
+        return np.asarray(found)
+
+    def feedback(self, hertz: FloatArray) -> NDArray[np.complex128]:
+        """Return the law's response to the position at these frequencies, torque per position.
+
+        Of a law with several phases, that of the output's part at the frequency itself.
+        """
+        turn = np.exp(2j * np.pi * hertz * self.period)[:, np.newaxis]
+        response = np.zeros(hertz.size, dtype=np.complex128)
+        if self.order:
+            forced = np.zeros((hertz.size, self.order), dtype=np.complex128)
+            for j, (A, B) in enumerate(zip(self.A, self.B, strict=True)):
+                forced = forced @ A.T + B[:, POSITION] * turn**j
+            systems = turn[:, :, np.newaxis] ** self.phases * np.eye(self.order) - self._cycle()
+            states = np.linalg.solve(systems, forced[..., np.newaxis])[..., 0]
+        for j in range(self.phases):
+            out = self.D[j, self.output, POSITION] * turn[:, 0] ** j
+            if self.order:
+                out = out + states @ self.C[j, self.output]
+                states = states @ self.A[j].T + self.B[j, :, POSITION] * turn**j
+            response += out * turn[:, 0] ** -j / self.phases
+        return response
+
+    @property
+    def stiffness(self) -> float:
+        """Largest direct gain from position to output over a cycle, torque per position."""
+        return float(np.max(np.abs(self.D[:, self.output, POSITION])))
+
+    def split(self) -> tuple[SampledLaw, SampledLaw]:
+        """Return what the motion moves, and what is known before it: two laws, the second of them without limits.
+
+        The first keeps the states that position, limits and gates move. The second has the rest, with the first's
+        elements as its own, and after them one for each of the first's states: what goes into it in a period.
+        """
+        moved = self.fed_back()
+        still = ~moved
+        feedback = replace(
+            self, A=self.A[:, moved][:, :, moved], B=self.B[:, moved], C=self.C[:, :, moved], F=self.F[:, moved]
+        )
+        B, D = self.B.copy(), self.D.copy()
+        B[:, :, POSITION], D[:, :, POSITION] = 0.0, 0.0
+        elements = self.limits.size + int(np.sum(moved))
+        beforehand = replace(
+            self,
+            A=self.A[:, still][:, :, still],
+            B=B[:, still],
+            C=np.concatenate([self.C[:, :, still], self.A[:, moved][:, :, still]], axis=1),
+            D=np.concatenate([D, B[:, moved]], axis=1),
+            E=np.zeros((self.phases, elements, elements)),
+            F=np.zeros((self.phases, int(np.sum(still)), elements)),
+            limits=np.full(elements, np.inf),
+            gates=np.full(elements, LIMIT),
+            scales=np.ones(elements, dtype=np.bool_),
+        )
+        return feedback, beforehand
+
+    @property
+    def integrates(self) -> bool:
+        """Whether a state that the motion moves keeps what it has."""
+        return bool(np.any(self._integrators() & self.fed_back()))
+
+    def fed_back(self) -> NDArray[np.bool_]:
+        """Return which states the position, or a limit, moves; the others only carry what is known beforehand."""
+        moved = np.any(self.B[:, :, POSITION] != 0.0, axis=0) | np.any(self.F != 0.0, axis=(0, 2))
+        return _reached(np.any(self.A != 0.0, axis=0), moved)
+
+
+def _reached(edges: NDArray[np.bool_], begun: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which states are moved by some that are, themselves among them; `edges` (to, from)."""
+    reached = begun
+    while not np.array_equal(begun := reached | (edges @ reached), reached):
+        reached = begun
+    return reached
+
+
+def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the solution, that of least squares where a double integrator leaves none."""
+    if not right.size:
+        return right
+    # States differ in size by powers of the period: without equal rows and columns rounding would hide small ones.
+    rows = np.max(np.abs(matrix), axis=1)
+    rows[rows == 0.0] = 1.0
+    columns = np.max(np.abs(matrix) / rows[:, np.newaxis], axis=0)
+    columns[columns == 0.0] = 1.0
+    even = matrix / rows[:, np.newaxis] / columns
+    if np.linalg.cond(even, 1) < _SINGULAR:
+        return np.asarray(np.linalg.solve(even, right / rows) / columns)
+    return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0])
+
+
+def scaled(law: SampledLaw, factor: float) -> SampledLaw:
+    """Return the law with its output, and its limit, `factor` times as large.
+
+    A simulated joint whose inertia is `factor` times the real one then keeps the real loop's bandwidth.
+    """
+    by = np.where(law.scales, factor, 1.0)
+    return replace(
+        law,
+        C=law.C * by[:, np.newaxis],
+        D=law.D * by[:, np.newaxis],
+        E=law.E * by[:, np.newaxis] / by,
+        F=law.F / by,
+        limits=law.limits * by,
+    )
+
+
+def referred(law: SampledLaw, ratio: float) -> SampledLaw:
+    """Return a law as a joint sees it through a transmission, from the law's own side.
+
+    The law sees ``ratio`` times the joint's positions, and its torques are ``ratio`` times as large on the joint: power
+    is the same on both sides, and a feedback keeps its sign where the ratio is negative. What is not a torque, such as
+    the limit of a velocity, stays as it is on the law's side.
+    """
+    if ratio == 1.0:
+        return law
+    seen = np.ones(INPUTS)
+    seen[[REFERENCE, REFERENCE_VELOCITY, POSITION]] = ratio
+    seen[DIRECTION], seen[INJECTED] = np.sign(ratio), 1.0 / ratio
+    turned = scaled(law, ratio)
+    return replace(turned, B=turned.B * seen, D=turned.D * seen, limits=np.abs(turned.limits))

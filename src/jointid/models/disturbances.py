@@ -1,0 +1,148 @@
+"""What a torque holds beside inertia and friction law: ripple that follows the position, drift that follows the time.
+
+Each effect is linear in its parameters, so that a regression estimates them as further columns. The simulation of a
+loop does not have them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.models.joints import Joint, Motion
+from jointid.models.parameters import Parameter, Quantity
+from jointid.models.transmission import Side
+
+
+class Effect(Protocol):
+    """What a regression asks of an effect."""
+
+    @property
+    def side(self) -> Side:
+        """On which side of the joint it acts: in which of its equations its columns stand."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its parameters, in the order of its columns."""
+
+    def columns(self, motion: Motion, time: FloatArray) -> FloatArray:
+        """Return the columns on the motion of its side, (samples, parameters); `time` in s from the first sample."""
+
+
+@dataclass(frozen=True, slots=True)
+class PositionHarmonics:
+    """``sum over k of a_k cos(2 pi k q / period) + b_k sin(2 pi k q / period)``: ripple of a screw, gear or motor.
+
+    Attributes:
+        period: in m or rad, such as the pitch of the screw; None has it searched for in the record, and refined.
+        harmonics: how many, from the first.
+        side: whose position it follows and on which side it acts.
+
+    A sum of n harmonics of any period lowers the residual of the record it is fitted to; judge it by a cross test.
+    """
+
+    period: float | None = None
+    harmonics: int = 1
+    side: Side = "motor"
+
+    def __post_init__(self) -> None:
+        if self.period is not None and not 0 < self.period < math.inf:
+            raise MethodError(f"A period is a positive length or angle; received {self.period}.")
+        if self.harmonics < 1:
+            raise MethodError(f"The number of harmonics is 1 or more; received {self.harmonics}.")
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Amplitude of cosine and sine of each harmonic, in the unit of the torque."""
+        prefix, index = ("", "") if self.side == "motor" else ("load_", "2")
+        return tuple(
+            Parameter(f"{prefix}harmonic_{k}_{word}", f"{letter}{index}_{k}", Quantity.FORCE)
+            for k in range(1, self.harmonics + 1)
+            for word, letter in (("cosine", "a"), ("sine", "b"))
+        )
+
+    def columns(self, motion: Motion, time: FloatArray) -> FloatArray:
+        """Return cosine and sine of each harmonic, (samples, 2 harmonics)."""
+        phases = self._phases(motion)
+        return np.stack([np.cos(phases), np.sin(phases)], axis=2).reshape(len(phases), -1)
+
+    def period_column(self, motion: Motion, amplitudes: FloatArray) -> FloatArray:
+        """Return the derivative of the force by the period, (samples,), at amplitudes in the order of `parameters`."""
+        assert self.period is not None
+        phases = self._phases(motion)
+        by_phase = -amplitudes[::2] * np.sin(phases) + amplitudes[1::2] * np.cos(phases)
+        return np.asarray((-phases / self.period * by_phase).sum(axis=1))
+
+    def _phases(self, motion: Motion) -> FloatArray:
+        assert self.period is not None, "a period that is searched for has no columns yet"
+        return np.outer(motion.position, 2 * math.pi / self.period * np.arange(1, self.harmonics + 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """``df t`` and ``dv t v``: a force, or a viscous friction, that changes linearly in time, as a machine warms up.
+
+    Attributes:
+        of: what drifts.
+        side: on which side of the joint.
+
+    Time counts from the first sample of each record: a cross test takes both records to begin equally warm.
+    """
+
+    of: Literal["force", "viscous", "both"] = "viscous"
+    side: Side = "motor"
+
+    def __post_init__(self) -> None:
+        if self.of not in ("force", "viscous", "both"):
+            raise MethodError(f'What drifts is "force", "viscous" or "both"; received "{self.of}".')
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Change of the force, and of the viscous friction, per second."""
+        prefix, index = ("", "") if self.side == "motor" else ("load_", "2")
+        force = Parameter(f"{prefix}force_drift", f"df{index}", Quantity.FORCE_DRIFT)
+        viscous = Parameter(f"{prefix}viscous_drift", f"dFv{index}", Quantity.VISCOUS_DRIFT)
+        return {"force": (force,), "viscous": (viscous,), "both": (force, viscous)}[self.of]
+
+    def columns(self, motion: Motion, time: FloatArray) -> FloatArray:
+        """Return t, t v, or both, (samples, parameters)."""
+        both = np.column_stack([time, time * motion.velocity])
+        return {"force": both[:, :1], "viscous": both[:, 1:], "both": both}[self.of]
+
+
+def require_effects(effects: Sequence[Effect], joint: Joint) -> None:
+    """Raise a `MethodError` if effects do not fit a joint, or cannot be told apart by name."""
+    if joint.model == "rigid" and any(effect.side == "load" for effect in effects):
+        raise MethodError('A rigid joint has no load side of its own; use side = "motor".')
+    names = [p.name for p in effect_parameters(effects)]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise MethodError(f"{', '.join(twice)} would be there twice; give each effect once for each side.")
+
+
+def effect_parameters(effects: Sequence[Effect]) -> tuple[Parameter, ...]:
+    """Return the parameters of effects, in the order of their columns."""
+    return tuple(p for effect in effects for p in effect.parameters)
+
+
+def effect_columns(
+    effects: Sequence[Effect], motor: Motion, load: Motion | None, sample_time: float, equations: int
+) -> FloatArray:
+    """Return the columns of effects in the equations of a joint, (equations, samples, parameters)."""
+    time = np.arange(motor.position.size, dtype=np.float64) * sample_time
+    blocks = [np.zeros((equations, time.size, 0))]
+    for effect in effects:
+        on_load = effect.side == "load"
+        side = load if on_load else motor
+        assert side is not None
+        columns = effect.columns(side, time)
+        block = np.zeros((equations, *columns.shape))
+        block[int(on_load)] = columns
+        blocks.append(block)
+    return np.concatenate(blocks, axis=2)

@@ -1,0 +1,172 @@
+"""Gravity: what the load of a joint weighs, and the known part of it that a counterbalance carries.
+
+It acts on the load, and on the one inertia of a rigid joint. For a link that turns in a vertical plane, with the
+joint's position q on the motor's side and ``angle`` radians of the link per unit of it::
+
+    g(q) = gMX cos(angle q) + gMY sin(angle q)
+
+gMX and gMY are the first moments of the link times g, seen through the transmission: gravity is linear in them whatever
+the zero of the position (Khalil and Dombre, Modeling, Identification and Control of Robots, chapter 9). A vertical axis
+has a constant load gM. A counterbalance takes ``b0 + bX cos(angle q) + bY sin(angle q) + bK q`` off either.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.models.parameters import Kind, Parameter, Quantity
+
+Load: TypeAlias = Literal["constant", "link"]
+
+_TERMS: Mapping[str, tuple[str, Quantity]] = {
+    "constant": ("0", Quantity.FORCE),
+    "cos": ("X", Quantity.FORCE),
+    "sin": ("Y", Quantity.FORCE),
+    "rate": ("K", Quantity.STIFFNESS),
+}
+_LOADS: Mapping[Load, Mapping[str, str]] = {"constant": {"constant": "gM"}, "link": {"cos": "gMX", "sin": "gMY"}}
+_STEPS = 8  # to where a load hangs: Newton squares the error in each
+
+GRAVITY_PARAMETERS: Mapping[Load, tuple[str, ...]] = {
+    load: tuple(f"gravity_{term}" for term in terms) for load, terms in _LOADS.items()
+}
+"""Names of the parameters of each load."""
+
+
+@dataclass(frozen=True, slots=True)
+class Counterbalance:
+    """The force that a known counterbalance takes off the load: a weight, a cylinder or a spring.
+
+    Attributes:
+        constant: in the unit of the torque, in the direction in which the joint's own torque carries the load.
+        cos, sin: what follows the cosine and the sine of the link's angle, in the unit of the torque.
+        rate: of a spring or a cylinder, per unit of the joint's position, 0 at the zero of the position.
+
+    Raises:
+        MethodError: a number is not finite.
+    """
+
+    constant: float = 0.0
+    cos: float = 0.0
+    sin: float = 0.0
+    rate: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in _TERMS:
+            if not math.isfinite(getattr(self, name)):
+                raise MethodError(f"A counterbalance's {name} is a finite number; received {getattr(self, name)}.")
+
+
+@dataclass(frozen=True, slots=True)
+class _Term:
+    """One parameter, and which of the functions of the position it is the factor of."""
+
+    parameter: Parameter
+    term: int
+    sign: float
+
+
+@dataclass(frozen=True, slots=True)
+class Gravity:
+    """The load's gravity on a joint.
+
+    Attributes:
+        load: "constant": a vertical axis; "link": a body that turns about a horizontal axis.
+        counterbalance: a known part of the load, with numbers that are given.
+        angle: radians of the link per unit of the joint's position: the inverse of the gear ratio, where the position
+            is the motor's.
+
+    A constant load and the offset of a motor's torque cannot be told apart by the torque, nor by the motor's position:
+    a constant load takes the offset's place, and is the sum of both. The cosine, the sine and the offset are three
+    functions only where the link travels far: over a few degrees nothing tells one from the other.
+
+    Raises:
+        MethodError: there is no such load, or the angle is 0 or not finite.
+    """
+
+    load: Load
+    counterbalance: Counterbalance = Counterbalance()
+    angle: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.load not in _LOADS:
+            raise MethodError(f'The load of gravity is "constant" or "link"; received "{self.load}".')
+        if not (math.isfinite(self.angle) and self.angle != 0.0):
+            raise MethodError(
+                "The angle of gravity is the radians of the link per unit of the joint's position, and not 0; "
+                f"received {self.angle}."
+            )
+
+    def require(self, kind: Kind, symmetric: bool) -> None:
+        """Raise a `MethodError` if a joint of that kind and friction cannot have this load."""
+        turning = self.load == "link" or self.counterbalance.cos != 0.0 or self.counterbalance.sin != 0.0
+        if kind == "prismatic" and turning:
+            raise MethodError(
+                "A prismatic joint does not turn its load, so nothing of its gravity follows a cosine or a sine; use "
+                'load = "constant", or a revolute joint.'
+            )
+        if self.load == "constant" and not symmetric:
+            raise MethodError(
+                "A constant load cannot be told apart from asymmetric friction: it adds to the Coulomb force forwards "
+                "and takes as much from it backwards; use symmetric friction, or leave gravity out."
+            )
+
+    @property
+    def varies(self) -> bool:
+        """Whether anything of it depends on the position."""
+        return self.load == "link" or any((self.counterbalance.cos, self.counterbalance.sin, self.counterbalance.rate))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What the load weighs, then the numbers of the counterbalance that are not 0, which are fixed."""
+        return tuple(one.parameter for one in self._terms)
+
+    def columns(self, position: FloatArray) -> FloatArray:
+        """Return what the parameters are the factors of, (samples, parameters), at positions (samples,)."""
+        phase = self.angle * position
+        functions = np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase), position], axis=1)
+        return np.column_stack([one.sign * functions[:, one.term] for one in self._terms])
+
+    def coefficients(self, values: Mapping[str, float]) -> tuple[float, float, float, float]:
+        """Return the factors of 1, of the cosine and the sine of the link's angle, and of the position."""
+        total = [0.0] * len(_TERMS)
+        for one in self._terms:
+            total[one.term] += one.sign * values[one.parameter.name]
+        constant, cos, sin, rate = total
+        return constant, cos, sin, rate
+
+    def hung(self, values: Mapping[str, float], stiffness: float, position: float, drag: float) -> float:
+        """Return how far the load hangs behind a motor at `position`, on a spring, where it is also dragged: by Newton.
+
+        A load that gravity pushes over faster than the spring rights it hangs nowhere; the result then means nothing.
+        """
+        constant, cos, sin, rate = self.coefficients(values)
+        found = (drag + constant) / stiffness
+        for _ in range(_STEPS):
+            load = position - found
+            x, y = math.cos(self.angle * load), math.sin(self.angle * load)
+            missing = drag + constant + cos * x + sin * y + rate * load - stiffness * found
+            slope = self.angle * (sin * x - cos * y) + rate
+            found += missing / max(stiffness + slope, 0.5 * stiffness)
+        return found
+
+    @property
+    def _terms(self) -> tuple[_Term, ...]:
+        names = list(_TERMS)
+        load = [
+            _Term(Parameter(f"gravity_{name}", symbol, Quantity.FORCE), names.index(name), 1.0)
+            for name, symbol in _LOADS[self.load].items()
+        ]
+        known = [
+            _Term(Parameter(f"counterbalance_{name}", f"b{index}", quantity).fixed(given), names.index(name), -1.0)
+            for name, (index, quantity) in _TERMS.items()
+            if (given := getattr(self.counterbalance, name)) != 0.0
+        ]
+        return (*load, *known)

@@ -1,0 +1,298 @@
+"""Joints: one inertia, or a motor and a load inertia joined by a spring and a damper.
+
+Rigid, (1) of the paper with the constant real records have::
+
+    tau = ZZ a + Fv v + Fc sign(v) + offset
+
+Flexible, (2) of the paper, motor 1 and load 12, elastic deflection q2 = q12 - q1::
+
+    tau = ZZ1 a1  + Fv1 v1  + Fc1 sign(v1)  - K12 q2 - F12 v2 + offset
+    0   = ZZ2 a12 + Fv2 v12 + Fc2 sign(v12) + K12 q2 + F12 v2
+
+Gravity, where a joint has it, adds g(q) to (1), and g(q12) to the second equation of (2): see `gravity`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.models.friction import AsymmetricFriction, Friction, SymmetricFriction
+from jointid.models.gravity import Gravity
+from jointid.models.parameters import POSITION_UNIT, TORQUE_UNIT, Kind, Parameter, Quantity, unit_of
+from jointid.models.transmission import Transmission
+
+_TINY = 1e-300  # keeps a bound on inertias open: a mass of zero has no motion
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """The motion of one side of a joint, each (samples,)."""
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+
+
+def _offset(friction: Friction, gravity: Gravity | None) -> Parameter:
+    """Return the offset; it is fixed where another parameter is a constant, too."""
+    offset = Parameter("offset", "offset", Quantity.FORCE)
+    told = friction.symmetric and (gravity is None or gravity.load != "constant")
+    return offset if told else offset.fixed(0.0)
+
+
+def _gravity_parameters(gravity: Gravity | None) -> tuple[Parameter, ...]:
+    return () if gravity is None else gravity.parameters
+
+
+def _gravity_columns(gravity: Gravity | None, position: FloatArray) -> FloatArray:
+    return np.zeros((position.size, 0)) if gravity is None else gravity.columns(position)
+
+
+def _gravity_constant(gravity: Gravity | None, values: Mapping[str, float]) -> float:
+    return 0.0 if gravity is None else gravity.coefficients(values)[0]
+
+
+def _gravity_coefficients(gravity: Gravity | None, values: Mapping[str, float], of_load: bool) -> FloatArray | None:
+    """Return what of gravity depends on the position, as the simulation sees it; None where nothing does."""
+    if gravity is None or not gravity.varies:
+        return None
+    return np.array([*gravity.coefficients(values)[1:], gravity.angle, float(of_load)])
+
+
+@dataclass(frozen=True, slots=True)
+class _OfOneAxis:
+    """What every joint has: how it moves, its friction, and what surrounds it; see `RigidJoint`."""
+
+    kind: Kind = "prismatic"
+    friction: Friction = field(default_factory=SymmetricFriction)
+    torque_unit: str | None = None
+    transmission: Transmission | None = None
+    gravity: Gravity | None = None
+
+    def __post_init__(self) -> None:
+        _require_kind(self.kind, self.transmission)
+        if self.gravity is not None:
+            moves = self.kind if self.transmission is None else self.transmission.load
+            self.gravity.require(moves, self.friction.symmetric)
+
+    def unit(self, parameter: Parameter) -> str:
+        """Return the unit of a parameter of this joint."""
+        return unit_of(parameter.quantity, self.kind, self.torque_unit or TORQUE_UNIT[self.kind])
+
+
+@dataclass(frozen=True, slots=True)
+class RigidJoint(_OfOneAxis):
+    """One inertia with viscous and Coulomb friction and a constant offset.
+
+    Valid below about a fifth of the first resonance; a flexible joint then shows the sums of its two sides.
+
+    Attributes:
+        kind: "prismatic" (m, N) or "revolute" (rad, N m).
+        friction: the same in both directions, or not (its offset is then fixed at 0).
+        torque_unit: the torque's unit when it is not the kind's own: "A" or "V".
+        transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
+        gravity: of what the joint carries; a constant load takes the place of the offset, which is then fixed at 0.
+    """
+
+    @property
+    def model(self) -> str:
+        """Name of the model, as files say it."""
+        return "rigid"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Inertia, friction, offset, gravity."""
+        return (
+            Parameter("inertia", "ZZ", Quantity.INERTIA, lower=_TINY),
+            *self.friction.parameters("", ""),
+            _offset(self.friction, self.gravity),
+            *_gravity_parameters(self.gravity),
+        )
+
+    def regressor(self, motor: Motion, load: Motion | None = None) -> FloatArray:
+        """Return the columns of (1), in the order of `parameters`, shape (1, samples, parameters).
+
+        The load of a rigid joint moves with the motor, so its motion is not read.
+        """
+        friction, gravity = self.friction.columns(motor.velocity), _gravity_columns(self.gravity, motor.position)
+        rows = [motor.acceleration, *friction.T, np.ones_like(motor.velocity), *gravity.T]
+        return np.stack(rows).T[np.newaxis]  # each column is written in one piece
+
+    def coefficients(self, values: Mapping[str, float]) -> FloatArray:
+        """Return the drive as the simulation sees it (`simulation.kernels`): a motor, and a load nothing moves."""
+        friction = self.friction.directions(values, "")
+        offset = values["offset"] + _gravity_constant(self.gravity, values)
+        return np.array([values["inertia"], 1.0, 0.0, 0.0, *friction, 0.0, 0.0, 0.0, 0.0, offset, 0.0])
+
+    def gravity_coefficients(self, values: Mapping[str, float]) -> FloatArray | None:
+        """Return what of gravity depends on the position, (5,), as the simulation sees it; None where nothing does."""
+        return _gravity_coefficients(self.gravity, values, of_load=False)
+
+    def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
+        """Return the state at rest or in steady motion: position and velocity (the load's are not used)."""
+        return np.array([position, velocity, 0.0, 0.0])
+
+
+@dataclass(frozen=True, slots=True)
+class FlexibleJoint(_OfOneAxis):
+    """A motor and a load inertia, each with friction, joined by a spring and a damper.
+
+    Attributes:
+        kind: "prismatic" (m, N) or "revolute" (rad, N m).
+        friction: the law of both sides, symmetric or asymmetric (the offset is then fixed at 0).
+        torque_unit: the torque's unit when it is not the kind's own: "A" or "V"; stiffness is then in A/rad, ...
+        transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
+        gravity: of the load; a constant load takes the place of the offset, which is then fixed at 0.
+    """
+
+    @property
+    def model(self) -> str:
+        """Name of the model, as files say it."""
+        return "flexible"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Motor side, spring and damper, load side, offset: the order of (5) in the paper; then gravity."""
+        return (
+            Parameter("motor_inertia", "ZZ1", Quantity.INERTIA, lower=_TINY),
+            *self.friction.parameters("motor_", "1"),
+            Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0),
+            Parameter("damping", "F12", Quantity.VISCOUS, lower=0.0),
+            Parameter("load_inertia", "ZZ2", Quantity.INERTIA, lower=_TINY),
+            *self.friction.parameters("load_", "2"),
+            _offset(self.friction, self.gravity),
+            *_gravity_parameters(self.gravity),
+        )
+
+    @property
+    def rigid(self) -> RigidJoint:
+        """The joint whose spring does not give: what this one is far below its resonance."""
+        return RigidJoint(self.kind, self.friction, self.torque_unit, self.transmission, self.gravity)
+
+    def regressor(self, motor: Motion, load: Motion | None = None) -> FloatArray:
+        """Return the columns of both rows of (2), in the order of `parameters`, shape (2, samples, parameters).
+
+        The first row adds up to the motor's torque, the second to 0. (The paper prints velocities in columns 1 and 6
+        of (5), where (2) has accelerations.)
+
+        Raises:
+            MethodError: there is no motion of the load.
+        """
+        if load is None:
+            raise MethodError(
+                "The equations of a flexible joint need the motion of the load; IDIM needs load_position."
+            )
+        zeros, ones = np.zeros_like(motor.velocity), np.ones_like(motor.velocity)
+        deflection, slip = load.position - motor.position, load.velocity - motor.velocity
+        motor_friction, load_friction = (self.friction.columns(side.velocity) for side in (motor, load))
+        gravity = _gravity_columns(self.gravity, load.position)
+        first = [motor.acceleration, motor_friction, -deflection, -slip, zeros, 0 * load_friction, ones, 0 * gravity]
+        second = [zeros, 0 * motor_friction, deflection, slip, load.acceleration, load_friction, zeros, gravity]
+        return np.stack([np.column_stack(first), np.column_stack(second)])
+
+    def coefficients(self, values: Mapping[str, float]) -> FloatArray:
+        """Return the drive as the simulation sees it (`simulation.kernels`)."""
+        return np.array(
+            [
+                values["motor_inertia"],
+                values["load_inertia"],
+                values["stiffness"],
+                values["damping"],
+                *self.friction.directions(values, "motor_"),
+                *self.friction.directions(values, "load_"),
+                values["offset"],
+                _gravity_constant(self.gravity, values),
+            ]
+        )
+
+    def gravity_coefficients(self, values: Mapping[str, float]) -> FloatArray | None:
+        """Return what of gravity depends on the load's position, (5,), as in `RigidJoint`."""
+        return _gravity_coefficients(self.gravity, values, of_load=True)
+
+    def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
+        """Return the state at rest or in steady motion: the load moves with the motor, carried by the spring.
+
+        At rest the load's Coulomb force may carry any part of it up to its own size; it is taken to carry nothing.
+        """
+        forwards, backwards, coulomb, coulomb_back = self.friction.directions(values, "load_")
+        drag = 0.0
+        if velocity != 0.0:
+            drag = forwards * velocity + coulomb if velocity > 0 else backwards * velocity - coulomb_back
+        deflection, stiffness = 0.0, values["stiffness"]
+        if stiffness > 0.0:
+            hung = None if self.gravity is None else self.gravity.hung(values, stiffness, position, drag)
+            deflection = drag / stiffness if hung is None else hung
+        return np.array([position, velocity, position - deflection, velocity])
+
+
+Joint: TypeAlias = RigidJoint | FlexibleJoint
+
+
+def _require_kind(kind: str, transmission: Transmission | None) -> None:
+    if kind not in POSITION_UNIT:
+        raise MethodError(f'A joint is "prismatic" or "revolute"; received "{kind}".')
+    if transmission is not None and transmission.kind != kind:
+        raise MethodError(
+            f"The {transmission.side} side of this transmission is {transmission.kind}, but the joint on it is said to "
+            f'be {kind}; give the joint the kind "{transmission.kind}", or the transmission the other side.'
+        )
+
+
+def acts_on_whole(name: str) -> bool:
+    """Whether a parameter is that of a rigid and of a flexible joint alike, and no sum of two sides."""
+    return name == "offset" or name.startswith(("gravity_", "counterbalance_"))
+
+
+def rigid_sums(values: Mapping[str, float]) -> dict[str, float]:
+    """Return what a rigid identification of a flexible joint with symmetric friction shows: the sums of both sides.
+
+    The damping F12 acts between the masses and is no part of the friction sums.
+    """
+    return {
+        "inertia": values["motor_inertia"] + values["load_inertia"],
+        "viscous": values["motor_viscous"] + values["load_viscous"],
+        "coulomb": values["motor_coulomb"] + values["load_coulomb"],
+        **{name: value for name, value in values.items() if acts_on_whole(name)},
+    }
+
+
+def frequencies(values: Mapping[str, float]) -> dict[str, float]:
+    """Return the three frequencies of a flexible joint in Hz, each named by its boundary condition.
+
+    ``free_free`` is a pole from torque to motor position; ``motor_locked`` the anti-resonance the motor sees;
+    ``load_locked`` the motor against the held load.
+    """
+    motor, load, stiffness = values["motor_inertia"], values["load_inertia"], values["stiffness"]
+    return {
+        "free_free": math.sqrt(stiffness * (1 / motor + 1 / load)) / (2 * math.pi),
+        "motor_locked": math.sqrt(stiffness / load) / (2 * math.pi),
+        "load_locked": math.sqrt(stiffness / motor) / (2 * math.pi),
+    }
+
+
+FRICTIONS: Mapping[str, type[SymmetricFriction] | type[AsymmetricFriction]] = {
+    "symmetric": SymmetricFriction,
+    "asymmetric": AsymmetricFriction,
+}
+
+
+def friction_named(name: str) -> Friction:
+    """Return the friction law of that name.
+
+    Raises:
+        MethodError: the law is not piecewise linear in velocity, or not known.
+    """
+    try:
+        return FRICTIONS[name]()
+    except KeyError:
+        raise MethodError(
+            f'Friction "{name}" cannot be simulated exactly: only laws that are piecewise linear in velocity can; '
+            f"use {' or '.join(FRICTIONS)}."
+        ) from None

@@ -1,0 +1,214 @@
+"""A joint while it moves one way: linear, as every tool of control has it.
+
+While neither velocity changes its sign Coulomb friction is a constant, and what is left is linear::
+
+    ZZ1 a1  + Fv1 v1  - K12 (q12 - q1) - F12 (v12 - v1) = tau
+    ZZ2 a12 + Fv2 v12 + K12 (q12 - q1) + F12 (v12 - v1) + rate q12 = 0
+
+A rigid joint has the first line alone, without the spring. `rate` is of a spring that carries the load
+(`model.gravity`), which stands on the motor's line where the joint is rigid; a weight that turns is not linear.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.models.joints import FlexibleJoint, Joint
+
+ComplexArray: TypeAlias = NDArray[np.complex128]
+Output: TypeAlias = Literal["motor_position", "motor_velocity", "load_position", "load_velocity"]
+
+SNAP = 1e-6
+"""Of a period: instants closer than this are the same, and a delay of nearly a whole number of periods is one."""
+
+OUTPUTS: tuple[Output, ...] = ("motor_position", "motor_velocity", "load_position", "load_velocity")
+"""The states of a flexible joint, in their order; a rigid one has the first two."""
+
+
+def drive_matrices(
+    inertia: Sequence[float], viscous: Sequence[float], stiffness: float = 0.0, damping: float = 0.0, rate: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Return A, (states, states), and B, (states,), of ``x' = A x + B tau`` (the module's equation).
+
+    Args:
+        inertia: of the motor, and of the load where there is a spring between them.
+        viscous: friction of each.
+        stiffness: of the spring.
+        damping: of the spring.
+        rate: of a spring that carries the load.
+    """
+    motor, own = inertia[0], viscous[0]
+    if len(inertia) == 1:
+        return np.array([[0.0, 1.0], [-rate / motor, -own / motor]]), np.array([0.0, 1.0 / motor])
+    load, its = inertia[1], viscous[1]
+    A = np.array(
+        [
+            [0.0, 1.0, 0.0, 0.0],
+            [-stiffness / motor, -(own + damping) / motor, stiffness / motor, damping / motor],
+            [0.0, 0.0, 0.0, 1.0],
+            [stiffness / load, damping / load, -(stiffness + rate) / load, -(its + damping) / load],
+        ]
+    )
+    return A, np.array([0.0, 1.0 / motor, 0.0, 0.0])
+
+
+def held(A: FloatArray, B: FloatArray, seconds: float) -> tuple[FloatArray, FloatArray]:
+    """Return the transition over a time, and what a torque of 1 held for it adds: one exponential gives both.
+
+    Args:
+        A: (..., states, states).
+        B: (..., states).
+        seconds: 0 or more.
+    """
+    from scipy.linalg import expm
+
+    order = A.shape[-1]
+    both = np.zeros((*A.shape[:-2], order + 1, order + 1))
+    both[..., :order, :order], both[..., :order, order] = A * seconds, B * seconds
+    made = np.asarray(expm(both), dtype=np.float64)
+    return made[..., :order, :order], made[..., :order, order]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sampled:
+    """What a torque does that is held for a period and acts (m + f) periods after its sample, f below 1.
+
+    Exact (Astrom and Wittenmark, Computer-Controlled Systems, section 2.3; Franklin, Powell and Workman, Digital
+    Control of Dynamic Systems, section 4.3), with Phi(t) = exp(A t) and G(t) the integral of Phi B until t::
+
+        x[k+1] = Phi(T) x[k] + Phi((1-f) T) G(f T) u[k-m-1] + G((1-f) T) u[k-m]
+
+    Attributes:
+        transition: (..., states, states), Phi(T).
+        new: (..., states) of u[k-m]. old: of the one before it.
+        whole: m. partial: whether there is an f.
+    """
+
+    transition: FloatArray
+    new: FloatArray
+    old: FloatArray
+    whole: int
+    partial: bool
+
+    @property
+    def waiting(self) -> int:
+        """How many torques that were put out are still to act, or acting, at a sample."""
+        return self.whole + self.partial
+
+    def of(self, chosen: slice) -> Sampled:
+        """Return the same of some of its drives, along the first axis."""
+        return replace(self, transition=self.transition[chosen], new=self.new[chosen], old=self.old[chosen])
+
+
+def sampled(A: FloatArray, B: FloatArray, period: float, delay: float) -> Sampled:
+    """Return a drive as it goes on from sample to sample under a held torque.
+
+    Args:
+        A: (..., states, states).
+        B: (..., states).
+        period: seconds, positive.
+        delay: seconds from a sample of the torque to its effect, 0 or more.
+    """
+    whole = math.floor(delay / period + SNAP)
+    late = max(delay - whole * period, 0.0)
+    late = late if late > SNAP * period else 0.0
+    first, into_first = held(A, B, late)
+    then, into_then = held(A, B, period - late)
+    return Sampled(then @ first, into_then, (then @ into_first[..., np.newaxis])[..., 0], whole, late > 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearJoints:
+    """Several joints of one model, linear.
+
+    Attributes:
+        A: (joints, states, states) of position and velocity of the motor, and of the load where there is a spring.
+        B: (joints, states) of the torque.
+    """
+
+    A: FloatArray
+    B: FloatArray
+
+    @property
+    def modes(self) -> FloatArray:
+        """Frequency in Hz and damping ratio of the oscillating poles and zeros, (joints, 2, 2); empty without any.
+
+        The first is that of the pole, motor and load against each other; the second of the zero, the load alone.
+        """
+        if self.A.shape[1] == 2:
+            return np.zeros((len(self.A), 0, 2))
+        poles = np.linalg.eigvals(self.A)
+        last = np.take_along_axis(poles, np.argmax(np.abs(poles), axis=1)[:, np.newaxis], axis=1)[:, 0]
+        rate = np.abs(last)
+        load = np.sqrt(-self.A[:, 3, 2])
+        pairs = [(rate, -last.real / rate), (load, -0.5 * self.A[:, 3, 3] / load)]
+        return np.stack([np.column_stack([w / (2 * math.pi), ratio]) for w, ratio in pairs], axis=1)
+
+
+def linear_joints(joint: Joint, candidates: Sequence[Mapping[str, float]]) -> LinearJoints:
+    """Return joints as they are while they move: friction that differs with the direction gives two of each.
+
+    Args:
+        joint: the model.
+        candidates: every parameter of it by name, one mapping for each joint.
+    """
+    ways = (0,) if joint.friction.symmetric else (0, 1)
+    made = [
+        _linear(joint.coefficients(values), way, isinstance(joint, FlexibleJoint))
+        for values in candidates
+        for way in ways
+    ]
+    return LinearJoints(np.array([A for A, _ in made]), np.array([B for _, B in made]))
+
+
+def _linear(c: FloatArray, way: int, flexible: bool) -> tuple[FloatArray, FloatArray]:
+    """Return the matrices of a drive (`Joint.coefficients`) that moves forwards (0) or backwards (1)."""
+    masses = 2 if flexible else 1
+    return drive_matrices((c[0], c[1])[:masses], (c[4 + way], c[8 + way])[:masses], c[2], c[3])
+
+
+def frequency_response(
+    joint: Joint, values: Mapping[str, float], hertz: FloatArray, output: Output = "motor_velocity"
+) -> ComplexArray:
+    """Return the response of a joint to its torque, in continuous time, while it moves one way (forwards).
+
+    Args:
+        joint: rigid or flexible; the load of a rigid one moves with the motor.
+        values: every parameter of the joint by name, SI, on the joint's side.
+        hertz: (frequencies,) positive.
+        output: what answers: "motor_position", "motor_velocity", "load_position" or "load_velocity".
+
+    Returns:
+        (frequencies,) complex, in m, rad, m/s or rad/s per N or N m.
+
+    Raises:
+        MethodError: the output is not one of these, or a frequency is not positive.
+
+    Example:
+        >>> import numpy as np, jointid as ji
+        >>> values = {"inertia": 2.0, "viscous": 0.0, "coulomb": 1.0, "offset": 0.0}
+        >>> response = ji.frequency_response(ji.RigidJoint(), values, np.array([1.0]))
+        >>> print(round(float(abs(response[0])), 6))  # 1 / (2 pi f J)
+        0.079577
+    """
+    hertz = np.asarray(hertz, dtype=np.float64)
+    if output not in OUTPUTS or hertz.ndim != 1 or not np.all(hertz > 0):
+        raise MethodError(
+            f"A frequency response is of {', '.join(OUTPUTS)} at a row of positive frequencies in Hz; received "
+            f'"{output}" and {hertz}.'
+        )
+    made = linear_joints(joint, [values])
+    A, B = made.A[0], made.B[0]
+    s = 2j * math.pi * hertz
+    states = np.linalg.solve(
+        s[:, np.newaxis, np.newaxis] * np.eye(len(A)) - A, np.broadcast_to(B[:, np.newaxis], (hertz.size, len(B), 1))
+    )
+    return np.asarray(states[:, OUTPUTS.index(output) % len(A), 0])

@@ -1,0 +1,1 @@
+"""Results as documents, figures, JSON and models for other programs; it only reads results."""

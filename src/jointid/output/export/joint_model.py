@@ -1,0 +1,301 @@
+"""What is known of a joint, ready to be told to another program: read from an answer, on either side of a transmission.
+
+An estimate, what several records say together, and what a long record says have the same keys in their JSON; all three
+are read from it here, whether they come from a file or have just been found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from jointid.common.errors import MethodError, RecordError
+from jointid.estimation.result.estimated import EstimatedParameter, on_other_side
+from jointid.models.friction import Directions
+from jointid.models.gravity import Gravity
+from jointid.models.joints import Joint
+from jointid.models.parameters import POSITION_UNIT, TORQUE_UNIT, Kind
+from jointid.models.refer import OtherSide
+from jointid.models.transmission import Side
+from jointid.output.json.estimates import ESTIMATE_SCHEMA, TOGETHER_SCHEMA
+from jointid.output.json.long import LONG_SCHEMA
+from jointid.output.json.parts import Json, gravity_answer, transmission_answer
+
+SCHEMAS = (ESTIMATE_SCHEMA, TOGETHER_SCHEMA, LONG_SCHEMA)
+"""Of the answers that say what a joint is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mass:
+    """One inertia and its friction: ``Fv+ v + Fc+`` forwards, ``Fv- v - Fc-`` backwards.
+
+    Attributes:
+        inertia: kg, kg m2, or per ampere or volt.
+        directions: viscous coefficient forwards and backwards, Coulomb force forwards and backwards.
+    """
+
+    inertia: float
+    directions: Directions
+
+    @property
+    def viscous(self) -> float:
+        """The mean of both directions."""
+        return 0.5 * (self.directions[0] + self.directions[1])
+
+    @property
+    def coulomb(self) -> float:
+        """What a symmetric law has: half of the way from one direction's force to the other's."""
+        return 0.5 * (self.directions[2] + self.directions[3])
+
+    @property
+    def shift(self) -> float:
+        """The constant force beside `coulomb`: with it a symmetric law is the asymmetric one, at rest too."""
+        return 0.5 * (self.directions[2] - self.directions[3])
+
+    @property
+    def evenly_viscous(self) -> bool:
+        """Whether the viscous friction is the same in both directions."""
+        return self.directions[0] == self.directions[1]
+
+
+@dataclass(frozen=True, slots=True)
+class Weight:
+    """Gravity: ``constant + cos cos(angle q) + sin sin(angle q) + rate q``, what the torque has to carry."""
+
+    constant: float
+    cos: float
+    sin: float
+    rate: float
+    angle: float
+
+    @property
+    def turns(self) -> bool:
+        """Whether it follows the cosine or the sine of the position."""
+        return self.cos != 0.0 or self.sin != 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where the numbers come from.
+
+    Attributes:
+        schema: of the answer. method: of the estimate, "" where the answer has no one method.
+        records: names of the records. fingerprints: of their torque, "" where the answer has none.
+        left_out: kinds of what was identified beside the joint, such as ripple.
+    """
+
+    schema: str
+    method: str
+    records: tuple[str, ...]
+    fingerprints: tuple[str, ...]
+    left_out: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class JointModel:
+    """What is known of a joint, all of it on one side of its transmission; made by `joint_model`.
+
+    Attributes:
+        name: what the joint is called.
+        joint: the model, as it was identified.
+        kind: how the side moves that the numbers are of.
+        side: which side that is; None without a transmission.
+        parameters: of the joint, in its order.
+        gravity: of the joint, as this side sees it.
+        sample_time: of the record in seconds, None where there were several.
+        delay: seconds from the logged torque to the torque that acts.
+        origin: where the numbers come from.
+    """
+
+    name: str
+    joint: Joint
+    kind: Kind
+    side: Side | None
+    parameters: tuple[EstimatedParameter, ...]
+    gravity: Gravity | None
+    sample_time: float | None
+    delay: float
+    origin: Origin
+
+    @property
+    def torque_unit(self) -> str:
+        """Of the torque on this side: N, N m, A or V."""
+        declared = self.joint.torque_unit
+        return TORQUE_UNIT[self.kind] if declared in (None, *TORQUE_UNIT.values()) else str(declared)
+
+    @property
+    def position_unit(self) -> str:
+        """Of the position on this side."""
+        return POSITION_UNIT[self.kind]
+
+    @property
+    def flexible(self) -> bool:
+        """Whether there are a motor and a load, with a spring between."""
+        return self.joint.model == "flexible"
+
+    @property
+    def gear(self) -> float:
+        """What takes the motor's own torque to this side: 1 without a transmission."""
+        transmission = self.joint.transmission
+        return 1.0 if transmission is None or self.side != "load" else transmission.motor_per_load
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The value of every parameter, by name.
+
+        Raises:
+            MethodError: one of them is refused, or no joint can have it.
+        """
+        refused = [p.name for p in self.parameters if p.value is None]
+        if refused:
+            raise MethodError(
+                f"{', '.join(refused)} cannot be told from {', '.join(self.origin.records)}, and no other program can "
+                "simulate without; identify the joint as rigid, or export a joint file, which leaves it out."
+            )
+        return {p.name: p.value for p in self.parameters if p.value is not None}
+
+    @property
+    def motor(self) -> Mass:
+        """The motor, or all of a rigid joint."""
+        return self._mass("motor_" if self.flexible else "")
+
+    @property
+    def load(self) -> Mass | None:
+        """The load; None where the joint is rigid."""
+        return self._mass("load_") if self.flexible else None
+
+    @property
+    def stiffness(self) -> float:
+        """Of the spring between motor and load; 0 where the joint is rigid.
+
+        Raises:
+            MethodError: it is negative.
+        """
+        stiffness = self.values.get("stiffness", 0.0)
+        if stiffness < 0:
+            raise MethodError(
+                f"stiffness is {stiffness:g}; expected 0 or more: no spring pushes its ends apart, so identify again."
+            )
+        return stiffness
+
+    @property
+    def damping(self) -> float:
+        """Of the damper beside the spring; 0 where the joint is rigid."""
+        return self.values.get("damping", 0.0)
+
+    @property
+    def offset(self) -> float:
+        """The constant force on the motor."""
+        return self.values["offset"]
+
+    @property
+    def weight(self) -> Weight | None:
+        """Gravity, the counterbalance taken off; None without."""
+        return None if self.gravity is None else Weight(*self.gravity.coefficients(self.values), self.gravity.angle)
+
+    def on(self, side: Side | None) -> JointModel:
+        """Return the same joint with its numbers on that side of its transmission; None leaves them where they are.
+
+        Raises:
+            MethodError: there is no transmission, so there is only one side.
+        """
+        transmission = self.joint.transmission
+        if side is None or side == self.side:
+            return self
+        if transmission is None:
+            raise MethodError(
+                f"Nothing is known to lie between motor and load, so there are no numbers of the {side} side; add "
+                "[transmission] to the joint file and identify again, or leave the side out."
+            )
+        assert self.side is not None
+        there = OtherSide(replace(transmission, side=self.side), self.torque_unit)
+        # An angle is told per unit of position, which becomes another one.
+        turned = None if self.gravity is None else replace(self.gravity, angle=self.gravity.angle * there.ratio)
+        return replace(
+            self,
+            kind=transmission.kind_of(side),
+            side=side,
+            parameters=on_other_side(self.parameters, there),
+            gravity=turned,
+        )
+
+    def _mass(self, prefix: str) -> Mass:
+        values = self.values
+        inertia, directions = values[f"{prefix}inertia"], self.joint.friction.directions(values, prefix)
+        held = directions[2] + directions[3]
+        if not inertia > 0 or held < 0:
+            raise MethodError(
+                f"{prefix}inertia is {inertia:g} and the Coulomb forces of both ways add up to {held:g}; expected a "
+                "positive inertia and a friction that holds: identify again, from a motion that tells more."
+            )
+        return Mass(inertia, directions)
+
+
+def joint_model(answer: Json, joint: Joint, name: str | None = None, source: str = "The answer") -> JointModel:
+    """Return what an answer says of a joint.
+
+    Args:
+        answer: as `identify --json`, `together --json` or `long --json` write it.
+        joint: the model its values belong to.
+        name: of the joint; without one it is "joint".
+        source: what a sentence calls the answer.
+
+    Raises:
+        RecordError: it is no such answer, or of another joint.
+    """
+    try:
+        return _read(answer, joint, name or "joint")
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError):
+        raise RecordError(
+            f"{source} is no estimate ({', '.join(SCHEMAS)}) for a {joint.kind} {joint.model} joint with the "
+            "parameters, the transmission and the gravity of this joint file; give what identify, together or long "
+            "--json wrote with it."
+        ) from None
+
+
+def _read(answer: Json, joint: Joint, name: str) -> JointModel:
+    friction = "symmetric" if joint.friction.symmetric else "asymmetric"
+    declared = (joint.model, joint.kind, friction, gravity_answer(joint), transmission_answer(joint.transmission))
+    told = tuple(answer[key] for key in ("model", "kind", "friction", "gravity", "transmission"))
+    if answer["schema"] not in SCHEMAS or told != declared:
+        raise ValueError
+    found = answer["parameters"]
+    records = answer["records"] if answer["schema"] == TOGETHER_SCHEMA else [answer["record"]]
+    rates = {_number(record["sample_time"]) for record in records}
+    return JointModel(
+        name,
+        joint,
+        joint.kind,
+        None if joint.transmission is None else joint.transmission.side,
+        tuple(_parameter(found[p.name], p.name, p.symbol, joint.unit(p)) for p in joint.parameters),
+        joint.gravity,
+        rates.pop() if len(rates) == 1 else None,
+        _number(answer.get("delay", 0.0)) or 0.0,
+        Origin(
+            answer["schema"],
+            str(answer.get("method", "")),
+            tuple(str(record["name"]) for record in records),
+            tuple(str(record.get("torque_sha256", "")) for record in records),
+            tuple(str(effect["kind"]) for effect in answer.get("effects", [])),
+        ),
+    )
+
+
+def _parameter(found: Mapping[str, Any], name: str, symbol: str, unit: str) -> EstimatedParameter:
+    """Return a parameter of an answer; its symbol and its unit are the joint's own."""
+    if found["unit"] != unit:
+        raise ValueError
+    value, std, bound = (_number(found[key]) for key in ("value", "std", "lower_bound"))
+    free, identifiable = bool(found["free"]), bool(found["identifiable"])
+    return EstimatedParameter(name, symbol, unit, value, std, free, identifiable, bound)
+
+
+def _number(value: object) -> float | None:
+    """Return a number of an answer, None where it has none; a text, or what is not finite, is no number."""
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError
+    return float(value)

@@ -1,0 +1,149 @@
+"""Modelica: the joint's equations with their friction as it was identified, in one model that needs no library.
+
+A mass at rest stays there while its Coulomb friction holds what pushes it; the push does not depend on accelerations,
+so one whole number for each mass says all: 1 forwards, -1 backwards, 0 held. It changes where the velocity changes its
+sign, and where the push of a mass at rest exceeds the friction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+from jointid.estimation.result.estimated import EstimatedParameter
+from jointid.models.transmission import Side
+from jointid.output.export.joint_model import JointModel
+from jointid.output.export.naming import identifier, number
+from jointid.output.export.provenance import effects_left_out, interval, remarks
+
+_RESERVED = (
+    "algorithm", "and", "annotation", "block", "break", "class", "connect", "connector", "constant", "constrainedby",
+    "der", "discrete", "each", "else", "elseif", "elsewhen", "encapsulated", "end", "enumeration", "equation",
+    "expandable", "extends", "external", "false", "final", "flow", "for", "function", "if", "import", "impure", "in",
+    "initial", "inner", "input", "loop", "model", "not", "operator", "or", "outer", "output", "package", "parameter",
+    "partial", "protected", "public", "pure", "record", "redeclare", "replaceable", "return", "stream", "then", "time",
+    "true", "type", "when", "while", "within",
+)  # fmt: skip
+_FUNCTIONS = {"constant": "1", "cos": "cos({})", "sin": "sin({})", "rate": "{}"}
+
+
+@dataclass(frozen=True, slots=True)
+class Modelica:
+    """Modelica 3, a model with an input for the torque."""
+
+    name: ClassVar[str] = "modelica"
+    described: ClassVar[str] = "Modelica: all equations, true sticking, no library needed"
+    suffixes: ClassVar[tuple[str, ...]] = (".mo",)
+    side: ClassVar[Side | None] = None
+
+    def lost(self, model: JointModel) -> tuple[str, ...]:
+        """Return a sentence for each part of the joint that the text does not have."""
+        return effects_left_out(model)
+
+    def text(self, model: JointModel) -> str:
+        """Return the file's text.
+
+        Raises:
+            MethodError: a value is refused, or no joint can have it.
+        """
+        name = identifier(model.name, _RESERVED)
+        masses = ["motor"] if model.load is None else ["motor", "load"]
+        prefixes = {mass: f"{mass}_" if model.flexible else "" for mass in masses}
+        _ = model.motor, model.stiffness  # which refuse what no joint has
+        lines = [
+            f'model {name} "{model.kind} {model.joint.model} joint, identified"',
+            *(f"  // {line}" for line in remarks(model, self.lost(model))),
+            *(_declared(p) for p in model.parameters),
+        ]
+        if model.gravity is not None:
+            angle = number(model.gravity.angle)
+            lines.append(f'  parameter Real gravity_angle = {angle} "rad of the link per unit of the position";')
+        lines.append(f'  input Real torque(unit="{_unit(model.torque_unit)}") "of the motor{_of_side(model)}";')
+        for mass in masses:
+            lines += _variables(model, mass)
+        lines.append("initial equation")
+        for mass in masses:
+            lines.append(f"  {mass}_direction = if {mass}_velocity > 0 then 1 else if {mass}_velocity < 0 then -1")
+            lines.append(f"    else {_released(model, mass, prefixes[mass])};")
+        lines.append("equation")
+        for mass in masses:
+            lines += _equations(model, mass, prefixes[mass])
+        return "\n".join([*lines, f"end {name};", ""])
+
+
+def _declared(p: EstimatedParameter) -> str:
+    assert p.value is not None
+    return f'  parameter Real {p.name}(unit="{_unit(p.unit)}") = {number(p.value)} "{p.symbol}: {interval(p)}";'
+
+
+def _unit(unit: str) -> str:
+    """Return a unit as Modelica writes it: factors joined by points, and one stroke."""
+    return unit.replace(" ", ".")
+
+
+def _of_side(model: JointModel) -> str:
+    ratio = f", seen on the load side: {number(model.gear)} times its own" if model.gear != 1.0 else ""
+    return ratio or ("" if model.side is None else f", on the {model.side} side")
+
+
+def _variables(model: JointModel, mass: str) -> Iterator[str]:
+    position, force = model.position_unit, _unit(model.torque_unit)
+    yield f'  output Real {mass}_position(unit="{position}", start=0, fixed=true);'
+    yield f'  output Real {mass}_velocity(unit="{position}/s", start=0, fixed=true);'
+    yield f'  Real {mass}_push(unit="{force}") "what moves the {mass}, but for its friction";'
+    yield f'  Integer {mass}_direction "1 forwards, -1 backwards, 0 held by its friction";'
+
+
+def _equations(model: JointModel, mass: str, prefix: str) -> Iterator[str]:
+    position, velocity, push, direction = (
+        f"{mass}_{word}" for word in ("position", "velocity", "push", "direction")
+    )  # fmt: skip
+    (viscous, coulomb), (viscous_back, coulomb_back) = _friction(model, prefix)
+    yield f"  der({position}) = {velocity};"
+    yield f"  {push} = {_push(model, mass)};"
+    yield f"  {prefix}inertia * der({velocity}) ="
+    yield f"    if {direction} > 0 then {push} - {viscous} * {velocity} - {coulomb}"
+    yield f"    else if {direction} < 0 then {push} - {viscous_back} * {velocity} + {coulomb_back}"
+    yield "    else 0;"
+    stops = [f"pre({direction}) > 0 and {velocity} < 0", f"pre({direction}) < 0 and {velocity} > 0"]
+    starts = [
+        f"pre({direction}) == 0 and {push} > {coulomb}", f"pre({direction}) == 0 and {push} < -{coulomb_back}"
+    ]  # fmt: skip
+    yield "  when {"
+    yield ",\n".join(f"    {condition}" for condition in (*stops, *starts))
+    yield "  } then"
+    yield f"    {direction} = {_released(model, mass, prefix)};"
+    yield f"    reinit({velocity}, 0);"
+    yield "  end when;"
+
+
+def _released(model: JointModel, mass: str, prefix: str) -> str:
+    """Return where a mass at rest goes."""
+    (_, coulomb), (_, coulomb_back) = _friction(model, prefix)
+    return f"if {mass}_push > {coulomb} then 1 else if {mass}_push < -{coulomb_back} then -1 else 0"
+
+
+def _friction(model: JointModel, prefix: str) -> tuple[tuple[str, str], tuple[str, str]]:
+    """Return the names of viscous and Coulomb friction, forwards and backwards."""
+    words = ("", "") if model.joint.friction.symmetric else ("_forwards", "_backwards")
+    forwards, backwards = ((f"{prefix}viscous{word}", f"{prefix}coulomb{word}") for word in words)
+    return forwards, backwards
+
+
+def _push(model: JointModel, mass: str) -> str:
+    spring = "stiffness * (load_position - motor_position) + damping * (load_velocity - motor_velocity)"
+    push = "torque - offset" if mass == "motor" else f"-({spring})"
+    if mass == "motor" and model.flexible:
+        push = f"{push} + {spring}"
+    carries = mass == "load" or not model.flexible
+    return push + "".join(_gravity_terms(model, f"{mass}_position")) if carries else push
+
+
+def _gravity_terms(model: JointModel, position: str) -> Iterator[str]:
+    """Yield what gravity takes from a push, and what a counterbalance adds to it."""
+    for p in model.parameters:
+        of, _, term = p.name.partition("_")
+        if of in ("gravity", "counterbalance"):
+            argument = position if term == "rate" else f"gravity_angle * {position}"
+            yield f" {'-' if of == 'gravity' else '+'} {p.name} * {_FUNCTIONS[term].format(argument)}"

@@ -1,0 +1,145 @@
+"""The linear part of a joint as a state space, continuous and sampled.
+
+With the motor's position and velocity, and the load's, as states and the torque tau as input::
+
+    ZZ1 a1  = tau - Fv1 v1 - K12 (q1 - q12) - F12 (v1 - v12)
+    ZZ2 a12 =     - Fv2 v12 + K12 (q1 - q12) + F12 (v1 - v12) - rate q12
+
+`rate` is of a spring that carries the load (`model.gravity`). A rigid joint has the first line alone, without the
+spring. What is not linear, Coulomb friction and a weight that turns, is not in it, nor what is constant: it describes
+motion that does not reverse, about a steady one, less the constant forces.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.extras import extra
+from jointid.common.text import number
+from jointid.models.linear import OUTPUTS, drive_matrices, sampled
+from jointid.models.parameters import Quantity, unit_of
+from jointid.output.export.joint_model import JointModel
+from jointid.output.export.provenance import effects_left_out, friction_shift, uneven_viscous
+
+_MOST = 1000  # periods of delay: each is a state
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StateSpace:
+    """``x' = A x + B u, y = C x + D u``, or from one sample to the next where there is a period.
+
+    Attributes:
+        A, B, C, D: (states, states), (states, 1), (outputs, states), (outputs, 1).
+        units: of each state that is a position or a velocity, of the torque and of nothing else, by name.
+        states, inputs, outputs: their names.
+        period: seconds between samples, None where it is continuous.
+        delay: seconds from a sample of the torque to its effect.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    units: Mapping[str, str]
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    period: float | None = None
+    delay: float = 0.0
+
+    def sampled(self, period: float, delay: float = 0.0) -> StateSpace:
+        """Return it for a torque that is held from each sample to the next: exact at the samples (`model.linear`).
+
+        Each torque that is still on its way is a state, ``torque_1`` the newest.
+
+        Args:
+            period: T, seconds.
+            delay: seconds from a sample of the torque to its effect.
+
+        Raises:
+            MethodError: it is sampled already, or one of the two is impossible.
+        """
+        if self.period is not None or not 0 < period < math.inf or not 0 <= delay <= _MOST * period:
+            raise MethodError(
+                f"A continuous state space is sampled with a positive period and a delay from 0 to {_MOST} of them; "
+                f"received {period} s and {delay} s" + (", and it is sampled already." if self.period else ".")
+            )
+        made = sampled(self.A, self.B[:, 0], period, delay)
+        order, waiting = len(self.A), made.waiting
+        A, B = np.zeros((order + waiting, order + waiting)), np.zeros((order + waiting, 1))
+        A[:order, :order] = made.transition
+        for lag, column in ((made.whole, made.new), (made.whole + 1, made.old)):
+            if lag == 0:
+                B[:order, 0] = column
+            elif lag <= waiting:
+                A[:order, order + lag - 1] = column
+        if waiting:
+            B[order, 0] = 1.0
+            A[order + 1 :, order:-1] = np.eye(waiting - 1)
+        C = np.hstack([self.C, np.zeros((len(self.C), waiting))])
+        names = tuple(f"torque_{i + 1}" for i in range(waiting))
+        states = (*self.states, *names)
+        return StateSpace(A, B, C, self.D, self.units, states, self.inputs, self.outputs, period, delay)
+
+    def scipy(self) -> Any:
+        """Return it as SciPy's `StateSpace`: of `lti`, or of `dlti` where there is a period."""
+        from scipy import signal
+
+        timed = {} if self.period is None else {"dt": self.period}
+        return signal.StateSpace(self.A, self.B, self.C, self.D, **timed)
+
+    def control(self) -> Any:
+        """Return python-control's `StateSpace`, its signals named.
+
+        Raises:
+            ExtraError: python-control is not there.
+        """
+        control = extra("control", "models", "A state space for python-control")
+        dt = 0 if self.period is None else self.period
+        names = {"states": list(self.states), "inputs": list(self.inputs), "outputs": list(self.outputs)}
+        return control.ss(self.A, self.B, self.C, self.D, dt, **names)
+
+
+def linear_part(model: JointModel) -> StateSpace:
+    """Return the linear part of a joint, continuous: from the torque on its side to every position and velocity.
+
+    Raises:
+        MethodError: a value is refused, or no joint can have it.
+    """
+    motor, load, weight = model.motor, model.load, model.weight
+    rate = 0.0 if weight is None else weight.rate
+    masses = (motor,) if load is None else (motor, load)
+    A, b = drive_matrices(
+        [mass.inertia for mass in masses], [mass.viscous for mass in masses], model.stiffness, model.damping, rate
+    )
+    states: tuple[str, ...] = OUTPUTS[: len(A)]
+    B = b[:, np.newaxis]
+    quantities = (Quantity.POSITION, Quantity.VELOCITY)
+    units = {name: unit_of(quantities[i % 2], model.kind, model.torque_unit) for i, name in enumerate(states)}
+    units["torque"] = model.torque_unit
+    return StateSpace(A, B, np.eye(len(A)), np.zeros((len(A), 1)), units, states, ("torque",), states)
+
+
+def not_linear(model: JointModel) -> tuple[str, ...]:
+    """Return a sentence for each part of a joint that its state space does not have."""
+    unit, weight = model.torque_unit, model.weight
+    masses = [("motor", model.motor)] if model.load is None else [("motor", model.motor), ("load", model.load)]
+    lost = [
+        f"the Coulomb friction of the {name}, {number(mass.coulomb)} {unit}, and with it all sticking"
+        for name, mass in masses
+        if mass.coulomb
+    ]
+    constants = [("motor", friction_shift(model)), *((name, mass.shift) for name, mass in masses[1:])]
+    lost += [f"a constant force of {number(force)} {unit} on the {name}" for name, force in constants if force]
+    if weight is not None and weight.constant:
+        lost.append(f"the constant load, {number(weight.constant)} {unit}")
+    if weight is not None and weight.turns:
+        lost.append("the weight, which follows the cosine and the sine of the position")
+    return (*lost, *uneven_viscous(model), *effects_left_out(model))

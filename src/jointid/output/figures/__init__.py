@@ -1,0 +1,1 @@
+"""Figures: described once, drawn by matplotlib for print and by bokeh for the screen."""

@@ -1,0 +1,227 @@
+"""Charts drawn by bokeh: plots on the screen that zoom, move and tell their values, linked along time."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.extras import extra
+from jointid.output.figures.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, said
+
+if TYPE_CHECKING:
+    from bokeh.plotting import figure
+
+PURPOSE = "A report as a page (Markdown and figures do without)"
+"""What the extra is needed for."""
+
+_FONT = "system-ui, sans-serif"
+_GREY = "#555555"
+_WIDTH = 900
+_FEW_TICKS = 3  # of a narrow panel: large numbers would run into each other
+
+
+def script() -> str:
+    """Return the library that draws the plots in a browser, from the installed package: nothing is loaded.
+
+    Raises:
+        ExtraError: bokeh is not installed.
+    """
+    found = extra("bokeh.resources", "report", PURPOSE).Resources(mode="inline", components=["bokeh"], minified=True)
+    return str(found.js_raw[0])
+
+
+def plot(chart: Chart) -> str:
+    """Return a chart as the JSON that `Bokeh.embed.embed_item` takes; the same chart gives the same text.
+
+    Raises:
+        ExtraError: bokeh is not installed.
+    """
+    json_item = extra("bokeh.embed", "report", PURPOSE).json_item
+    from bokeh.layouts import gridplot
+    from bokeh.models import Range1d
+
+    ranges: dict[str, Any] = {}
+    figures = []
+    sources = _Sources()
+    for panel in chart.panels:
+        if panel.group and panel.group not in ranges:
+            ranges[panel.group] = Range1d(*_extent(chart, panel.group), bounds="auto")
+        figures.append(_figure(panel, ranges.get(panel.group), chart.columns, sources))
+    rows = [figures[i : i + chart.columns] for i in range(0, len(figures), chart.columns)]
+    layout = gridplot(
+        rows, sizing_mode="stretch_width", merge_tools=True, toolbar_location="right",
+        toolbar_options={"logo": None},
+    )  # fmt: skip
+    item = json_item(layout, f"plot-{chart.name}", theme=_theme())
+    return json.dumps(_renumbered(item), separators=(",", ":"))
+
+
+def _extent(chart: Chart, group: str) -> tuple[float, float]:
+    drawn = [i for p in chart.panels if p.group == group for i in p.items if isinstance(i, Line | Dots | Band)]
+    return min(float(i.x.min()) for i in drawn), max(float(i.x.max()) for i in drawn)
+
+
+def _figure(panel: Panel, x_range: Any, columns: int, sources: _Sources) -> figure:
+    from bokeh.models import Legend, PrintfTickFormatter
+    from bokeh.plotting import figure
+
+    cells = [item for item in panel.items if isinstance(item, Cells)]
+    scales: dict[str, Any] = {}
+    if not cells:
+        scales = {
+            "x_axis_type": "log" if panel.log_x else "linear",
+            "y_axis_type": "log" if panel.log_y else "linear",
+        }
+    if x_range is not None:
+        scales["x_range"] = x_range
+    if panel.y_range is not None:
+        scales["y_range"] = panel.y_range
+    if cells:
+        scales |= {
+            "x_range": list(cells[0].names),
+            "y_range": list(reversed(cells[0].names)),
+            "x_axis_location": "above",
+        }
+    made = figure(
+        height=panel.height, width=_WIDTH // columns, sizing_mode="stretch_width", title=panel.title or None,
+        tools="" if cells else "pan,box_zoom,xwheel_zoom,reset,save", x_axis_label=panel.x_label or None,
+        y_axis_label=panel.y_label or None, **scales,
+    )  # fmt: skip
+    # The wheel zooms only once it is chosen: a page must scroll under the pointer.
+    made.toolbar.active_drag = None if cells else made.toolbar.tools[1]
+    if columns > 2 and not cells and not panel.log_x:
+        made.xaxis[0].ticker.desired_num_ticks = _FEW_TICKS
+    if not cells and not panel.log_x:
+        made.xaxis[0].formatter = PrintfTickFormatter(format="%.6g")
+    if not cells and not panel.log_y:
+        made.yaxis[0].formatter = PrintfTickFormatter(format="%.6g")
+    legend = []
+    for item in panel.items:
+        drawn = _item(made, item, sources)
+        label = getattr(item, "label", "")
+        if label and not isinstance(item, Mark | Level) and drawn is not None:
+            legend.append((label, [drawn]))
+    if legend:
+        made.add_layout(
+            Legend(items=legend, orientation="horizontal", location="right", click_policy="hide", ncols=4), "above"
+        )
+    return made
+
+
+class _Sources:
+    """The columns of one chart: lines over the same x share it, which makes the page smaller."""
+
+    def __init__(self) -> None:
+        self._by: dict[int, tuple[FloatArray, Any]] = {}
+
+    def column(self, x: FloatArray, *values: FloatArray) -> tuple[Any, list[str]]:
+        """Return the source that x is in, and the names of further columns in it."""
+        from bokeh.models import ColumnDataSource
+
+        if id(x) not in self._by:
+            self._by[id(x)] = x, ColumnDataSource({"x": _short(x)})  # x is kept, or its id could be another's
+        source = self._by[id(x)][1]
+        return source, [source.add(_short(column)) for column in values]
+
+
+def _item(made: figure, item: Item, sources: _Sources) -> Any:
+    if isinstance(item, Line):
+        source, (y,) = sources.column(item.x, item.y)
+        line = made.line("x", y, source=source, color=item.colour, width=item.width, line_dash=item.dash)
+        if item.dots:
+            made.scatter("x", y, source=source, color=item.colour, size=5)
+        return line
+    if isinstance(item, Dots):
+        source, (y,) = sources.column(item.x, item.y)
+        return made.scatter("x", y, source=source, color=item.colour, size=2, alpha=0.3, line_color=None)
+    if isinstance(item, Band):
+        source, (low, high) = sources.column(item.x, item.low, item.high)
+        return made.varea("x", low, high, source=source, color=item.colour, alpha=0.25)
+    if isinstance(item, Cells):
+        return _cells(made, item)
+    return _rule(made, item)
+
+
+def _rule(made: figure, item: Mark | Level) -> None:
+    """Draw a line across the plot, with its label beside it."""
+    from bokeh.models import Label, Span
+
+    upright = isinstance(item, Mark)
+    at = item.x if isinstance(item, Mark) else item.y
+    made.add_layout(
+        Span(location=at, dimension="height" if upright else "width", line_color=_GREY, line_dash=item.dash)
+    )
+    if not item.label:
+        return
+    if isinstance(item, Mark):
+        label = Label(x=at, y=6 + 16 * item.row, y_units="screen", x_offset=4, text=item.label)
+    else:
+        label = Label(x=6, y=at, x_units="screen", y_offset=2, text=item.label)
+    label.text_font_size, label.text_font, label.text_color = "12px", _FONT, "#333333"
+    label.background_fill_color, label.background_fill_alpha = "white", 0.85
+    made.add_layout(label)
+
+
+def _cells(made: figure, cells: Cells) -> None:
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    shades = colormaps["RdBu_r"]
+    names = cells.names
+    rows, columns = np.divmod(np.arange(len(names) ** 2), len(names))
+    values = cells.values.ravel()
+    x, y = [names[i] for i in columns], [names[i] for i in rows]
+    made.rect(x, y, 1, 1, color=[to_hex(shades(0.5 + 0.5 * float(v))) for v in values], line_color="white")
+    made.text(
+        x, y, text=[said(float(v)) for v in values], text_align="center", text_baseline="middle", text_font_size="11px",
+        text_font={"value": _FONT}, text_color=["white" if abs(v) > 0.6 else "#222222" for v in values],
+    )  # fmt: skip
+    made.grid.visible = False
+
+
+def _short(values: Any) -> Any:
+    """Return values in the four bytes a screen can show, where they lose nothing that it does."""
+    return np.asarray(values, dtype=np.float32)
+
+
+def _theme() -> Any:
+    from bokeh.themes import Theme
+
+    text = {"text_font": _FONT, "text_color": "#333333"}
+    axis = {
+        "axis_label_text_font": _FONT, "axis_label_text_font_style": "normal", "axis_label_text_font_size": "13px",
+        "major_label_text_font": _FONT, "major_label_text_font_size": "12px", "axis_label_text_color": "#333333",
+        "axis_line_color": "#999999", "major_tick_line_color": "#999999", "minor_tick_line_color": None,
+    }  # fmt: skip
+    return Theme(
+        json={
+            "attrs": {
+                "Plot": {"background_fill_color": "white", "border_fill_color": "white", "outline_line_color": None},
+                "Grid": {"grid_line_color": "#ececec"},
+                "Title": {**text, "text_font_style": "normal", "text_font_size": "14px"},
+                "Axis": axis,
+                "Legend": {
+                    "label_text_font": _FONT, "label_text_font_size": "13px", "border_line_color": None, "padding": 2,
+                    "margin": 2, "glyph_height": 14,
+                },
+            }
+        }
+    )  # fmt: skip
+
+
+def _renumbered(item: Any) -> Any:
+    """Return a plot whose parts are numbered from 1: bokeh counts on from whatever was drawn before."""
+    names: dict[str, str] = {}
+
+    def walk(part: Any) -> Any:
+        if isinstance(part, dict):
+            return {key: renamed(value) if key in ("id", "root_id") else walk(value) for key, value in part.items()}
+        return [walk(value) for value in part] if isinstance(part, list) else part
+
+    def renamed(value: Any) -> Any:
+        return names.setdefault(value, f"p{len(names) + 1}") if isinstance(value, str) else walk(value)
+
+    return walk(item)

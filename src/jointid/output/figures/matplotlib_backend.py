@@ -1,0 +1,144 @@
+"""Charts drawn by matplotlib: for paper, for a reader without scripts, and as files."""
+
+from __future__ import annotations
+
+import io
+import re
+from typing import TYPE_CHECKING
+
+from jointid.output.figures.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, said, thinned
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_INCH = 100.0  # pixels of a panel's height
+_WIDTH = 9.0  # inches
+_DASHES = {"solid": "-", "dashed": (0, (5, 3)), "dotted": (0, (1, 2))}
+_SHADES = "RdBu_r"
+_POINTS = 1500  # of a line: more than two for each point of print across a page
+
+
+def drawn(chart: Chart) -> Figure:
+    """Return a chart as a figure of matplotlib."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    rows = [chart.panels[i : i + chart.columns] for i in range(0, len(chart.panels), chart.columns)]
+    heights = [max(panel.height for panel in row) for row in rows]
+    width = _WIDTH if chart.columns > 1 or not _square(chart) else 5.5
+    figure = Figure(figsize=(width, sum(heights) / _INCH), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(len(rows), chart.columns, squeeze=False, height_ratios=heights)
+    groups: dict[str, Axes] = {}
+    for i, axes in enumerate(grid.flat):
+        if i >= len(chart.panels):
+            axes.remove()
+            continue
+        panel = chart.panels[i]
+        if panel.group in groups:
+            axes.sharex(groups[panel.group])
+        elif panel.group:
+            groups[panel.group] = axes
+        _panel(axes, panel)
+        if chart.columns > 2 and not panel.log_x:
+            axes.locator_params(axis="x", nbins=4)
+    return figure
+
+
+def svg(chart: Chart) -> bytes:
+    """Return a chart as SVG; the same chart gives the same bytes."""
+    import matplotlib as mpl
+
+    buffer = io.BytesIO()
+    with mpl.rc_context({"svg.hashsalt": chart.name, "svg.fonttype": "path"}):
+        drawn(chart).savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    return re.sub(rb' d="[^"]*"', _shorter, buffer.getvalue())
+
+
+def png(chart: Chart) -> bytes:
+    """Return a chart as PNG; the same chart gives the same bytes."""
+    buffer = io.BytesIO()
+    drawn(chart).savefig(buffer, format="png", dpi=150, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _shorter(path: re.Match[bytes]) -> bytes:
+    """Return a path with two decimals: a hundredth of a point is finer than any print, and matplotlib writes six."""
+    return re.sub(rb"\s*([MLQCz])\s*", rb"\1", re.sub(rb"(\.\d\d)\d+", rb"\1", path.group()))
+
+
+def _square(chart: Chart) -> bool:
+    return any(isinstance(item, Cells) for panel in chart.panels for item in panel.items)
+
+
+def _panel(axes: Axes, panel: Panel) -> None:
+    axes.set_xlabel(panel.x_label, fontsize=9)
+    axes.set_ylabel(panel.y_label, fontsize=9)
+    axes.set_title(panel.title, fontsize=9, loc="left")
+    axes.tick_params(labelsize=8)
+    axes.grid(color="0.92")
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    if panel.log_x:
+        axes.set_xscale("log")
+    if panel.log_y:
+        axes.set_yscale("log")
+    axes.margins(x=0)
+    for item in panel.items:
+        _item(axes, item)
+    if panel.y_range is not None:
+        axes.set_ylim(*panel.y_range)
+    if any(getattr(item, "label", "") and not isinstance(item, Mark | Level) for item in panel.items):
+        axes.legend(
+            loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, ncols=6, fontsize=8, frameon=False,
+            handlelength=1.4, columnspacing=1.2,
+        )  # fmt: skip
+
+
+def _item(axes: Axes, item: Item) -> None:
+    if isinstance(item, Line):
+        axes.plot(
+            *thinned(item.x, item.y, most=_POINTS), color=item.colour, linewidth=0.75 * item.width,
+            linestyle=_DASHES[item.dash], label=item.label or None, marker="o" if item.dots else None, markersize=3,
+        )  # fmt: skip
+    elif isinstance(item, Dots):
+        axes.plot(
+            item.x, item.y, ".", color=item.colour, markersize=1.5, alpha=0.35, markeredgewidth=0, rasterized=True,
+            label=item.label or None,
+        )  # fmt: skip
+    elif isinstance(item, Band):
+        axes.fill_between(
+            item.x, item.low, item.high, color=item.colour, alpha=0.25, linewidth=0, label=item.label or None
+        )
+    elif isinstance(item, Mark):
+        axes.axvline(item.x, color="0.35", linewidth=0.8, linestyle=_DASHES[item.dash])
+        axes.annotate(
+            item.label, (item.x, 0.0), xycoords=("data", "axes fraction"), xytext=(3, 4 + 10 * item.row),
+            textcoords="offset points", fontsize=7.5, color="0.2",
+            bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+        )  # fmt: skip
+    elif isinstance(item, Level):
+        axes.axhline(item.y, color="0.35", linewidth=0.8, linestyle=_DASHES[item.dash])
+        if item.label:
+            axes.annotate(
+                item.label, (1.0, item.y), xycoords=("axes fraction", "data"), xytext=(-2, 2), ha="right",
+                textcoords="offset points", fontsize=7.5, color="0.2",
+            )  # fmt: skip
+    else:
+        _cells(axes, item)
+
+
+def _cells(axes: Axes, cells: Cells) -> None:
+    axes.grid(visible=False)
+    axes.imshow(cells.values, cmap=_SHADES, vmin=-1.0, vmax=1.0, aspect="equal")
+    at = range(len(cells.names))
+    axes.set_xticks(at, cells.names)
+    axes.set_yticks(at, cells.names)
+    axes.xaxis.tick_top()
+    for row in at:
+        for column in at:
+            value = float(cells.values[row, column])
+            dark = abs(value) > 0.6
+            axes.text(column, row, said(value), ha="center", va="center", fontsize=7, color="white" if dark else "0.15")

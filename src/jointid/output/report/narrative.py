@@ -1,0 +1,144 @@
+"""What a report says first: the result in sentences, and the answer to each question."""
+
+from __future__ import annotations
+
+from jointid.common.text import interval, number
+from jointid.diagnostics.report_data import Dossier
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.joints import frequencies
+
+QUESTIONS = {
+    "solver": "Did the search end well?",
+    "fit": "Does the model explain the torque?",
+    "whiteness": "Is what remains white noise?",
+    "repeatable residual": "Is what remains free of anything that repeats with the motion?",
+    "identifiability": "Does the record tell every parameter?",
+    "bounds": "Is every parameter free of its bounds?",
+    "stiffness": "Does the record show the spring?",
+    "loop": "Are loop and log as declared?",
+}
+_CHANNELS = {"injected": "injected signal"}
+_FRICTIONS = (("viscous", "viscous"), ("coulomb", "Coulomb"))
+_METHODS = {
+    "didim": "DIDIM",
+    "idim": "IDIM",
+    "drive_side": "the drive-side method",
+    "open_loop": "the open-loop method",
+}
+
+
+def title(estimate: Estimate, name: str = "") -> str:
+    """Return the title of a report."""
+    return f"{name or estimate.record}: {estimate.joint.model} joint, identified by {_METHODS[estimate.method]}"
+
+
+def result(given: Dossier) -> tuple[str, ...]:
+    """Return the result in sentences, the most important first."""
+    estimate = given.estimate
+    channels = _listed([_CHANNELS.get(name, name.replace("_", " ")) for name in estimate.channels])
+    first = f"From {channels} of {estimate.record} alone, "
+    return (
+        f"{first}{_finding(estimate)}",
+        *_side(estimate),
+        *(
+            ()
+            if estimate.converged
+            else (f"The search did not end well, and the values are where it stopped: {estimate.stop}.",)
+        ),
+        _fit(estimate),
+        *_spring(estimate),
+        *_sums(estimate),
+        _verdicts(estimate),
+    )
+
+
+def _finding(estimate: Estimate) -> str:
+    """Return what was found of the joint, in one sentence."""
+    values = estimate.values
+    if "inertia" in values:
+        friction = " and ".join(_friction(estimate, name, words) for name, words in _FRICTIONS)
+        inertia = _known(estimate, "inertia")
+        return f"the moving inertia is {inertia}, with {friction}; the axis is taken for one rigid mass."
+    if "stiffness" in values:
+        hertz = f", a free-free mode at {frequencies(values)['free_free']:.1f} Hz" if values["stiffness"] > 0 else ""
+        return (
+            f"the stiffness is {_known(estimate, 'stiffness')}{hertz}, between {_known(estimate, 'motor_inertia')} "
+            f"on the motor and {_known(estimate, 'load_inertia')} on the load."
+        )
+    return "the stiffness cannot be told: this record does not show the spring, and no number is given for it."
+
+
+def _friction(estimate: Estimate, name: str, words: str) -> str:
+    """Return one friction of a rigid joint, of each direction where they differ."""
+    if estimate.joint.friction.symmetric:
+        return f"{words} friction {_known(estimate, name)}"
+    ways = [f"{_known(estimate, f'{name}_{way}')} {way}" for way in ("forwards", "backwards")]
+    return f"{words} friction {', '.join(ways)}"
+
+
+def _side(estimate: Estimate) -> tuple[str, ...]:
+    """Return on which side of a transmission all of it is."""
+    gear = estimate.joint.transmission
+    return () if gear is None else (f"The transmission is {gear}.",)
+
+
+def _known(estimate: Estimate, name: str) -> str:
+    p = estimate[name]
+    if p.value is None:
+        return f"{'an inertia' if 'inertia' in name else 'a friction'} that is not told"
+    if not p.free:
+        return f"{number(p.value)} {p.unit} (kept fixed)"
+    return f"{number(p.value) if p.std is None else interval(p.value, 2 * p.std)} {p.unit}"
+
+
+def _fit(estimate: Estimate) -> str:
+    what = "position" if estimate.compared == "position" else "torque"
+    kind = "inverse model's" if estimate.method == "idim" else "simulated"
+    return (
+        f"The {kind} {what} errs by {100 * estimate.relative_error:.2f} % of the measured one, and by "
+        f"{100 * estimate.filtered_error:.2f} % after the filter through which both were compared. Numbers after ± "
+        "are two standard deviations."
+    )
+
+
+def _spring(estimate: Estimate) -> tuple[str, ...]:
+    """Return how soft a refused spring may be."""
+    known = [b for b in estimate.bounds if b.stiffness is not None and b.frequency is not None]
+    if not known:
+        return ()
+    unit = estimate["stiffness"].unit
+    told = [
+        f"at least {number(b.stiffness, 2)} {unit} (a mode at {b.frequency:.0f} Hz or above) if the load is "
+        f"{100 * b.share:.0f} % of the inertia"
+        for b in (known[0], known[-1])
+    ]
+    return (f"What is known of it is how soft it may be: {' and '.join(dict.fromkeys(told))}, with 95 % confidence.",)
+
+
+def _sums(estimate: Estimate) -> tuple[str, ...]:
+    """Return what is known only together."""
+    if estimate.known is None:
+        return ()
+    told = [
+        f"{one.combination.formula} = {interval(one.value, 2 * one.std)} {one.combination.unit}"
+        for one in estimate.known.physical
+        if one.combination.name.startswith("total") and one.verdict == "well"
+    ]
+    return (f"Known best are the sums of both sides: {'; '.join(told)}.",) if told else ()
+
+
+def _verdicts(estimate: Estimate) -> str:
+    if not estimate.verdicts:
+        return "No question beyond the fit is answered for this method."
+    bad = [v.subject for v in estimate.verdicts if v.good is False]
+    good = sum(v.good is True for v in estimate.verdicts)
+    if not bad:
+        return f"Of {len(estimate.verdicts)} questions asked of this answer, {good} are answered well and none badly."
+    return (
+        f"Of {len(estimate.verdicts)} questions asked of this answer, {good} are answered well and {len(bad)} not "
+        f"({_listed(bad)}); below, each with its reason."
+    )
+
+
+def _listed(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

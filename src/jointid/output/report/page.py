@@ -1,0 +1,119 @@
+"""A document as one HTML page: it opens without a network, prints, and runs no script but its own.
+
+The page's policy names the scripts it may run by their hashes: a text that got past the escaping would still be
+nothing but text. Data for plots, and the answer it carries for other programs, are JSON in which no tag can end.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jointid.common.extras import extra
+from jointid.output.figures.bokeh_backend import PURPOSE, script
+from jointid.output.json.reports import REPORT_ELEMENT
+from jointid.output.report.document import MARKS, Document, Heading, Picture, written
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+_FEW = 4  # headings: a shorter page needs no list of contents
+
+_START = """
+for (const data of document.querySelectorAll("script.plot-data")) {
+  const item = JSON.parse(data.textContent);
+  const figure = data.closest("figure");
+  figure.classList.add("drawn");
+  Bokeh.embed.embed_item(item, item.target_id).catch(() => figure.classList.remove("drawn"));
+}
+"""
+
+
+def page(document: Document) -> str:
+    """Return a document as one HTML page; the same document gives the same bytes.
+
+    Raises:
+        ExtraError: jinja2, or for a page with plots bokeh, is not installed.
+    """
+    plotted = any(isinstance(block, Picture) and block.plot for block in document.blocks)
+    scripts = [script(), _START] if plotted else []
+    headings = [block for block in document.blocks if isinstance(block, Heading) and block.level == 2]
+    anchors = _anchors([block.text for block in headings])
+    return _environment().get_template("page.html").render(
+        title=document.title,
+        blocks=[(type(block).__name__, block) for block in document.blocks],
+        anchors=dict(zip(map(id, headings), anchors, strict=True)),
+        contents=list(zip((block.text for block in headings), anchors, strict=True)) if len(headings) >= _FEW else [],
+        style=Path(__file__).with_name("style.css").read_text(encoding="utf-8"),
+        scripts=scripts,
+        policy=" ".join(map(_hash, scripts)) or "'none'",
+        answer=document.answer,
+        element=REPORT_ELEMENT,
+        marks=MARKS,
+    )  # fmt: skip
+
+
+def save(document: Document, folder: str | Path, name: str) -> tuple[Path, ...]:
+    """Write `name`.html, `name`.md and the pictures into a folder, which is made; return what was written.
+
+    Raises:
+        RecordError: the folder or a file cannot be written.
+        ExtraError: jinja2 is not installed.
+    """
+    texts = {f"{name}.html": page(document).encode(), f"{name}.md": document.markdown().encode()}
+    return written(folder, texts | document.pictures)
+
+
+def require_extra(*, plots: bool) -> None:
+    """Raise an `ExtraError` if no page, with or without plots, can be written: before anything runs."""
+    _environment()
+    if plots:
+        script()
+
+
+def inert(json: str) -> str:
+    """Return JSON in which no tag, comment or entity of HTML can begin; it is the same JSON."""
+    return json.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _environment() -> Environment:
+    jinja2 = extra("jinja2", "report", PURPOSE)
+    from markupsafe import Markup
+
+    made: Environment = jinja2.Environment(
+        autoescape=True, loader=jinja2.FileSystemLoader(Path(__file__).parent), undefined=jinja2.StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    filters: dict[str, Any] = {
+        "base64": lambda data: base64.b64encode(data).decode("ascii"),
+        "inert": lambda json: Markup(inert(json)),  # noqa: S704  # no character of a tag is left in it
+        "stem": lambda name: Path(name).stem,
+        "as_is": Markup,
+        "id": id,
+        "clauses": _clauses,
+    }
+    made.filters.update(filters)
+    return made
+
+
+def _clauses(text: str) -> list[str]:
+    """Return a verdict's clauses, which semicolons separate but for those in brackets."""
+    return re.split(r"; (?![^(]*\))", text)
+
+
+def _hash(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}'"
+
+
+def _anchors(texts: list[str]) -> list[str]:
+    """Return names for headings to be linked by, each once."""
+    found: list[str] = []
+    for text in texts:
+        name = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "part"
+        while name in found:
+            name += "-"
+        found.append(name)
+    return found

@@ -1,0 +1,1 @@
+"""Drives and their traces: counts, per mille, the names each maker uses; a profile (TOML) for each kind."""

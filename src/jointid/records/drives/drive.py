@@ -1,0 +1,128 @@
+"""The numbers of a drive that take its own units to SI: counts of an encoder, shares of a rated torque, ampere.
+
+A drive logs positions in counts and the torque as a share of a rated one (CiA 402: object 6077h, per mille of object
+6076h) or as a current. Which numbers those are is known from the drive's parameters, not from its log.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from jointid.common import units
+from jointid.common.errors import RecordError
+from jointid.records.drives.profiles import Profile, profile_named
+
+_AGREES = 0.05  # of a rated torque: nameplates are rounded, and peak and rms ampere differ by 41 %
+
+_TORQUE = {"prismatic": "N", "revolute": "N m"}
+_POSITION = {"prismatic": "m", "revolute": "rad"}
+_NUMBERS = (
+    "rated_torque", "rated_current", "torque_constant", "counts_per_turn", "counts_per_metre", "load_counts_per_turn",
+    "load_counts_per_metre",
+)  # fmt: skip
+_COUNTS = {"prismatic": "counts_per_metre", "revolute": "counts_per_turn"}
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """What is known of a drive: whose traces they are, and the numbers behind its units.
+
+    Attributes:
+        profile: name of the profile that finds the channels in a trace, see `jointid.records.drives.profiles`.
+        axis: which axis, counted from 1, where a trace has several.
+        rated_torque: N m or N, what the torque is given as a share of.
+        rated_current: A, likewise, where the torque constant is known and the rated torque is not.
+        torque_constant: N m/A or N/A; a torque in A is then read in N m or N.
+        counts_per_turn: of the encoder, where it turns.
+        counts_per_metre: of the encoder, where it moves straight.
+        load_counts_per_turn, load_counts_per_metre: of the load's encoder, where that is another one.
+
+    Raises:
+        RecordError: there is no such profile, a number is not positive and finite, the axis is not a whole number from
+            1 on, or the rated torque is not rated current x torque constant where all three are given.
+    """
+
+    profile: str | None = None
+    axis: int | None = None
+    rated_torque: float | None = None
+    rated_current: float | None = None
+    torque_constant: float | None = None
+    counts_per_turn: float | None = None
+    counts_per_metre: float | None = None
+    load_counts_per_turn: float | None = None
+    load_counts_per_metre: float | None = None
+
+    def __post_init__(self) -> None:
+        faults = [
+            f"The drive's {name} is a positive number; got {value:g}: correct it."
+            for name in _NUMBERS
+            if (value := getattr(self, name)) is not None and not (math.isfinite(value) and value > 0)
+        ]
+        if self.axis is not None and (not isinstance(self.axis, int) or self.axis < 1):
+            faults.append(f"The drive's axis is a whole number from 1 on; got {self.axis}.")
+        if not faults and self.rated_torque is not None and self._from_current is not None:
+            ratio = self._from_current / self.rated_torque
+            if abs(ratio - 1) > _AGREES:
+                faults.append(
+                    f"The drive's rated_torque is {self.rated_torque:g}, and rated_current x torque_constant "
+                    f"{self._from_current:g}, {ratio:.3g} times as much (peak and rms ampere differ by 1.41); correct "
+                    "one, or leave rated_current out."
+                )
+        if faults:
+            raise RecordError(faults)
+        if self.profile is not None:
+            profile_named(self.profile)  # refuses a name that there is not
+
+    @property
+    def traces(self) -> Profile | None:
+        """The profile, None without one."""
+        return None if self.profile is None else profile_named(self.profile)
+
+    @property
+    def _from_current(self) -> float | None:
+        if self.rated_current is None or self.torque_constant is None:
+            return None
+        return self.rated_current * self.torque_constant
+
+    def resolved(self, unit: units.Unit, kind: str, *, of_load: bool = False, geared: bool = False) -> units.Unit:
+        """Return a unit with its factor to SI; one that is no drive's own as it is.
+
+        Args:
+            unit: of a channel.
+            kind: of the side on which the channel is measured.
+            of_load: whether it is measured by the load's own encoder.
+            geared: whether that moves like the motor's, but by another amount: its counts are then no guide.
+
+        Raises:
+            UnitError: a number is missing; the message is the end of a sentence that begins with what has the unit.
+        """
+        traces = self.traces
+        if unit.dimension == units.COUNTS:
+            name = _COUNTS[kind]
+            counts = getattr(self, name)
+            if of_load:
+                counts = getattr(self, f"load_{name}") or (None if geared else counts)
+            if counts is None and of_load and geared:
+                raise units.UnitError(
+                    f"which behind a transmission needs the drive's load_{name}, of the load's own encoder ({name} is "
+                    "the motor's): give it, or gain and another unit"
+                )
+            if counts is None:
+                said = "" if traces is None or kind == "prismatic" else f" ({traces.counts})"
+                raise units.UnitError(f"which needs the drive's {name}{said}: give it, or gain and another unit")
+            turn = 2 * math.pi if kind == "revolute" else 1.0
+            return units.Unit(unit.name, units.POSITION_UNITS[kind][0], turn / counts, _POSITION[kind])
+        if unit.dimension == units.SHARE:
+            rated = self.rated_torque or self._from_current
+            if rated is None:
+                said = "" if traces is None else f" ({traces.rated_torque})"
+                raise units.UnitError(
+                    f"a share of the rated torque, which needs the drive's rated_torque{said}: give it, or "
+                    "rated_current and torque_constant"
+                )
+            return units.Unit(unit.name, units.TORQUE_UNITS[kind][0], unit.factor * rated, _TORQUE[kind])
+        if unit.dimension == "current" and self.torque_constant is not None:
+            dimension = units.TORQUE_UNITS[kind][0]
+            return replace(unit, dimension=dimension, factor=unit.factor * self.torque_constant, si=_TORQUE[kind])
+        return unit

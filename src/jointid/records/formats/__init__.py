@@ -1,0 +1,149 @@
+"""File formats, one file each: to add one, write its `Format` and name it in `FORMATS`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields, replace
+from pathlib import Path
+
+from jointid.common.errors import RecordError
+from jointid.records.formats.csv import Csv
+from jointid.records.formats.hdf5 import Hdf5
+from jointid.records.formats.matlab import Matlab
+from jointid.records.formats.npy import Npy
+from jointid.records.formats.parquet import Parquet
+from jointid.records.formats.rosbag import RosBag
+from jointid.records.formats.table import Block, Format, Holds, Streamed, Table, WholeError
+from jointid.records.formats.tdms import Tdms
+
+__all__ = [
+    "FORMATS", "Block", "Csv", "Format", "Hdf5", "Holds", "Matlab", "Npy", "Parquet", "RosBag", "Streamed", "Table",
+    "Tdms", "WholeError", "format_of", "read_blocks", "read_table", "read_tables", "write_table",
+]  # fmt: skip
+
+FORMATS: tuple[Format, ...] = (Csv(), Matlab(), Npy(), Hdf5(), Parquet(), Tdms(), RosBag())
+"""Every format there is."""
+
+_LONG = 2**26  # bytes of a text that is read in pieces
+
+
+def format_of(path: str | os.PathLike[str], **options: object) -> Format:
+    """Return the format that the file's suffix names, with its reader set to `options`; a folder is a bag of ROS 2.
+
+    Raises:
+        RecordError: no format has this suffix, or the format has no such option; the sentence says which.
+    """
+    is_folder = os.fspath(path).endswith(("/", os.sep)) or os.path.isdir(path)  # noqa: PTH112 - which of a path that cannot be says no
+    path = Path(path)
+    for entry in FORMATS:
+        if path.suffix.lower() in entry.suffixes and not is_folder:
+            break
+        if isinstance(entry, RosBag) and (is_folder or not path.suffix):
+            break
+    else:
+        known = "; ".join(f"{entry.name}: {', '.join(entry.suffixes)}" for entry in FORMATS)
+        raise RecordError(f'{path.name} has the suffix "{path.suffix}", which names no known format ({known}).')
+    known = ", ".join(option.name for option in fields(entry)) or "none"
+    unknown = set(options) - {option.name for option in fields(entry)}
+    if unknown:
+        raise RecordError(f"Reading {entry.name} has no option {', '.join(sorted(unknown))}; it has: {known}.")
+    return replace(entry, **options)
+
+
+def read_table(path: str | os.PathLike[str], **options: object) -> Table:
+    """Read all the numbers of a file, choosing the format by its suffix.
+
+    Args:
+        path: the file.
+        options: options of the format's reader; see `Csv`.
+
+    Raises:
+        RecordError: there is no such file, or it cannot be read; the sentence says why.
+    """
+    path = Path(path)
+    reader = format_of(path, **options)
+    with _reading(path):
+        return reader.read(path)
+
+
+def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> Iterator[Block]:
+    """Yield so many rows of a file after so many, in bounded memory; a block is read when it is asked for.
+
+    Args:
+        path: the file.
+        rows: of a block, 1 or more; the last one may have fewer.
+        options: of the format's reader; see `Csv`.
+
+    Raises:
+        RecordError: there is no such file, it cannot be read, or its format has no rows one after the other.
+    """
+    path = Path(path)
+    reader = format_of(path, **options)
+    if not isinstance(reader, Streamed):
+        streamed = ", ".join(entry.name for entry in FORMATS if isinstance(entry, Streamed))
+        raise WholeError(f"{reader.name} cannot be read in pieces; convert {path.name} to one of {streamed}.")
+    with _reading(path):
+        yield from reader.blocks(path, rows)
+
+
+def read_tables(path: str | os.PathLike[str], rows: int, **options: object) -> Iterator[Table]:
+    """Yield a file in tables of so many rows, or in one where its format has no rows one after the other.
+
+    Args:
+        path: the file.
+        rows: of a table, 1 or more; the last one may have fewer.
+        options: of the format's reader; see `Csv`.
+
+    Raises:
+        RecordError: there is no such file, or it cannot be read; the sentence says why.
+    """
+    try:
+        # How the rows of a text are written is told by all of them, where they fit into memory.
+        is_short_text = isinstance(format_of(path), Csv) and Path(path).is_file() and Path(path).stat().st_size < _LONG
+        blocks = iter(()) if is_short_text else read_blocks(path, rows, **options)
+        first = next(blocks, None)
+    except WholeError:
+        first = None
+    if first is None:  # a short text, a file that can only be read whole, or one without columns
+        yield read_table(path, **options)
+        return
+    yield first.table()
+    yield from (block.table() for block in blocks)
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Say in a sentence why a file cannot be read."""
+    if "\0" in str(path):
+        raise RecordError(f"{path} is no path: it holds a zero byte; correct it.")
+    try:
+        if not path.is_dir() and path.stat().st_size == 0:
+            raise RecordError(f"{path.name} is empty (0 bytes); log or copy it again.")
+        yield
+    except OSError as error:
+        raise RecordError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
+
+
+def write_table(path: str | os.PathLike[str], table: Table, **options: object) -> None:
+    """Write `table`, choosing the format by the path's suffix; an existing file is replaced.
+
+    Args:
+        path: the file.
+        table: what is written.
+        options: with which the format will read it; see `Csv`.
+
+    Raises:
+        RecordError: no format has this suffix, it cannot hold the table, or the file cannot be written.
+    """
+    path = Path(path)
+    writer = format_of(path, **options)
+    try:
+        writer.write(path, table)
+    except OSError as error:
+        raise RecordError(f"{path} cannot be written ({_reason(error)}); check the folder.") from error
+
+
+def _reason(error: OSError) -> str:
+    return (error.strerror or type(error).__name__).lower()

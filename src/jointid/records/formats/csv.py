@@ -1,0 +1,359 @@
+"""Delimited text: any delimiter, decimal point or comma, with or without names, comments or a preamble.
+
+Every way of writing rows is tried on the last lines of the file; the one that reads most of them as rows of
+numbers of one width is the file's. Where two ways are equally good and differ, the file is refused, and the
+option that settles it is named.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain, islice
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import RecordError
+from jointid.common.text import short
+from jointid.common.units import UnitError, unit
+from jointid.records.formats.dialect import BLANKS, Dialect, Fit, is_number, sniff
+from jointid.records.formats.scope import scope_of, scope_table
+from jointid.records.formats.table import Holds, Table, WholeError
+from jointid.records.formats.textfile import Line, TextFile, is_comment, read_lines, stream_lines, text_of
+
+WIDEST = 100_000
+"""Columns that are read: no drive logs so many, and each is an array of its own."""
+
+LONGEST_NAME = 1000
+"""Characters of a column's name."""
+
+_BRACKETED = re.compile(r"\[(.*)\]|\((.*)\)")
+_NO_UNIT = ("", "-")
+_LONG, _LONG_BLOCK = 2**26, 100_000  # bytes of a file that is read in blocks of so many rows
+_BEGINNING = 1000  # lines, that tell how those of a long file are written
+_RUN = ("=", "+", "-", "@")  # with these a cell begins that a spreadsheet program takes for a formula
+_DELIMITER = re.compile(r"[^\w\r\n\".+-]")  # anything but a part of a number, of a name, of a line end
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """How the rows of a file are written.
+
+    Attributes:
+        dialect: of the rows.
+        names: of the columns.
+        start: the first row among the lines that are neither empty nor comments.
+        closed: whether every row ends with the delimiter, behind which there is no column.
+    """
+
+    dialect: Dialect
+    names: Sequence[str]
+    start: int
+    closed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Lines:
+    """Rows of a file as text, which may be its last; a `Block`."""
+
+    file: str
+    layout: Layout
+    lines: Sequence[Line]
+    last: bool = True
+
+    @property
+    def rows(self) -> int:
+        """How many there are."""
+        return len(self.lines)
+
+    def table(self, rows: int | None = None) -> Table:
+        """Return the numbers of all, or of the first so many."""
+        dialect, lines = self.layout.dialect, self.lines[:rows]
+        if self.layout.closed:
+            lines = [Line(i, row.rstrip(BLANKS).removesuffix(dialect.delimiter)) for i, row in lines]
+        values = _values(self.file, lines, dialect, self.layout.names, self.last)
+        return Table(dict(zip(self.layout.names, values.T, strict=True)), source=self.file)
+
+
+@dataclass(frozen=True, slots=True)
+class Csv:
+    """Delimited text (CSV, TSV and their kin) in UTF-8, in UTF-16 with a byte order mark, or in Latin-1.
+
+    The line above the first row of numbers names the columns, be it a comment; a line of units between them
+    is joined to the names ("torque [N m]"). A column without a name is called by its number, from "1".
+    Empty cells are NaN. How the rows of a file of more than 64 MB are written is told by its beginning. An export of
+    TwinCAT Scope is known by its header; see `jointid.records.formats.scope`.
+
+    Attributes:
+        delimiter: one character, " " for any run of blanks; None finds it.
+        decimal: "." or ","; None finds it.
+        header: whether the line above the first row holds names; None takes it as names if it has one cell
+            per column and none of them is a number.
+
+    Raises:
+        RecordError: an option is none of these.
+    """
+
+    delimiter: str | None = None
+    decimal: str | None = None
+    header: bool | None = None
+
+    name: ClassVar[str] = "CSV"
+    suffixes: ClassVar[tuple[str, ...]] = (".csv", ".txt", ".tsv", ".dat")
+    holds: ClassVar[Holds] = Holds.NOTHING
+
+    def __post_init__(self) -> None:
+        mark = self.delimiter
+        if mark is not None and (not isinstance(mark, str) or not _DELIMITER.fullmatch(mark)):
+            raise RecordError(f'The delimiter is one character, such as ";"; got {mark!r}.')
+        if self.decimal not in (None, ".", ","):
+            raise RecordError(f'The decimal mark is "." or ","; got {self.decimal!r}.')
+        if self.header not in (None, True, False):
+            raise RecordError(f"header is true or false; got {self.header!r}.")
+
+    def read(self, path: Path) -> Table:
+        """Read every column; see `Format.read`."""
+        try:
+            long = (
+                path.stat().st_size > _LONG
+                and scope_of(text_of(path.name, list(islice(stream_lines(path), 200)))) is None
+            )
+            return self._long_table(path) if long else self._table(read_lines(path))
+        except csv.Error as error:
+            raise RecordError(f"{path.name} cannot be split into cells ({error}); is it delimited text?") from error
+
+    def write(self, path: Path, table: Table) -> None:
+        """Write delimited UTF-8, each number with the digits that give it back exactly.
+
+        Delimiter and decimal mark are those that it would be read with; where they are not said, a comma and a point,
+        and a semicolon beside a decimal comma. Columns called by their own number are written without a name, as they
+        are read. Scalars have no place in delimited text, nor have names that would be read as numbers, or that
+        spreadsheet programs would run as formulas.
+        """
+        if table.scalars:
+            scalars = ", ".join(table.scalars)
+            raise RecordError(f"Delimited text has no place for the scalars {scalars}; write a .mat file.")
+        if len({values.size for values in table.columns.values()}) != 1:
+            lengths = ", ".join(f"{name} {values.size}" for name, values in table.columns.items())
+            raise RecordError(f"Delimited text has columns of one length; got {lengths or 'no column'}.")
+        mark, point = self.delimiter or (";" if self.decimal == "," else ","), self.decimal or "."
+        if mark == point:
+            raise RecordError(
+                'A comma cannot be both delimiter and decimal mark of what is written; give delimiter = ";".'
+            )
+        cells = ([repr(value).replace(".", point) for value in values.tolist()] for values in table.columns.values())
+        rows = map(mark.join, zip(*cells, strict=True))
+        path.write_text("\n".join([*_header(table, mark), *rows, ""]), encoding="utf-8", newline="\n")
+
+    def blocks(self, path: Path, rows: int) -> Iterator[Lines]:
+        """Yield so many rows after so many; how they are written is told by the file's first lines."""
+        try:
+            lines = stream_lines(path)
+            head = list(islice(lines, _BEGINNING))
+            text = text_of(path.name, head)
+            if scope_of(text) is not None:
+                raise WholeError(
+                    f"{path.name} is an export of TwinCAT Scope, whose rows are no instants: it cannot be read in "
+                    "pieces; convert it to NPY."
+                )
+            layout = self._layout(text)
+        except csv.Error as error:
+            raise RecordError(f"{path.name} cannot be split into cells ({error}); is it delimited text?") from error
+        found = chain(text.lines[layout.start :], (line for line in lines if not is_comment(line.text)))
+        block = list(islice(found, rows))
+        while block:
+            following = list(islice(found, rows))
+            yield Lines(path.name, layout, block, not following)
+            block = following
+
+    def allowed(self, name: str, others: Collection[str] = ()) -> str:
+        """Return a name in one line that is no number; see `Format.allowed`."""
+        plain = "".join(c if c.isprintable() else "_" for c in name).strip() or "column"
+        return f"column {plain}" if is_number(plain) and not name.isdecimal() else plain
+
+    def _table(self, text: TextFile) -> Table:
+        scope = None if self.header is False else scope_of(text)
+        if scope is not None:
+            return scope_table(text, scope, self.decimal)
+        layout = self._layout(text)
+        return Lines(text.name, layout, text.lines[layout.start :]).table()
+
+    def _long_table(self, path: Path) -> Table:
+        """Return the numbers of a file whose text would take several times their memory: block after block."""
+        tables = [block.table() for block in self.blocks(path, _LONG_BLOCK)]
+        names = list(tables[0].columns) if tables else []
+        return Table({name: np.concatenate([one.columns[name] for one in tables]) for name in names}, source=path.name)
+
+    def _layout(self, text: TextFile) -> Layout:
+        fit = self._fit(text)
+        dialect, width = fit.dialect, fit.width
+        start = fit.first_row([line.text for line in text.lines])
+        rows = text.lines[start:]
+        # Where all rows end with the delimiter, their empty last cell is a column only if it has a name.
+        closed = dialect.delimiter != BLANKS and all(
+            row.text.rstrip(BLANKS).endswith(dialect.delimiter) for row in rows[:-1] or rows
+        )
+        header = self._names(text, start, fit, closed)
+        unnamed = closed and (header is None or len(header) < width or not header[-1])
+        width -= unnamed
+        names = [name or str(i) for i, name in enumerate(header or [""] * width, start=1)][:width]
+        if width > WIDEST:
+            raise RecordError(
+                f"{text.name} has {width} columns (at most {WIDEST} are read); is it a matrix that lies on its side? "
+                "Write a row for each sample."
+            )
+        if (longest := max(names, key=len)) and len(longest) > LONGEST_NAME:
+            raise RecordError(
+                f'{text.name} has a column name of {len(longest)} characters, "{short(longest)}"; expected at most '
+                f"{LONGEST_NAME}: name it shorter, or give header = false to call the columns by their numbers."
+            )
+        twice = sorted(name for name, count in Counter(names).items() if count > 1)
+        if twice:
+            raise RecordError(
+                f'{text.name} has more than one column called "{twice[0]}"; rename them, or give '
+                "header = false to call the columns by their numbers."
+            )
+        return Layout(dialect, names, start, unnamed)
+
+    def _fit(self, text: TextFile) -> Fit:
+        """Return the reading of the rows; where there are two, the one that the line of names speaks for."""
+        lines = [line.text for line in text.lines]
+        fits = sniff(lines, self.delimiter, self.decimal)
+        if not fits:
+            raise RecordError(
+                f"{text.name} has no row of numbers; expected columns of numbers with a decimal point or a "
+                "decimal comma, without thousands separators."
+            )
+        if len(fits) == 1:
+            return fits[0]
+        several, single = fits
+        start = single.first_row(lines)
+        above = text.above(start)
+        if above is None:
+            raise RecordError(
+                f'{text.name} can be read in two ways: "{lines[start]}" is one number with a decimal comma, '
+                'or two whole numbers; give decimal = "," or delimiter = ",".'
+            )
+        return several if len(several.dialect.split(above.text)) == several.width else single
+
+    def _names(self, text: TextFile, start: int, fit: Fit, closed: bool) -> list[str] | None:
+        """Return the cells of the line that names the columns; None for a file without one."""
+        above = text.above(start)
+        if above is None or self.header is False:
+            if self.header:
+                raise RecordError(f"{text.name} has no line above the numbers; leave header = true out.")
+            return None
+        names = fit.dialect.split(above.text)
+        fits = len(names) == fit.width or (closed and len(names) == fit.width - 1)
+        numbers = [name for name in names if is_number(name)]
+        if self.header is None:
+            if start == 0 and (numbers or not fits):
+                return None  # a remark in a comment
+            if numbers:
+                raise RecordError(
+                    f'{text.name}: line {above.number} ("{short(above.text)}") stands above the first row '
+                    f'and holds the number "{numbers[0]}"; mend it if it is a row, give header = true if it '
+                    "holds names, header = false if it is a remark."
+                )
+            if len(names) == 1 and not fits:
+                return None  # the last line of a preamble
+        if not fits:
+            comma = fit.dialect.delimiter == "," and 2 * len(names) == fit.width
+            advice = "export it with a decimal point or with semicolons" if comma else "mend it"
+            raise RecordError(
+                f"{text.name}: line {above.number} has {_count(len(names), 'name')} for "
+                f"{_count(fit.width, 'column')}; {advice}, or give header = false to call the columns by "
+                "their numbers."
+            )
+        return _with_units(fit.dialect.split(text.lines[start - 2].text), names) if start > 1 else names
+
+
+def _with_units(over: list[str], names: list[str]) -> list[str]:
+    """Return `names`; if they are units and the line over them holds the names, those with their units."""
+    units = [match[1] or match[2] if (match := _BRACKETED.fullmatch(cell)) else cell for cell in names]
+    bare = [cell for cell in names if cell not in _NO_UNIT and not _BRACKETED.fullmatch(cell)]
+    if len(over) != len(names) or not any(units) or not all(map(_is_unit, bare)):
+        return names
+    if len(names) == 1 and bare:
+        return names  # under a remark, "m" alone is as well a name
+    return [name if u in _NO_UNIT else f"{name} [{u}]" for name, u in zip(over, units, strict=True)]
+
+
+def _is_unit(text: str) -> bool:
+    try:
+        unit(text)
+    except UnitError:
+        return False
+    return True
+
+
+def _values(file: str, rows: Sequence[Line], dialect: Dialect, names: Sequence[str], ends: bool) -> FloatArray:
+    """Return the numbers of the rows, shape (rows, columns); the file may end with them."""
+    plain = [row.text for row in rows]
+    if dialect.decimal == ",":  # a point is then a thousands separator, and no number
+        plain = [row.replace(".", "?").replace(",", ".") for row in plain]
+    try:
+        mark = None if dialect.delimiter == BLANKS else dialect.delimiter
+        return np.loadtxt(plain, dtype=np.float64, delimiter=mark, comments=None, ndmin=2)
+    except ValueError:  # quotes, an empty cell or a fault: only the slow way can tell
+        return np.array([_row(file, row, ends and row is rows[-1], dialect, names) for row in rows])
+
+
+def _row(file: str, line: Line, last: bool, dialect: Dialect, names: Sequence[str]) -> list[float]:
+    """Return the numbers of one row, or raise the sentence that names its fault."""
+    try:
+        cells = dialect.split(line.text)
+    except csv.Error as error:
+        raise RecordError(
+            f"{file}: line {line.number} cannot be split into cells ({error}); mend or delete that line."
+        ) from None
+    if len(cells) != len(names):
+        place = f"line {line.number}, the last," if last else f"line {line.number}"
+        remedy = "the file was cut off or ends in a remark; delete that line" if last else "mend or delete that line"
+        raise RecordError(
+            f"{file}: {place} has {_count(len(cells), 'cell')} for {_count(len(names), 'column')}; {remedy}."
+        )
+    values = []
+    for name, cell in zip(names, cells, strict=True):
+        try:
+            values.append(dialect.number(cell))
+        except ValueError:
+            raise RecordError(
+                f'{file}: line {line.number}, column "{name}" holds "{short(cell)}", which is not a number; '
+                "mend it or leave the cell empty."
+            ) from None
+    return values
+
+
+def _header(table: Table, delimiter: str) -> list[str]:
+    """Return the line of names: one line, or none where every column is called by its number."""
+    names = ["" if name == str(i) else name for i, name in enumerate(table.columns, start=1)]
+    if not any(names):
+        return []
+    special = [is_comment(name) or any(mark in name for mark in f',;|"\t{delimiter}') for name in names]
+    line = delimiter.join(
+        f'"{n.replace(chr(34), chr(34) * 2)}"' if s else n for n, s in zip(names, special, strict=True)
+    )
+    run = [name for name in names if name.startswith(_RUN)]
+    if run:
+        raise RecordError(
+            f"The column name {run[0]!r} begins with a mark by which spreadsheet programs know a formula, which they "
+            "would run when they open the file; rename the column, or write a .npy or .mat file."
+        )
+    refused = [name for name in names if not name.isprintable() or name != name.strip() or is_number(name)]
+    if refused:
+        raise RecordError(
+            f"The column name {refused[0]!r} would not be read back from delimited text: a name is "
+            "printable, is no number and does not begin or end with a blank; rename the column."
+        )
+    return [line]
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"

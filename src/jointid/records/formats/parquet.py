@@ -1,0 +1,249 @@
+"""Apache Parquet: every column of numbers, in row groups, which are read one after the other."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, TypeAlias
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import RecordError
+from jointid.common.extras import extra
+from jointid.records.formats.table import Held, Holds, Table
+from jointid.records.formats.untrusted import PIECES, damage, require_single, require_size
+
+_GROUP = 65536  # rows that are written together
+_BATCH = 65536  # rows that are decoded together
+_WIDEST = 1000  # columns of a column of lists
+_SCALARS = b"jointid.scalars"
+_UNITS = (b"units", b"unit")
+_TEXT, _CONTAINER = 2**24, 2**20  # bytes and items of one entry of a file's description
+_ANY_LENGTH = "its rows are lists of any length"
+_REMEDY = "log or copy it again"
+
+Arrow: TypeAlias = Any
+"""An object of pyarrow, which has no types."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parquet:
+    """Parquet: a column of numbers, of true and false, or of instants is a column; a null is NaN.
+
+    Members of a structure are called "structure.member", those of lists of one length "name[0]", "name[1]", ...
+    Instants are seconds since the first one of the first column of them, so that columns keep their distances. A
+    column's own metadata "unit" or "units" is its unit. Text, and lists of different lengths, are passed over.
+    """
+
+    name: ClassVar[str] = "Parquet"
+    suffixes: ClassVar[tuple[str, ...]] = (".parquet", ".pq")
+    holds: ClassVar[Holds] = Holds.SCALARS | Holds.UNITS
+
+    def read(self, path: Path) -> Table:
+        """Read every column; see `Format.read`."""
+        with _opened(path) as file, damage(path, self.name, _REMEDY):
+            require_size(path, _declared(file))
+            parts = list(_parts(path, file))
+        if not parts:
+            raise RecordError(f"{path.name} holds no row of numbers; log or copy it again.")
+        return _joined(parts)
+
+    def blocks(self, path: Path, rows: int) -> Iterator[Held]:
+        """Yield so many rows after so many."""
+        with _opened(path) as file:
+            require_size(path, _declared(file), PIECES)
+            parts: list[Table] = []
+            found = _parts(path, file)
+            while True:
+                with damage(path, self.name, _REMEDY):
+                    part = next(found, None)
+                if part is None:
+                    break
+                parts.append(part)
+                while sum(_rows(each) for each in parts) >= rows:
+                    whole = _joined(parts)
+                    yield Held(_cut(whole, 0, rows))
+                    parts = [_cut(whole, rows, _rows(whole))] if _rows(whole) > rows else []
+            if parts:
+                yield Held(_joined(parts))
+
+    def write(self, path: Path, table: Table) -> None:
+        """Write columns of eight bytes, with checksums; units are metadata of the columns, scalars of the file."""
+        if len({values.size for values in table.columns.values()}) != 1:
+            lengths = ", ".join(f"{name} {values.size}" for name, values in table.columns.items())
+            raise RecordError(f"Parquet has columns of one length; got {lengths or 'no column'}.")
+        refused = [name for name in table.columns if name != self.allowed(name)]
+        if refused:
+            raise RecordError(f"{refused[0]!r} cannot name a column of Parquet, which is text; rename it.")
+        arrow = extra("pyarrow", "logs", "Writing Parquet")
+        parquet = extra("pyarrow.parquet", "logs", "Writing Parquet")
+        fields = [
+            arrow.field(name, arrow.float64(), metadata={"unit": table.units[name]} if name in table.units else None)
+            for name in table.columns
+        ]
+        scalars = {name: repr(value) for name, value in table.scalars.items()}  # NaN has no place in JSON
+        metadata = {_SCALARS: json.dumps(scalars)} if scalars else None
+        arrays = [arrow.array(values) for values in table.columns.values()]
+        made = arrow.Table.from_arrays(arrays, schema=arrow.schema(fields, metadata=metadata))
+        with path.open("wb") as file:
+            parquet.write_table(
+                made, file, row_group_size=_GROUP, write_page_checksum=True, use_dictionary=False, compression="zstd"
+            )
+
+    def allowed(self, name: str, others: Collection[str] = ()) -> str:
+        """Return the name as text; see `Format.allowed`."""
+        return name.encode("utf-8", "replace").decode("utf-8") or "_"
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Arrow]:
+    parquet = extra("pyarrow.parquet", "logs", f"Reading {path.name}")
+    with path.open("rb") as raw:
+        with damage(path, Parquet.name, _REMEDY):
+            # Not mapped, and read as it is asked for: memory holds what is decoded, and little else.
+            file = parquet.ParquetFile(
+                raw,
+                buffer_size=2**20,
+                pre_buffer=False,
+                thrift_string_size_limit=_TEXT,
+                thrift_container_size_limit=_CONTAINER,
+                page_checksum_verification=True,
+            )
+        with file:
+            yield file
+
+
+def _declared(file: Arrow) -> int:
+    """Return how many numbers a file declares; a row of lists has several in a column."""
+    about = file.metadata
+    groups = (about.row_group(index) for index in range(about.num_row_groups))
+    held = sum(group.column(index).num_values for group in groups for index in range(about.num_columns))
+    return int(max(held, about.num_rows * about.num_columns))
+
+
+@dataclass(slots=True)
+class _Decoding:
+    """What is known of a file on its way into tables: where instants begin, and how long lists are.
+
+    Attributes:
+        path: of the file.
+        begins: the first instant of each column of instants, as its whole number.
+        origin: the first instant of the column of instants that comes first, in ns; None before there is one.
+        passed: what is not read, and why.
+    """
+
+    path: Path
+    begins: dict[str, int] = field(default_factory=dict)
+    origin: int | None = None
+    passed: dict[str, str] = field(default_factory=dict)
+
+    def columns(self, name: str, array: Arrow) -> Iterator[tuple[str, FloatArray]]:
+        """Yield the columns that an array of Arrow is."""
+        types = extra("pyarrow.types", "logs", "Reading Parquet")
+        kind = array.type
+        if types.is_dictionary(kind):
+            yield from self.columns(name, array.dictionary_decode())
+        elif types.is_struct(kind):
+            flat = array.flatten()
+            for index in range(kind.num_fields):
+                yield from self.columns(f"{name}.{kind.field(index).name}", flat[index])
+        elif types.is_fixed_size_list(kind) and types.is_floating(kind.value_type) | types.is_integer(kind.value_type):
+            if array.null_count or kind.list_size > _WIDEST:
+                self.passed[name] = "its lists are missing in some rows, or too long"
+                return
+            matrix = _numbers(array.flatten()).reshape(-1, kind.list_size)
+            yield from ((f"{name}[{index}]", column) for index, column in enumerate(matrix.T))
+        elif types.is_timestamp(kind) or types.is_duration(kind) or types.is_time(kind):
+            yield name, self._instants(name, array)
+        elif types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind) or types.is_decimal(kind):
+            yield name, _numbers(array)
+        elif types.is_list(kind) or types.is_large_list(kind):
+            self.passed[name] = _ANY_LENGTH
+
+    def _instants(self, name: str, array: Arrow) -> FloatArray:
+        """Return seconds since the first instant of the file; a duration's own seconds."""
+        arrow = extra("pyarrow", "logs", "Reading Parquet")
+        types = extra("pyarrow.types", "logs", "Reading Parquet")
+        unit = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[array.type.unit]
+        missing = array.is_null().to_numpy(zero_copy_only=False)
+        whole = array.cast(arrow.int32() if types.is_time32(array.type) else arrow.int64())
+        counts = whole.fill_null(0).to_numpy(zero_copy_only=False).astype(np.int64)
+        if types.is_timestamp(array.type) and not missing.all():
+            begin = self.begins.setdefault(name, int(counts[~missing][0]))
+            here = begin * (10**9 // unit)
+            self.origin = here if self.origin is None else self.origin
+            return np.where(missing, np.nan, (counts - begin) / unit + (here - self.origin) / 1e9)
+        return np.where(missing, np.nan, counts / unit)
+
+
+def _numbers(array: Arrow) -> FloatArray:
+    arrow = extra("pyarrow", "logs", "Reading Parquet")
+    kind = array.type
+    if not extra("pyarrow.types", "logs", "Reading Parquet").is_floating(kind):
+        array = array.cast(arrow.float64(), safe=False)
+    values = array.fill_null(math.nan) if array.null_count else array
+    return np.asarray(values.to_numpy(zero_copy_only=False), dtype=np.float64)
+
+
+def _parts(path: Path, file: Arrow) -> Iterator[Table]:
+    """Yield the rows of a file, so many at a time."""
+    types = extra("pyarrow.types", "logs", "Reading Parquet")
+    schema = file.schema_arrow
+    lists = [entry.name for entry in schema if types.is_list(entry.type) or types.is_large_list(entry.type)]
+    decoding = _Decoding(path, passed=dict.fromkeys(lists, _ANY_LENGTH))
+    require_single(path, list(schema.names))
+    units = {entry.name: unit for entry in schema if (unit := _unit(entry.metadata))}
+    scalars = _scalars(schema.metadata or {})
+    wanted = [entry.name for entry in schema if _may_be_numbers(entry.type)]
+    units |= {entry.name: "s" for entry in schema if str(entry.type).startswith(("timestamp", "duration", "time"))}
+    for batch in file.iter_batches(batch_size=_BATCH, columns=wanted, use_threads=False):
+        pairs = [pair for name in batch.schema.names for pair in decoding.columns(name, batch.column(name))]
+        require_single(path, [name for name, _ in pairs])
+        if batch.num_rows and not pairs:
+            raise RecordError(f"{path.name} holds no column of numbers; log the signals as numbers.")
+        if batch.num_rows:
+            yield Table(dict(pairs), scalars, path.name, units, decoding.passed)
+
+
+def _may_be_numbers(kind: Arrow) -> bool:
+    """Return whether a column is worth reading; text, bytes and lists of any length are not, which may be long."""
+    types = extra("pyarrow.types", "logs", "Reading Parquet")
+    if types.is_struct(kind):
+        return any(_may_be_numbers(kind.field(index).type) for index in range(kind.num_fields))
+    if types.is_dictionary(kind) or types.is_fixed_size_list(kind):
+        return _may_be_numbers(kind.value_type)
+    return bool(types.is_primitive(kind) or types.is_decimal(kind))
+
+
+def _unit(metadata: Mapping[bytes, bytes] | None) -> str:
+    texts = (metadata or {}).get(_UNITS[0]) or (metadata or {}).get(_UNITS[1]) or b""
+    return texts.decode("utf-8", "replace").strip()
+
+
+def _scalars(metadata: Mapping[bytes, bytes]) -> dict[str, float]:
+    """Return the single numbers beside the columns, as they are written here."""
+    if _SCALARS not in metadata:
+        return {}
+    return {str(name): float(text) for name, text in json.loads(metadata[_SCALARS]).items()}
+
+
+def _rows(table: Table) -> int:
+    return next(iter(table.columns.values())).size
+
+
+def _cut(table: Table, first: int, last: int) -> Table:
+    columns = {name: values[first:last] for name, values in table.columns.items()}
+    return Table(columns, table.scalars, table.source, table.units, table.passed)
+
+
+def _joined(parts: list[Table]) -> Table:
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in first.columns}
+    return Table(columns, first.scalars, first.source, first.units, first.passed)

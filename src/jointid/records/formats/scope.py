@@ -1,0 +1,248 @@
+"""TwinCAT Scope's export to text: rows of what is known of each channel, then a time column before every group of them.
+
+A row of the table is no instant: groups of channels with other sample times run down their own time columns, and the
+short ones end early. The layout is that of Beckhoff's TE13xx Scope View manual, "Export to CSV".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import RecordError
+from jointid.common.text import short
+from jointid.records.formats.table import Table
+from jointid.records.formats.textfile import Line, TextFile
+
+_ROWS = frozenset({
+    "Name", "SymbolComment", "Data-Type", "SampleTime[ms]", "VariableSize", "SymbolBased", "IndexGroup", "IndexOffset",
+    "SymbolName", "NetID", "NetId", "Port", "Offset", "ScaleFactor", "BitMask", "Unit", "Unit ScaleFactor",
+    "Unit Offset", "StartTime", "EndTime",
+})  # fmt: skip
+_OF_EXPORT = ("Starttime of export", "StartRecord", "SampleTime[ms]", "SymbolName", "Data-Type")
+_LOOK = 200  # lines within which the channels are named
+_TICKS = 10_000  # of a FILETIME (100 ns) in 1 ms
+_FILETIME = (17, 18)  # digits of one: the years 1917 to 4769; what has less is ms since the start
+_OFF = 0.1  # of the sample time, that the time column's step may differ from it
+_SYMBOLS = {"°": "deg", "°/s": "deg/s", "1/min": "rpm"}
+
+
+@dataclass(frozen=True, slots=True)
+class Scope:
+    """What stands above the numbers of an export.
+
+    Attributes:
+        delimiter: between cells.
+        rows: by their keys, the cells of each row that says something of the channels; those of the time columns too.
+        starts: of each group, the number of its time column.
+        first: the first line of numbers among those of the file.
+    """
+
+    delimiter: str
+    rows: Mapping[str, Sequence[str]]
+    starts: tuple[int, ...]
+    first: int
+
+    @property
+    def width(self) -> int:
+        """How many columns there are, those of time included."""
+        return len(self.rows["Name"])
+
+    def groups(self) -> Iterator[range]:
+        """Yield the columns of each group; the first of them is its time."""
+        for start, end in zip(self.starts, (*self.starts[1:], self.width), strict=True):
+            yield range(start, end)
+
+    def of(self, key: str, column: int, default: str = "") -> str:
+        """Return what a row says of a column."""
+        cells = self.rows.get(key, ())
+        return cells[column] if column < len(cells) else default
+
+
+def scope_of(text: TextFile) -> Scope | None:
+    """Return how an export is laid out; None for a text that is none."""
+    lines = text.lines[:_LOOK]
+    if not lines or not lines[0].text.startswith("Name") or len(lines[0].text) < len("Name_"):
+        return None
+    mark = lines[0].text[len("Name")]
+    split = [[cell.strip() for cell in line.text.split(mark)] for line in lines]
+    keys = [cells[0] for cells in split]
+    if mark.isalnum() or not any(key in _OF_EXPORT for key in keys):
+        return None
+    top = max(i for i, key in enumerate(keys) if key == "Name")
+    first = next((i for i in range(top, len(keys)) if keys[i] not in _ROWS), len(keys))
+    rows = {keys[i]: split[i] for i in range(top, first)}
+    named = rows["Name"]
+    starts = [c for c, cell in enumerate(named) if cell == "Name"]
+    # Beside a full header a channel may be called "Name" too: its other rows are then not their keys.
+    starts = [c for c in starts if all(len(cells) <= c or cells[c] == key for key, cells in rows.items())]
+    return Scope(mark, rows, tuple(starts), first)
+
+
+def scope_table(text: TextFile, scope: Scope, decimal: str | None = None) -> Table:
+    """Return the numbers of an export, each column with its own clock.
+
+    Times are in ms, those of FILETIMEs since the first of them. `Offset` is where a channel is drawn, and is never
+    added.
+
+    Args:
+        text: of the file.
+        scope: its layout.
+        decimal: mark of the numbers; None finds it.
+
+    Raises:
+        RecordError: it was exported with blanks or without time columns, two channels have one name, or a row is
+            damaged.
+    """
+    names, rows = _names(text.name, scope), _rows(text, scope)
+    point = decimal or ("," if scope.delimiter != "," and any("," in row.text for row in rows) else ".")
+    numbers = _Numbers(text.name, rows, scope, point)
+    values: dict[int, FloatArray] = {}
+    for count, groups in groupby(scope.groups(), lambda group: numbers.count(group.start)):
+        values |= numbers.columns([column for group in groups for column in group], count)
+    made: dict[str, FloatArray] = {}
+    clocks: dict[str, str] = {}
+    alike = len({values[start].tobytes() for start in scope.starts}) == 1
+    for group in scope.groups():
+        time, channels = _without_fill(values[group.start], {names[c]: values[c] for c in group[1:]})
+        first = names[group[1]]
+        _check_step(text.name, time, scope.of("SampleTime[ms]", group[1]), first)
+        clock = "time [ms]" if alike else f"time of {first.partition(' [')[0]} [ms]"
+        made |= {clock: time, **channels}
+        clocks |= {} if alike else dict.fromkeys(channels, clock)
+    return Table(made, source=text.name, clocks=clocks)
+
+
+def _rows(text: TextFile, scope: Scope) -> list[Line]:
+    """Return the lines of numbers."""
+    if scope.delimiter == " ":
+        raise RecordError(
+            f"{text.name} was exported with blanks between its columns, which also stand for what is missing; export "
+            "it with tabs or semicolons."
+        )
+    if not scope.starts or any(len(group) < 2 for group in scope.groups()):
+        raise RecordError(
+            f'{text.name} has a time column without channels in its row "Name"; export it with a time column for each '
+            "channel, or for each sample time."
+        )
+    rows = text.lines[scope.first :]
+    if rows and rows[-1].text.rstrip(f" {scope.delimiter}") == "EOF":
+        rows = rows[:-1]
+    if not rows:
+        raise RecordError(f"{text.name} has no row of numbers below its channels; export it again.")
+    return rows
+
+
+def _names(file: str, scope: Scope) -> dict[int, str]:
+    """Return the name of each channel by its column, with its unit in brackets."""
+    channels = [column for group in scope.groups() for column in group[1:]]
+    said = "Name"
+    for said in ("Name", "SymbolName"):
+        names = {column: scope.of(said, column) for column in channels}
+        if len(set(names.values())) == len(channels) and all(names.values()):
+            return {column: name + _unit(scope, column) for column, name in names.items()}
+    raise RecordError(f"{file} has two channels of one name, or one without; rename them in the scope.")
+
+
+def _unit(scope: Scope, column: int) -> str:
+    """Return the unit of a channel in brackets, if the file says it.
+
+    What a channel is scaled by is in the values or not, as it was exported, and the file does not say which: a unit
+    that is none makes whoever reads it say it.
+    """
+    symbol = scope.of("Unit", column).partition(" (")[0].strip()
+    symbol = "" if symbol.startswith("(") else _SYMBOLS.get(symbol, symbol)
+    factors = [scope.of(key, column, "1").replace(",", ".") or "1" for key in ("ScaleFactor", "Unit ScaleFactor")]
+    scaled = [factor for factor in factors if factor != "1"]
+    if scaled:
+        return f" [{symbol or 'no unit'}, drawn times {' times '.join(scaled)}]"
+    return f" [{symbol}]" if symbol else ""
+
+
+def _without_fill(time: FloatArray, values: Mapping[str, FloatArray]) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Return a group without the rows that the export filled with the ones before them."""
+    same = np.diff(time) == 0
+    for column in values.values():
+        same &= np.diff(column) == 0
+    kept = np.concatenate([[True], ~same])
+    return time[kept], {name: column[kept] for name, column in values.items()}
+
+
+def _check_step(file: str, time: FloatArray, stated: str, name: str) -> None:
+    """Check that a time column runs as its channel was sampled: exported without times, another one stands there."""
+    try:
+        expected = float(stated.replace(",", "."))
+    except ValueError:
+        return  # the row is not there
+    step = float(np.median(np.diff(time))) if time.size > 1 else expected
+    if abs(step - expected) > _OFF * expected:
+        raise RecordError(
+            f'{file}: the channel "{name}" has a sample every {expected:g} ms, and the column before it steps by '
+            f"{step:g}; export it with a time column for each channel, or for each sample time."
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Numbers:
+    """The rows of an export below its header, as text."""
+
+    file: str
+    rows: Sequence[Line]
+    scope: Scope
+    point: str
+
+    def count(self, column: int) -> int:
+        """Return how many rows a group has: from the first on, all that have a time."""
+        low, high = 0, len(self.rows)
+        while low < high:
+            middle = (low + high) // 2
+            low, high = (middle + 1, high) if self._cell(middle, column) else (low, middle)
+        return low
+
+    def columns(self, wanted: Sequence[int], count: int) -> dict[int, FloatArray]:
+        """Return the numbers of some columns, shape (count,) each."""
+        if count == 0:
+            channel = self.scope.of("Name", wanted[1])
+            raise RecordError(f'{self.file} has no number of the channel "{channel}"; leave it out of the export.')
+        plain, mark = [row.text for row in self.rows[:count]], self.scope.delimiter
+        if self.point == ",":  # a point is then a thousands separator, and no number
+            plain = [row.replace(".", "?").replace(",", ".") for row in plain]
+        try:
+            values = np.loadtxt(plain, delimiter=mark, usecols=wanted, comments=None, ndmin=2)
+            found = dict(zip(wanted, values.T, strict=True))
+            for start in set(self.scope.starts) & set(wanted) if self._origin else ():
+                # A FILETIME has 18 digits, and a float 16: the difference is taken before.
+                ticks = np.loadtxt(plain, dtype=np.int64, delimiter=mark, usecols=start, comments=None, ndmin=1)
+                found[start] = (ticks - self._origin) / _TICKS
+        except (ValueError, IndexError, OverflowError):
+            raise RecordError(self._damage(wanted, count)) from None
+        return found
+
+    @property
+    def _origin(self) -> int:
+        """The first FILETIME of all; 0 where times are in ms."""
+        firsts = [cell for start in self.scope.starts if (cell := self._cell(0, start)).isdecimal()]
+        return min([int(cell) for cell in firsts if len(cell) in _FILETIME], default=0)
+
+    def _cell(self, row: int, column: int) -> str:
+        cells = self.rows[row].text.split(self.scope.delimiter, column + 1)
+        return cells[column].strip() if column < len(cells) else ""
+
+    def _damage(self, wanted: Sequence[int], count: int) -> str:
+        """Return the sentence on the first cell that holds no number."""
+        for row in range(count):
+            for column in wanted:
+                cell = self._cell(row, column)
+                try:
+                    float(cell.replace(".", "?").replace(",", ".") if self.point == "," else cell)
+                except ValueError:
+                    holds = f'"{short(cell)}"' if cell else "nothing"
+                    return (
+                        f"{self.file}: line {self.rows[row].number}, cell {column + 1} holds {holds}, where a number "
+                        f'with the decimal mark "{self.point}" was expected; export it again, or delete that line.'
+                    )
+        return f"{self.file} has rows that are no numbers; export it again."

@@ -1,0 +1,216 @@
+"""National Instruments' TDMS: channels in groups, each with its properties."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple, TypeAlias
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import RecordError
+from jointid.common.extras import extra
+from jointid.records.formats.table import Holds, Table
+from jointid.records.formats.untrusted import PIECES, damage, require_single, require_size
+
+_NAMELESS = "Untitled"  # what LabVIEW calls a group that has no name
+_UNITS = ("unit_string", "unit", "units", "Unit")
+_STEP, _OFFSET, _START = "wf_increment", "wf_start_offset", "wf_start_time"
+_UNSET = np.datetime64("1904-01-02")  # LabVIEW counts from the day before; an instant nobody set is that
+_REMEDY = "log or copy it again"
+_SEGMENT = 65536  # rows that are written together
+_SLAB = 2**22  # numbers of all channels that are held: the library reads a segment anew for every part of it
+
+Nptdms: TypeAlias = Any
+"""An object of npTDMS, which has no types."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tdms:
+    """TDMS: a channel is the column "group/channel", of the group "Untitled" just "channel".
+
+    Numbers among the properties of the file and of its groups are scalars.
+    The property "unit_string" is the unit. A waveform (property wf_increment) has no column for its time: it gets
+    one, called "group/time" if all channels of the group have the same, else "group/channel/time". Instants, and the
+    wf_start_time of waveforms, are seconds since the first one of the file. Text is passed over.
+    """
+
+    name: ClassVar[str] = "TDMS"
+    suffixes: ClassVar[tuple[str, ...]] = (".tdms",)
+    holds: ClassVar[Holds] = Holds.SCALARS | Holds.UNITS | Holds.LENGTHS
+
+    def read(self, path: Path) -> Table:
+        """Read every column; see `Format.read`."""
+        with _opened(path) as contents:
+            require_size(path, sum(channel.rows for channel in contents.channels))
+            rows = max(channel.rows for channel in contents.channels)
+            return _Rows(contents, 0, rows).table()
+
+    def blocks(self, path: Path, rows: int) -> Iterator[_Rows]:
+        """Yield so many rows after so many."""
+        with _opened(path) as contents:
+            require_size(path, sum(channel.rows for channel in contents.channels), PIECES)
+            longest = max(channel.rows for channel in contents.channels)
+            for first in range(0, longest, rows):
+                yield _Rows(contents, first, min(rows, longest - first))
+
+    def write(self, path: Path, table: Table) -> None:
+        """Write a channel of eight bytes for each column; scalars are properties of the file."""
+        for name in table.columns:
+            if name != self.allowed(name):
+                raise RecordError(
+                    f'{name!r} cannot name a channel of TDMS: a name is "channel" or "group/channel", and the group '
+                    f'is not "{_NAMELESS}"; rename the column.'
+                )
+        refused = [name for name in table.scalars if not name or name == "name" or "/" in name]
+        if refused:
+            raise RecordError(f"{refused[0]!r} cannot name a property of a TDMS file; rename the scalar.")
+        nptdms = extra("nptdms", "logs", "Writing TDMS")
+        with path.open("wb") as file, nptdms.TdmsWriter(file) as writer:
+            writer.write_segment([nptdms.RootObject(properties=dict(table.scalars))])
+            for first in range(0, max(values.size for values in table.columns.values()), _SEGMENT):
+                objects = []
+                for name, values in table.columns.items():
+                    group, _, channel = name.rpartition("/")
+                    properties = {"unit_string": table.units[name]} if name in table.units else {}
+                    part = values[first : first + _SEGMENT]
+                    if part.size:
+                        objects.append(nptdms.ChannelObject(group or _NAMELESS, channel, part, properties=properties))
+                writer.write_segment(objects)
+
+    def allowed(self, name: str, others: Collection[str] = ()) -> str:
+        """Return a name of a channel in a group; see `Format.allowed`."""
+        parts = [part for part in name.replace("\0", "_").split("/") if part] or ["_"]
+        return "/".join(parts[1:] if parts[0] == _NAMELESS and len(parts) > 1 else parts)
+
+
+class _Channel(NamedTuple):
+    """One column: a channel, or the time of a waveform, which is computed; `late` seconds after the file's first."""
+
+    name: str
+    rows: int
+    channel: Nptdms
+    unit: str = ""
+    clock: str = ""
+    is_time: bool = False
+    late: float = 0.0
+
+    def values(self, first: int, last: int) -> FloatArray:
+        """Return the rows from the first up to the last."""
+        if self.is_time:
+            step, offset = (float(self.channel.properties.get(key, 0.0)) for key in (_STEP, _OFFSET))
+            return np.asarray(self.late + offset + np.arange(first, last) * step)
+        values = self.channel.read_data(first, last - first)
+        if values.size != last - first:
+            raise ValueError(f"{values.size} numbers where {last - first} are declared")
+        if values.dtype.kind == "M":
+            begin = self.channel.read_data(0, 1)[0]
+            return np.asarray((values - begin) / np.timedelta64(1, "ns") / 1e9 + self.late, dtype=np.float64)
+        return np.asarray(values, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class _Contents:
+    """An open file: its columns and single numbers, and the rows of columns that were read last."""
+
+    path: Path
+    channels: list[_Channel]
+    scalars: dict[str, float]
+    slabs: dict[str, tuple[int, FloatArray]] = field(default_factory=dict)
+
+    def values(self, channel: _Channel, first: int, last: int) -> FloatArray:
+        """Return rows of a column, and hold some that follow."""
+        begin, held = self.slabs.get(channel.name, (0, np.empty(0)))
+        if not begin <= first <= last <= begin + held.size:
+            end = min(channel.rows, max(last, first + _SLAB // len(self.channels)))
+            begin, held = self.slabs[channel.name] = first, channel.values(first, end)
+        return held[first - begin : last - begin]
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """Neighbouring rows of an open file; a `Block`."""
+
+    contents: _Contents
+    first: int
+    rows: int
+
+    def table(self, rows: int | None = None) -> Table:
+        """Read all, or the first so many."""
+        contents = self.contents
+        path, channels = contents.path, contents.channels
+        last = self.first + (self.rows if rows is None else min(rows, self.rows))
+        with damage(path, Tdms.name, _REMEDY):
+            there = [c for c in channels if c.rows > self.first]
+            columns = {c.name: contents.values(c, self.first, min(last, c.rows)) for c in there}
+        units = {c.name: c.unit for c in channels if c.unit}
+        return Table(columns, contents.scalars, path.name, units, clocks={c.name: c.clock for c in channels if c.clock})
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[_Contents]:
+    nptdms = extra("nptdms", "logs", f"Reading {path.name}")
+    # What is wrong with a file is said here, once, and not on the side.
+    extra("nptdms.log", "logs", "Reading TDMS").log_manager.set_level(logging.CRITICAL)
+    # An open file, not its path: an index beside it, which may be of another file, is then left alone.
+    with path.open("rb") as raw:
+        with damage(path, Tdms.name, _REMEDY):
+            file = nptdms.TdmsFile.open(raw)
+            if file.file_status.incomplete_final_segment:
+                raise RecordError(f"{path.name} ends in the middle of its data; {_REMEDY}.")
+            contents = _Contents(path, list(_channels(file)), dict(_scalars(file)))
+        require_single(path, [channel.name for channel in contents.channels])
+        if not contents.channels:
+            raise RecordError(f"{path.name} holds no channel of numbers; log the signals as numbers.")
+        yield contents
+
+
+def _begin(channel: Nptdms) -> np.datetime64 | None:
+    """Return the instant at which a waveform or a channel of instants begins; None where the file does not say."""
+    is_instants = np.dtype(channel.dtype).kind == "M"
+    found = channel.read_data(0, 1)[0] if is_instants else channel.properties.get(_START)
+    return found if isinstance(found, np.datetime64) and found >= _UNSET else None
+
+
+def _channels(file: Nptdms) -> Iterator[_Channel]:
+    every = [channel for group in file.groups() for channel in group.channels() if len(channel)]
+    begins = {channel.path: begin for channel in every if (begin := _begin(channel)) is not None}
+    late = {path: float((begin - min(begins.values())) / np.timedelta64(1, "s")) for path, begin in begins.items()}
+    for group in file.groups():
+        prefix = "" if group.name == _NAMELESS else f"{group.name}/"
+        channels = [
+            _Channel(f"{prefix}{channel.name}", len(channel), channel, _unit(channel), late=late.get(channel.path, 0.0))
+            for channel in group.channels()
+            if len(channel) and np.dtype(channel.dtype).kind in "fiubM"
+        ]
+        timed = [c for c in channels if float(c.channel.properties.get(_STEP, 0.0)) > 0]
+        clocks = {(c.rows, c.channel.properties[_STEP], c.channel.properties.get(_OFFSET, 0.0), c.late) for c in timed}
+        names = {channel.name for channel in group.channels()}
+        is_common = len(clocks) == 1 and "time" not in names
+        if is_common:
+            yield timed[0]._replace(name=f"{prefix}time", unit="s", is_time=True)
+        for channel in channels:
+            clock = (f"{prefix}time" if is_common else f"{channel.name}/time") if channel in timed else ""
+            yield channel._replace(clock=clock)
+            if clock and not is_common:
+                yield channel._replace(name=clock, unit="s", is_time=True)
+
+
+def _scalars(file: Nptdms) -> Iterator[tuple[str, float]]:
+    """Yield the numbers among the properties of the file and of its groups."""
+    for prefix, properties in (("", file.properties), *((f"{g.name}/", g.properties) for g in file.groups())):
+        for name, value in properties.items():
+            if isinstance(value, int | float | np.number) and not isinstance(value, bool):
+                yield f"{prefix}{name}", float(value)
+
+
+def _unit(channel: Nptdms) -> str:
+    """Return the unit that a property states, "" without one."""
+    if np.dtype(channel.dtype).kind == "M":
+        return "s"
+    found = (channel.properties.get(key) for key in _UNITS)
+    return next((unit.strip() for unit in found if isinstance(unit, str) and unit.strip()), "")

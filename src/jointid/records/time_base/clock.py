@@ -1,0 +1,149 @@
+"""The clocks of a table: the time between samples, from stamps, from what is given, or from both."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from jointid.common import units
+from jointid.common.arrays import FloatArray
+from jointid.records.checks import clock_faults, finite_faults
+from jointid.records.columns import Column, period_faults, unit_fault, unit_in_name
+from jointid.records.formats import Table
+from jointid.records.time_base.uniformity import irregularity
+
+RATE_TOLERANCE = 1e-3
+"""How far a given sample time may be from that of the time stamps, as a share of it.
+
+Clocks of drives and computers differ by 0.01 %; a wrong rate is wrong by far more.
+"""
+
+_TIME = re.compile(r"(?:t|time)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """The time between samples [s] and the time stamps [s], as far as they are known, and their column."""
+
+    sample_time: float | None = None
+    stamps: FloatArray | None = None
+    column: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Clocks:
+    """The record's clock, and those of columns that have a time column of their own.
+
+    Attributes:
+        common: of all others.
+        own: by time column.
+        columns: name of a column -> that of its time column.
+    """
+
+    common: Clock
+    own: Mapping[str, Clock] = field(default_factory=dict)
+    columns: Mapping[str, str] = field(default_factory=dict)
+
+    def of(self, column: Column) -> Clock:
+        """Return the clock of a channel's column; one with a sample time of its own needs no stamps."""
+        if column.sample_time is not None:
+            return Clock(column.sample_time)
+        time = column.time or self.columns.get(column.column)
+        return self.common if time is None else self.own.get(time, Clock())
+
+
+def clock_of(
+    table: Table, time: str | None, time_unit: str | None, sample_time: float | None, tolerance: float | None
+) -> tuple[Clock, list[str]]:
+    """Return a table's clock, from the stamps, from the sample time, or from both, and what is wrong with it.
+
+    Args:
+        table: whose samples they are.
+        time: name of the time column; None takes the only one that is called t or time.
+        time_unit: of it; None takes the one in its name, or else s.
+        sample_time: seconds, if it is given; without `time` it is all that counts.
+        tolerance: largest jitter, as a share of the sample time; None for stamps that are resampled.
+    """
+    wrong = period_faults("sample time", sample_time)
+    if wrong or (sample_time is not None and time is None):
+        return Clock(None if wrong else sample_time), wrong
+    column, wrong = _time_column(table, time)
+    if wrong:
+        return Clock(), wrong
+    known = units.units_of("time")
+    named = unit_in_name(column, known)
+    if time_unit is not None and named is not None and named != time_unit:
+        return Clock(), [
+            f'The time column "{column}" names its unit, and time_unit is "{time_unit}"; leave time_unit out, or '
+            "rename the column."
+        ]
+    unit = time_unit or named or units.spelled(table.units.get(column, "")) or "s"
+    if unit not in known:
+        return Clock(), [unit_fault(f'time (column "{column}")', unit, known)]
+    stamps = table.columns[column] * units.unit(unit).factor
+    wrong = _stamp_faults(column, stamps) if tolerance is None else clock_faults(stamps, tolerance)
+    if wrong:
+        return Clock(), wrong
+    period = irregularity(stamps).sample_time if tolerance is None else _period(stamps)
+    if sample_time is not None and abs(sample_time / period - 1) > RATE_TOLERANCE:
+        wrong = [
+            f'The sample time is given as {sample_time:g} s, and column "{column}" has {period:g} s; '
+            "mend one, or leave sample_time or time out."
+        ]
+    return Clock(sample_time or period, stamps, column), wrong
+
+
+def apart_faults(clocks: Mapping[str, Clock], tolerance: float) -> list[str]:
+    """Return the fault of channels that begin at different instants, by their own stamps.
+
+    Args:
+        clocks: by channel.
+        tolerance: how far, as a share of the shorter sample time.
+    """
+    stamped = {name: clock for name, clock in clocks.items() if clock.stamps is not None and clock.sample_time}
+    firsts = {name: float(clock.stamps[0]) for name, clock in stamped.items() if clock.stamps is not None}
+    if not firsts:
+        return []
+    late, early = max(firsts, key=firsts.__getitem__), min(firsts, key=firsts.__getitem__)
+    apart, shortest = firsts[late] - firsts[early], min(clock.sample_time or 0.0 for clock in stamped.values())
+    if apart <= tolerance * shortest:
+        return []
+    return [
+        f"{late} begins {apart:g} s after {early}, by their own time columns; give resample, which takes what all "
+        "channels cover, or cut them to one beginning."
+    ]
+
+
+def _stamp_faults(column: str, stamps: FloatArray) -> list[str]:
+    """Return the faults of stamps that not even resampling can use."""
+    if faults := finite_faults(f'The time column "{column}"', stamps):
+        return faults
+    if stamps.size < 2 or not np.median(np.diff(stamps)) > 0:
+        return [f'The time column "{column}" does not run forward; name another one, or give sample_time without time.']
+    return []
+
+
+def _time_column(table: Table, time: str | None) -> tuple[str, list[str]]:
+    """Return the name of the time column, or the fault of one that is missing or in doubt."""
+    if time is not None:
+        if time in table.columns:
+            return time, []
+        return time, [f'{table.source} has no time column "{time}"; it has {table.listed(time)}.']
+    names = [name for name in table.columns if _TIME.fullmatch(name)]
+    if len(names) == 1:
+        return names[0], []
+    several = ", ".join(f'"{name}"' for name in names)
+    fact = f"more than one time column ({several})" if names else 'no column called "t" or "time"'
+    return "", [f"{table.source} has {fact}; give sample_time, or the name of the time column as time."]
+
+
+def _period(stamps: FloatArray) -> float:
+    """Return the time between samples [s] of stamps that have been checked."""
+    index, first = np.arange(stamps.size), float(stamps[1] - stamps[0])
+    if np.array_equal(stamps[0] + index * first, stamps):
+        return first  # stamps that were computed give their sample time back to the last bit
+    # The mean over the record is better than any one step; its thirteenth digit is rounding.
+    return float(f"{(stamps[-1] - stamps[0]) / index[-1]:.12g}")

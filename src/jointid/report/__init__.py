@@ -1,1 +1,0 @@
-"""Figures and tables; this room only ever reads answers."""

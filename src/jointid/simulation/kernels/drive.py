@@ -1,0 +1,898 @@
+"""The exact simulation of one drive in its sampled loop, compiled.
+
+Between two events the drive is linear and its torque is held, so a whole controller period is one affine map,
+exact to rounding; each sliding, sticking and direction mode of the two masses has its own. Three layers make it fast:
+
+1. the map, applied once a period;
+2. a proof that no mass reversed, stuck or came loose inside the period: by chords in a few operations (`_glide`), or
+   by parabolas in some forty (`_calm`);
+3. where the proof fails, about one period in a hundred, an event solver (`_travel`): Taylor series of the motion,
+   the first event isolated by the signs of its Bernstein coefficients, friction as a set (a mass at rest stays
+   at rest while its Coulomb force can hold it).
+
+A rigid joint is the same drive with no spring and a load that nothing pushes: the load sticks for ever.
+
+Gravity depends on the position, but slowly: over a part of a period it is held, as the torque is, at what it is in
+mid-part (`_gravity`), and a held force on the load needs nothing new (see `run`). What holding costs is an error of
+second order in the period, the only one here.
+
+State ``x`` = motor position, motor velocity, load position, load velocity. Every function called from `run` lives
+in this file, because the cache on disk does not notice edits in another one. They pass numbers and tuples rather
+than arrays: Numba counts references to an array at each call, with an atomic operation as dear as thirty others.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.common.compiled import compiled, inlined
+
+IntArray: TypeAlias = NDArray[np.int64]
+State: TypeAlias = tuple[float, float, float, float]
+
+# How a simulation ended.
+FINISHED, DIVERGED, TOO_STIFF, CHATTERING = 0, 1, 2, 3
+
+_MAP = 24  # one mode's map: five columns of four, then what its proofs need
+_MAP_ORDER = 14  # of its Taylor series
+_ORDER = 10  # of the event solver's; with the step below, its remainder is at most 30 times the rounding error
+_STEP = 0.25  # longest Taylor step, as a fraction of 1/(fastest rate of the drive)
+_DEPTH = 40  # of the halvings that isolate a root
+_EVENTS = 200  # per period; a physical drive has a handful
+_PIECES = 4096  # Taylor steps per period at most: a drive faster than that is no drive under this controller
+_WORK = 20  # Taylor steps a simulation may take, per period: bounds the time an absurd candidate can cost
+
+# One row of the tape for each piece of a part that had an event: which part, how long, the modes in it, the state it
+# began with, then the mass whose velocity the event took to zero (or -1) and the mode it went on in.
+TAPE = 10
+
+# Rows of the event solver's scratch: the series of the states and the spring's force, the function whose root is
+# sought and its slope, then the stack of halved intervals, each with its ends in two more columns.
+_SPRING, _SOUGHT, _SLOPE, _STACK = 4, 5, 6, 7
+_LOW, _HIGH = _ORDER + 1, _ORDER + 2
+
+
+def _bernstein_table() -> FloatArray:
+    n = _ORDER
+    table = np.zeros((n + 1, n + 1))
+    for i in range(n + 1):
+        for j in range(i + 1):
+            table[i, j] = math.comb(i, j) / math.comb(n, j)
+    return table
+
+
+_BERNSTEIN = _bernstein_table()
+_FACTOR = np.array([1.0 / math.factorial(i) for i in range(_MAP_ORDER + 1)])
+
+
+class _Drive(NamedTuple):
+    """One drive: the row of coefficients that `run` is given, friction per direction."""
+
+    inertia1: float
+    inertia2: float
+    stiffness: float
+    damping: float
+    viscous1: float
+    viscous1_back: float
+    coulomb1: float
+    coulomb1_back: float
+    viscous2: float
+    viscous2_back: float
+    coulomb2: float
+    coulomb2_back: float
+    offset1: float  # constant forces the motor and the load work against
+    offset2: float
+
+
+class _Gravity(NamedTuple):
+    """What depends on the position: the row of coefficients that `run` is given."""
+
+    cos: float
+    sin: float
+    rate: float
+    angle: float
+    of_load: bool
+
+
+class _Motion(NamedTuple):
+    """The drive in one mode, where it is linear; a mass at rest is one that no force can move."""
+
+    mobility1: float
+    mobility2: float
+    viscous1: float
+    viscous2: float
+    force1: float
+    force2: float
+
+
+class _Law(NamedTuple):
+    """The controller, if its feedback has at most two states: numbers, which stay in registers."""
+
+    c0: float
+    c1: float
+    a00: float
+    a01: float
+    a10: float
+    a11: float
+    b0: float
+    b1: float
+    e0: float
+    e1: float
+    d: float
+    two: bool  # states of the feedback; else one or none
+    limit: float
+    lag: int
+    before: float
+
+
+class Feedback(NamedTuple):
+    """A sampled law with what does not depend on the motion taken out (`jointid.models.controllers.SampledLaw`).
+
+    The arrays come by the phase of the law's cycle: A (phases, nz, nz), Bq (phases, nz) from the position, F (phases,
+    nz, elements) from what limits and gates take away, C (phases, elements, nz), D (phases, elements) from the
+    position, E (phases, elements, elements); limits and gates are (elements,), of all phases. `driven` (periods, nz) is
+    what else goes into the states; (0, nz) where the responses `w` hold it. `output` is the element whose value acts,
+    `tap` the one that is the torque's limit.
+    """
+
+    A: FloatArray
+    Bq: FloatArray
+    F: FloatArray
+    C: FloatArray
+    D: FloatArray
+    E: FloatArray
+    limits: FloatArray
+    gates: IntArray
+    driven: FloatArray
+    output: int
+    tap: int
+
+
+NO_FEEDBACK = Feedback(
+    np.zeros((1, 0, 0)), np.zeros((1, 0)), np.zeros((1, 0, 1)), np.zeros((1, 1, 0)), np.zeros((1, 1)),
+    np.zeros((1, 1, 1)), np.full(1, np.inf), np.full(1, -1, dtype=np.int64), np.zeros((0, 0)), 0, 0,
+)  # fmt: skip
+"""That of a torque which is prescribed: its response is all there is."""
+
+
+@inlined
+def _motion(p: _Drive, m1: int, m2: int) -> _Motion:
+    """Return the drive in one mode."""
+    mobility1, viscous1, force1 = 0.0, 0.0, 0.0
+    if m1 != 0:
+        mobility1 = 1.0 / p.inertia1
+        viscous1 = p.viscous1 if m1 > 0 else p.viscous1_back
+        force1 = -p.offset1 - (p.coulomb1 if m1 > 0 else -p.coulomb1_back)
+    mobility2, viscous2, force2 = 0.0, 0.0, 0.0
+    if m2 != 0:
+        mobility2 = 1.0 / p.inertia2
+        viscous2 = p.viscous2 if m2 > 0 else p.viscous2_back
+        force2 = -p.offset2 - (p.coulomb2 if m2 > 0 else -p.coulomb2_back)
+    return _Motion(mobility1, mobility2, viscous1, viscous2, force1, force2)
+
+
+@inlined
+def _settled(p: _Drive, x: State, s: float, mass: int) -> int:
+    """Return the mode of a mass at rest: 0 while its Coulomb force can hold the push, else the push's direction."""
+    spring = p.stiffness * (x[2] - x[0]) + p.damping * (x[3] - x[1])
+    push, forwards, backwards = s - p.offset1 + spring, p.coulomb1, p.coulomb1_back
+    if mass == 1:
+        push, forwards, backwards = -p.offset2 - spring, p.coulomb2, p.coulomb2_back
+    mode = 0
+    if push > forwards:
+        mode = 1
+    elif push < -backwards:
+        mode = -1
+    return mode
+
+
+@inlined
+def _gravity(g: _Gravity, q: float, v: float, slid: float, h: float, since: float) -> float:
+    """Return gravity's force where its mass will be in the middle of a part of `h` seconds.
+
+    The acceleration is that since the last part began, `since` seconds ago, with the velocity `slid`. A mass at rest
+    may stay, so its force is what it is now, to the last bit.
+    """
+    ahead = 0.5 * h * (v + 0.25 * h / since * (v - slid)) if v != 0.0 else 0.0
+    phase = g.angle * (q + ahead)
+    return g.cos * math.cos(phase) + g.sin * math.sin(phase) + g.rate * (q + ahead)
+
+
+@inlined
+def _fastest_rate(p: _Drive) -> float:
+    """Bound in 1/s on how fast the drive's own motion can change: spring plus damping."""
+    mobility = 1.0 / p.inertia1 + 1.0 / p.inertia2
+    viscous1 = max(abs(p.viscous1), abs(p.viscous1_back)) / p.inertia1
+    viscous2 = max(abs(p.viscous2), abs(p.viscous2_back)) / p.inertia2
+    return math.sqrt(p.stiffness * mobility) + p.damping * mobility + viscous1 + viscous2
+
+
+@compiled
+def _fill_map(m: FloatArray, b: int, p: _Drive, m1: int, m2: int, h: float) -> None:
+    """Write the map of one mode over `h` seconds at m[b:], column by column, and the margins of its proofs.
+
+    A column is what the motion adds to the positions, and its final velocities, when it starts from a unit of motor
+    velocity, stretch or load velocity, or from rest under a unit of torque or the constant forces. A step too long
+    for its Taylor series is halved first and the map doubled back.
+    """
+    step, doublings = h, 0
+    while _fastest_rate(p) * step > _STEP and doublings < 60:
+        step *= 0.5
+        doublings += 1
+    f = _motion(p, m1, m2)
+    h1, h2 = step * f.mobility1, step * f.mobility2
+    stiff1, stiff2, damp1, damp2 = p.stiffness * h1, p.stiffness * h2, p.damping * h1, p.damping * h2
+    drag1, drag2 = f.viscous1 * h1, f.viscous2 * h2
+    for column in range(5):
+        at = b + 4 * column
+        v1 = 1.0 if column == 0 and m1 != 0 else 0.0
+        stretch = 1.0 if column == 1 else 0.0
+        v2 = 1.0 if column == 2 and m2 != 0 else 0.0
+        force1 = h1 if column == 3 else (h1 * f.force1 if column == 4 else 0.0)
+        force2 = h2 * f.force2 if column == 4 else 0.0
+        m[at], m[at + 1], m[at + 2], m[at + 3] = 0.0, v1, 0.0, v2
+        for k in range(1, _MAP_ORDER + 1):
+            m[at] += v1 * (step * _FACTOR[k])
+            m[at + 2] += v2 * (step * _FACTOR[k])
+            apart = v2 - v1
+            v1 = ((force1 + stiff1 * stretch) - drag1 * v1) + damp1 * apart
+            v2 = ((force2 - stiff2 * stretch) - drag2 * v2) - damp2 * apart
+            stretch = step * apart
+            force1, force2 = 0.0, 0.0
+            m[at + 1] += v1 * _FACTOR[k]
+            m[at + 3] += v2 * _FACTOR[k]
+    for _ in range(doublings):
+        q00, q01, q02, q03 = m[b], m[b + 1], m[b + 2], m[b + 3]
+        q10, q11, q12, q13 = m[b + 4], m[b + 5], m[b + 6], m[b + 7]
+        q20, q21, q22, q23 = m[b + 8], m[b + 9], m[b + 10], m[b + 11]
+        for column in range(5):
+            at = b + 4 * column
+            d0, v1, d2, v2 = m[at], m[at + 1], m[at + 2], m[at + 3]
+            stretch = (1.0 if column == 1 else 0.0) + (d2 - d0)
+            again = 1.0 if column > 2 else 0.0  # a force acts in the second half, too
+            m[at] = d0 + again * d0 + (q00 * v1 + q10 * stretch + q20 * v2)
+            m[at + 1] = again * v1 + (q01 * v1 + q11 * stretch + q21 * v2)
+            m[at + 2] = d2 + again * d2 + (q02 * v1 + q12 * stretch + q22 * v2)
+            m[at + 3] = again * v2 + (q03 * v1 + q13 * stretch + q23 * v2)
+    bend1, bend2, growth = _margins(p, f, m1, m2, h)
+    m[b + 20], m[b + 21] = bend1 * growth, bend2 * growth
+    m[b + 22], m[b + 23] = (bend1, bend2) if growth == 1.0 else (np.inf, np.inf)
+
+
+@inlined
+def _margins(p: _Drive, f: _Motion, m1: int, m2: int, h: float) -> tuple[float, float, float]:
+    """Return how far what must stay positive can bend from its chord in a period, per root energy; and its growth.
+
+    While the torque is held, the energy of the rates of change, E = M1 a1^2 + M2 a2^2 + K (v2 - v1)^2, can only
+    fall (its root grows by at most `growth` where a candidate has negative viscous friction), so it bounds every
+    second derivative over the period by its value at the start; a function stays within h^2/8 max|f''| of its chord.
+    The root energy is sqrt(M1 E), so that a change of the torque changes it by no more than itself.
+    """
+    root1, root2 = math.sqrt(p.inertia1), math.sqrt(p.inertia2)
+    shared = math.sqrt(p.stiffness) + p.damping * (1.0 / root1 + 1.0 / root2)
+    bend1 = (abs(f.viscous1) / root1 + shared) / p.inertia1  # of the motor's velocity
+    bend2 = (abs(f.viscous2) / root2 + shared) / p.inertia2  # of the load's velocity
+    push1 = p.stiffness / root2 + p.damping * bend2  # of the push on a motor at rest
+    push2 = p.stiffness / root1 + p.damping * bend1  # of the push on a load at rest
+    lowest = min(f.viscous1 * f.mobility1, f.viscous2 * f.mobility2, 0.0)
+    growth = math.exp(min(-lowest * h, 50.0))
+    bend = h * h / 8.0 / root1
+    return bend * (bend1 if m1 != 0 else push1), bend * (bend2 if m2 != 0 else push2), growth
+
+
+@inlined
+def _positive(start: float, slope: float, end: float, margin: float) -> bool:
+    """Prove that a function is positive between two ends that are not negative.
+
+    It differs from the parabola with the same ends and first slope by at most h^3/6 max|f'''| t^2 (1 - t), t from 0
+    to 1. `slope` is h f', and `margin` h^3/6 max|f'''|.
+    """
+    return start >= 0.0 and end >= 0.0 and 2.0 * start + slope >= margin
+
+
+@inlined
+def _held(forwards: float, backwards: float, start: float, slope: float, end: float, margin: float) -> bool:
+    """Prove that the push on a mass at rest stays within its cone."""
+    return _positive(forwards - start, -slope, forwards - end, margin) and _positive(
+        backwards + start, slope, backwards + end, margin
+    )
+
+
+@inlined
+def _calm(
+    p: _Drive, f: _Motion, bend1: float, bend2: float, x: State, y: State, s: float, m1: int, m2: int, h: float
+) -> tuple[bool, float]:
+    """Prove that a period from `x` to `y` under a held torque `s` has no event; return that and the root energy at `x`.
+
+    The root energy is sqrt(M1 E), a torque (see `_margins`); that of the rates of the rates bounds third derivatives
+    as that of the rates bounds second ones. False means "not proved".
+    """
+    x0, x1, x2, x3 = x
+    y0, y1, y2, y3 = y
+    apart = x3 - x1
+    spring, end = p.stiffness * (x2 - x0) + p.damping * apart, p.stiffness * (y2 - y0) + p.damping * (y3 - y1)
+    a1 = (s + spring + f.force1 - f.viscous1 * x1) * f.mobility1
+    a2 = (f.force2 - spring - f.viscous2 * x3) * f.mobility2
+    slope = p.stiffness * apart + p.damping * (a2 - a1)  # of the spring's force
+    j1 = (slope - f.viscous1 * a1) * f.mobility1
+    j2 = (-slope - f.viscous2 * a2) * f.mobility2
+    root = math.sqrt(p.inertia1 * (p.inertia1 * a1 * a1 + p.inertia2 * a2 * a2 + p.stiffness * apart * apart))
+    third = math.sqrt(p.inertia1 * (p.inertia1 * j1 * j1 + p.inertia2 * j2 * j2 + p.stiffness * (a2 - a1) ** 2))
+    third *= 4.0 / 3.0 * h
+    if m1 != 0:
+        calm = m1 * y1 > 0.0 and _positive(m1 * x1, m1 * a1 * h, m1 * y1, bend1 * third)
+    else:
+        push = s - p.offset1
+        calm = _held(p.coulomb1, p.coulomb1_back, push + spring, slope * h, push + end, bend1 * third)
+    if m2 != 0:
+        calm = calm and m2 * y3 > 0.0 and _positive(m2 * x3, m2 * a2 * h, m2 * y3, bend2 * third)
+    else:
+        push = -p.offset2
+        calm = calm and _held(p.coulomb2, p.coulomb2_back, push - spring, -slope * h, push - end, bend2 * third)
+    return calm, root
+
+
+@inlined
+def _value(c: FloatArray, row: int, t: float) -> float:
+    """Return a polynomial's value: Estrin's scheme, whose chain is half as long as Horner's."""
+    t2 = t * t
+    t4 = t2 * t2
+    low = (c[row, 0] + c[row, 1] * t) + (c[row, 2] + c[row, 3] * t) * t2
+    middle = (c[row, 4] + c[row, 5] * t) + (c[row, 6] + c[row, 7] * t) * t2
+    high = (c[row, 8] + c[row, 9] * t) + c[row, 10] * t2
+    return low + (middle + high * t4) * t4
+
+
+@inlined
+def _first_root(c: FloatArray) -> float:
+    """Return the first root in (0, 1] of the polynomial in row _SOUGHT; 2.0 if there is none.
+
+    A start below zero is a root at 0. Newton, kept inside a shrinking bracket.
+    """
+    start, slope = c[_SOUGHT, 0], c[_SOUGHT, 1]
+    total, size, slopes, slope_size = slope, abs(slope), 0.0, 0.0
+    c[_SLOPE, 0], c[_SLOPE, _ORDER] = slope, 0.0
+    for i in range(2, _ORDER + 1):
+        value = c[_SOUGHT, i]
+        rise = i * value
+        total += value
+        size += abs(value)
+        slopes += rise
+        slope_size += abs(rise)
+        c[_SLOPE, i - 1] = rise
+    root, low, high, t = 2.0, 0.0, 1.0, 2.0
+    if start < 0.0:
+        root = 0.0
+    elif start + 0.5 * (total - size) > 0.0 or slope + 0.5 * (slopes - slope_size) >= 0.0:
+        pass  # positive throughout, or rising throughout
+    elif slope + 0.5 * (slopes + slope_size) < 0.0:  # falling throughout: one root or none
+        if start + total < 0.0:
+            # The root of the leading parabola starts Newton a step ahead.
+            t = 2.0 * start / (math.sqrt(max(slope * slope - 4.0 * start * c[_SOUGHT, 2], 0.0)) - slope)
+            t = min(t, 1.0)
+    else:
+        low, high = _isolate(c)
+        t = 0.5 * (low + high)
+    if t <= 1.0:
+        for _ in range(100):
+            value, slope = _value(c, _SOUGHT, t), _value(c, _SLOPE, t)
+            if value < 0.0:
+                high = t
+            else:
+                low = t
+            new = t - value / slope if slope != 0.0 else t + 1.0
+            root = min(max(new, low), high)
+            if abs(new - t) <= 1e-9:  # Newton squares the error: the next step would be under the rounding
+                break
+            t = new if low < new < high else 0.5 * (low + high)
+            if high - low <= 1e-16:
+                break
+    return root
+
+
+@compiled
+def _isolate(c: FloatArray) -> tuple[float, float]:
+    """Return an interval in which the polynomial in row _SOUGHT has its first sign change, and only that; 2.0: none.
+
+    The signs of its Bernstein coefficients bound the number of roots: none changes, no root; one change, one
+    root. Otherwise the interval is halved, left half first.
+    """
+    n = _ORDER
+    top = _STACK
+    c[top, _LOW], c[top, _HIGH] = 0.0, 1.0
+    for i in range(n + 1):
+        c[top, i] = 0.0
+        for j in range(i + 1):
+            c[top, i] += _BERNSTEIN[i, j] * c[_SOUGHT, j]
+    while top >= _STACK:
+        changes = 0
+        sign = 1.0
+        for i in range(n + 1):
+            if c[top, i] * sign < 0.0:
+                changes += 1
+                sign = -sign
+        low, high = c[top, _LOW], c[top, _HIGH]
+        if changes == 1:
+            return low, high
+        # Two roots within rounding: it touches zero and comes back.
+        if changes == 0 or top == _STACK + _DEPTH - 1 or high - low < 1e-12:
+            top -= 1
+            continue
+        middle = 0.5 * (low + high)
+        for i in range(n + 1):  # de Casteljau: the left half goes above, the right half stays, reversed
+            c[top + 1, i] = c[top, 0]
+            for j in range(n - i):
+                c[top, j] = 0.5 * (c[top, j] + c[top, j + 1])
+        for i in range((n + 1) // 2):
+            c[top, i], c[top, n - i] = c[top, n - i], c[top, i]
+        c[top, _LOW] = c[top + 1, _HIGH] = middle
+        c[top + 1, _LOW] = low
+        top += 1
+    return 2.0, 2.0
+
+
+@inlined
+def _series(c: FloatArray, p: _Drive, f: _Motion, x: State, s: float, h: float, loose1: bool, loose2: bool) -> None:
+    """Fill c[state, order] with the Taylor series of the motion over a step of `h`, time counted in steps.
+
+    A mass that has just come loose (`loose`) has, exactly, no velocity and no acceleration: rounding must not
+    give it one, or the sign of the motion that follows would be noise.
+    """
+    h1, h2 = h * f.mobility1, h * f.mobility2
+    stiff1, stiff2, damp1, damp2 = p.stiffness * h1, p.stiffness * h2, p.damping * h1, p.damping * h2
+    drag1, drag2 = f.viscous1 * h1, f.viscous2 * h2
+    force1, force2 = (s + f.force1) * h1, f.force2 * h2
+    c[0, 0], c[2, 0] = x[0], x[2]
+    stretch, v1, v2 = x[2] - x[0], x[1], x[3]
+    for k in range(_ORDER + 1):
+        apart = v2 - v1
+        c[1, k], c[3, k] = v1 * _FACTOR[k], v2 * _FACTOR[k]
+        c[_SPRING, k] = (p.stiffness * stretch + p.damping * apart) * _FACTOR[k]
+        if k < _ORDER:
+            c[0, k + 1], c[2, k + 1] = v1 * (h * _FACTOR[k + 1]), v2 * (h * _FACTOR[k + 1])
+        v1 = ((force1 + stiff1 * stretch) - drag1 * v1) + damp1 * apart
+        v2 = ((force2 - stiff2 * stretch) - drag2 * v2) - damp2 * apart
+        stretch = h * apart
+        force1, force2 = 0.0, 0.0
+        if k == 0:
+            v1, v2 = 0.0 if loose1 else v1, 0.0 if loose2 else v2
+
+
+@inlined
+def _first_event(
+    c: FloatArray, p: _Drive, s: float, m1: int, m2: int, known1: int, known2: int
+) -> tuple[float, int, int]:
+    """Return when the first event is (2.0: not in this step), in steps, its mass, and the mode that comes loose to.
+
+    A sliding mass stops when its velocity falls to zero; one at rest comes loose when the push on it leaves its cone,
+    forwards or backwards. `known` counts the leading coefficients of a velocity that are zero by construction, or is
+    the direction of the edge of its cone where a mass is at rest: these are divided out, so that the root at the start
+    is not found again.
+    """
+    first, which, loose = 2.0, 0, 0
+    for guard in range(4):
+        mass, direction = guard // 2, 1 - 2 * (guard % 2)
+        mode, known = (m1, known1) if mass == 0 else (m2, known2)
+        if mode != 0:
+            if mode != direction:
+                continue
+            out, row, constant, sign = known, 1 + 2 * mass, 0.0, float(mode)
+            if known == 2 and mode * c[row, 2] <= 0.0:  # came loose at the edge but is pushed back: it never moved
+                if first > 0.0:
+                    first, which, loose = 0.0, mass, 0
+                continue
+        else:
+            out, row, sign = int(known == direction), _SPRING, float(-direction)
+            if mass == 0:
+                constant = (p.coulomb1 if direction > 0 else p.coulomb1_back) - direction * (s - p.offset1)
+            else:
+                sign = float(direction)
+                constant = (p.coulomb2 if direction > 0 else p.coulomb2_back) + direction * p.offset2
+        for i in range(_ORDER + 1):
+            c[_SOUGHT, i] = sign * c[row, i]
+        c[_SOUGHT, 0] += constant
+        for _ in range(out):  # at the edge only a push that grows leads out
+            for i in range(_ORDER):
+                c[_SOUGHT, i] = c[_SOUGHT, i + 1]
+            c[_SOUGHT, _ORDER] = 0.0
+        moment = _first_root(c)
+        if moment < first:
+            first, which, loose = moment, mass, direction if mode == 0 else 0
+    return first, which, loose
+
+
+@inlined
+def _travel(
+    c: FloatArray, p: _Drive, x: State, m1: int, m2: int, s: float, h: float, longest: float,
+    tape: FloatArray, row: int, part: int,
+) -> tuple[State, int, int, int, int]:  # fmt: skip
+    """Move `x` over `h` seconds under a held torque `s` with every event located; return modes, events, Taylor steps.
+
+    The number of events is negative when there are more than a physical drive can have. Each step is a row of the
+    tape, from `row` on, as far as it goes.
+    """
+    x0, x1, x2, x3 = x
+    known1 = 1 if m1 != 0 and x1 == 0.0 else 0
+    known2 = 1 if m2 != 0 and x3 == 0.0 else 0
+    events, steps = 0, 0
+    done = 0.0
+    while done < h and events >= 0:
+        remaining = h - done
+        pieces = 1 if remaining <= longest else math.ceil(remaining / longest)
+        step = remaining / pieces
+        steps += 1
+        loose1, loose2 = m1 != 0 and known1 == 2, m2 != 0 and known2 == 2
+        _series(c, p, _motion(p, m1, m2), (x0, x1, x2, x3), s, step, loose1, loose2)
+        first, mass, loose = _first_event(c, p, s, m1, m2, known1, known2)
+        t = min(first, 1.0)
+        taped = row + steps - 1
+        if taped < tape.shape[0]:
+            tape[taped, 0], tape[taped, 1], tape[taped, 2], tape[taped, 3] = part, t * step, m1, m2
+            tape[taped, 4], tape[taped, 5], tape[taped, 6], tape[taped, 7] = x0, x1, x2, x3
+            tape[taped, 8], tape[taped, 9] = -1.0, 0.0
+        back1, back2 = loose1, loose2  # came loose, and is pushed back at once
+        if t > 0.0:
+            x0, x1, x2, x3 = _value(c, 0, t), _value(c, 1, t), _value(c, 2, t), _value(c, 3, t)
+            done = h if pieces == 1 and t == 1.0 else done + t * step
+            known1, known2 = 0, 0
+            back1, back2 = False, False
+        if first <= 1.0:
+            stopped = (m1 != 0 and not back1) if mass == 0 else (m2 != 0 and not back2)
+            if mass == 0:
+                if stopped:
+                    x1 = 0.0
+                m1, known1 = _after(m1, loose, back1, _settled(p, (x0, x1, x2, x3), s, 0))
+            else:
+                if stopped:
+                    x3 = 0.0
+                m2, known2 = _after(m2, loose, back2, _settled(p, (x0, x1, x2, x3), s, 1))
+            if stopped and taped < tape.shape[0]:
+                tape[taped, 8], tape[taped, 9] = mass, m1 if mass == 0 else m2
+            events = events + 1 if events < _EVENTS else -1
+    return (x0, x1, x2, x3), m1, m2, events, steps
+
+
+@inlined
+def _after(mode: int, loose: int, back: bool, settled: int) -> tuple[int, int]:
+    """Return the mode of a mass after its event, and what is then known of it (see `_first_event`)."""
+    after, known = settled, 1 if settled != 0 else 0
+    if mode == 0:
+        after, known = loose, 2
+    elif back or settled == mode:  # stopped where rounding says it may go on: at rest, at that edge of its cone
+        after, known = 0, mode
+    return after, known
+
+
+@inlined
+def _small(feedback: Feedback, nz: int) -> tuple[float, ...]:
+    """Return the coefficients of a feedback of at most two states, one limit and one phase."""
+    A, C, b, e = feedback.A, feedback.C, feedback.Bq, feedback.F
+    law = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    if nz == 1:
+        law = C[0, 0, 0], 0.0, A[0, 0, 0], 0.0, 0.0, 0.0, b[0, 0], 0.0, e[0, 0, 0], 0.0
+    if nz == 2:
+        law = (
+            C[0, 0, 0], C[0, 0, 1], A[0, 0, 0], A[0, 0, 1], A[0, 1, 0], A[0, 1, 1], b[0, 0], b[0, 1],
+            e[0, 0, 0], e[0, 1, 0],
+        )  # fmt: skip
+    return law
+
+
+@inlined
+def _control_any(
+    feedback: Feedback,
+    w: FloatArray,
+    k: int,
+    q: float,
+    z: FloatArray,
+    new: FloatArray,
+    raw: FloatArray,
+    cut: FloatArray,
+) -> None:
+    """Evaluate any law: write what its elements would put out and what their limits and gates take; move its states."""
+    phase, nz = k % feedback.A.shape[0], z.size
+    for i in range(cut.size):
+        value = w[i, k] + feedback.D[phase, i] * q
+        for j in range(nz):
+            value += feedback.C[phase, i, j] * z[j]
+        for j in range(i):
+            value += feedback.E[phase, i, j] * cut[j]
+        raw[i], cut[i] = value, 0.0
+        if feedback.gates[i] >= 0:
+            if value * cut[feedback.gates[i]] < 0.0:
+                cut[i] = -value
+        elif abs(value) > feedback.limits[i]:
+            cut[i] = math.copysign(feedback.limits[i], value) - value
+    for i in range(nz):
+        value = feedback.Bq[phase, i] * q
+        if feedback.driven.shape[0] > 0:
+            value += feedback.driven[k, i]
+        for j in range(nz):
+            value += feedback.A[phase, i, j] * z[j]
+        for j in range(cut.size):
+            value += feedback.F[phase, i, j] * cut[j]
+        new[i] = value
+    for i in range(nz):
+        z[i] = new[i]
+
+
+@inlined
+def _control(law: _Law, w: float, q: float, z: tuple[float, float]) -> tuple[float, int, tuple[float, float]]:
+    """Return the controller's output, whether it is at its limit, and the next state of its feedback."""
+    z0, z1 = z
+    if law.two:
+        raw = (w + (law.c0 * z0 + law.c1 * z1)) + law.d * q
+        z0, z1 = (law.a00 * z0 + law.a01 * z1) + law.b0 * q, (law.a10 * z0 + law.a11 * z1) + law.b1 * q
+    else:
+        raw = (w + law.c0 * z0) + law.d * q
+        z0 = law.a00 * z0 + law.b0 * q
+    command, clipped = raw, 0
+    if not abs(raw) <= law.limit:  # a branch: the limit stays out of the chain of operations from state to state
+        command, clipped = min(max(raw, -law.limit), law.limit), 1
+        z0 += law.e0 * (command - raw)
+        z1 += law.e1 * (command - raw)
+    return command, clipped, (z0, z1)
+
+
+@inlined
+def _rest(
+    p: _Drive, law: _Law, w: FloatArray, post: FloatArray, u: FloatArray, states: FloatArray,
+    z: tuple[float, float], x: State, k: int,
+) -> tuple[int, int, State, tuple[float, float]]:  # fmt: skip
+    """Simulate from period `k` while both masses stand still; return as `_glide`."""
+    spring = p.stiffness * (x[2] - x[0])
+    held = -p.coulomb2_back <= -p.offset2 - spring <= p.coulomb2
+    lowest, highest = p.offset1 - spring - p.coulomb1_back, p.offset1 - spring + p.coulomb1
+    keep = states.shape[0] > 0
+    clipped = 0
+    while k < w.size:
+        at = np.uint64(k)
+        u[at], limited, z = _control(law, w[at], x[0], z)
+        clipped += limited
+        s = law.before
+        if k >= law.lag:
+            s = u[np.uint64(k - law.lag)] + post[np.uint64(k - law.lag)]
+        if keep:
+            states[at, 0], states[at, 1], states[at, 2], states[at, 3] = x
+        if not (held and lowest <= s <= highest):
+            break
+        k += 1
+    return k, clipped, x, z
+
+
+@inlined
+def _glide(
+    resting: bool, p: _Drive, law: _Law, w: FloatArray, post: FloatArray, u: FloatArray, states: FloatArray,
+    m: FloatArray, b: int, m1: int, m2: int, z: tuple[float, float], x: State, bound: float, last: float, k: int,
+) -> tuple[int, int, State, tuple[float, float]]:  # fmt: skip
+    """Simulate from period `k` while a chord shows that nothing happens; `resting` if one mass stands still.
+
+    Return the first period that is left to `_calm`, where the controller has already run; how often it was at its
+    limit; and both states. A chord needs the root energy (see `_calm`): `bound` bounds it in a period before under the
+    torque `last`, and it grows by at most the change of the torque. For a torque that acts over whole periods, and a
+    controller with at most two states.
+    """
+    x0, x1, x2, x3 = x
+    p00, p10, p20, p30 = m[b], m[b + 1], m[b + 2], m[b + 3]
+    p01, p11, p21, p31 = m[b + 4], m[b + 5], m[b + 6], m[b + 7]
+    p02, p12, p22, p32 = m[b + 8], m[b + 9], m[b + 10], m[b + 11]
+    g0, g1, g2, g3 = m[b + 12], m[b + 13], m[b + 14], m[b + 15]
+    f0, f1, f2, f3 = m[b + 16], m[b + 17], m[b + 18], m[b + 19]
+    chord1, chord2 = m[b + 22], m[b + 23]
+    # Velocities in the direction of their mode are positive while nothing happens.
+    d1, d2 = -1.0 if m1 < 0 else 1.0, -1.0 if m2 < 0 else 1.0
+    x1, p00, p20, p11, p31, g1, f1 = d1 * x1, d1 * p00, d1 * p20, d1 * p11, d2 * p31, d1 * g1, d1 * f1
+    x3, p02, p22, p12, p30, g3, f3 = d2 * x3, d2 * p02, d2 * p22, d1 * d2 * p12, d1 * d2 * p30, d2 * g3, d2 * f3
+    keep = states.shape[0] > 0
+    clipped = 0
+    stretch = x2 - x0
+    while k < w.size:
+        at = np.uint64(k)  # Numba looks for negative indices among the signed
+        command, limited, z = _control(law, w[at], x0, z)
+        clipped += limited
+        u[at] = command
+        s = law.before
+        if law.lag == 0:
+            s = command + post[at]
+        elif k >= law.lag:
+            s = u[np.uint64(k - law.lag)] + post[np.uint64(k - law.lag)]
+        if keep:
+            states[at, 0], states[at, 1], states[at, 2], states[at, 3] = x0, d1 * x1, x2, d2 * x3
+        y0 = (x0 + (p00 * x1 + p02 * x3)) + ((f0 + p01 * stretch) + g0 * s)
+        y1 = (p10 * x1 + p12 * x3) + ((f1 + p11 * stretch) + g1 * s)
+        y2 = (x2 + (p20 * x1 + p22 * x3)) + ((f2 + p21 * stretch) + g2 * s)
+        y3 = (p30 * x1 + p32 * x3) + ((f3 + p31 * stretch) + g3 * s)
+        bound += abs(s - last)
+        last = s
+        room1, room2 = min(x1, y1), min(x3, y3)
+        if resting:
+            spring = p.stiffness * stretch + p.damping * (d2 * x3 - d1 * x1)
+            end = p.stiffness * (y2 - y0) + p.damping * (d2 * y3 - d1 * y1)
+            least, most = min(spring, end), max(spring, end)
+            # A cone without width holds what nothing pushes: the load of a rigid joint.
+            if m1 == 0:
+                room1 = 1e-300 + min(p.coulomb1 - (s - p.offset1 + most), p.coulomb1_back + (s - p.offset1 + least))
+            else:
+                room2 = 1e-300 + min(p.coulomb2 + (p.offset2 + least), p.coulomb2_back - (p.offset2 + most))
+        if not (room1 > chord1 * bound and room2 > chord2 * bound):
+            break
+        x0, x1, x2, x3 = y0, y1, y2, y3
+        stretch = y2 - y0
+        k += 1
+    return k, clipped, (x0, d1 * x1, x2, d2 * x3), z
+
+
+@compiled
+def run(
+    drive: FloatArray,
+    lengths: FloatArray,
+    lags: IntArray,
+    z: FloatArray,
+    feedback: Feedback,
+    w: FloatArray,
+    post: FloatArray,
+    before: float,
+    x: FloatArray,
+    far: float,
+    u: FloatArray,
+    tapped: FloatArray,
+    excess: FloatArray,
+    states: FloatArray,
+    modes: NDArray[np.int8],
+    tape: FloatArray,
+    counts: IntArray,
+    gravity: FloatArray | None = None,
+) -> int:
+    """Simulate one loop; fill `u`, `tapped`, `excess`, `states`, `modes` and `tape` and return how it ended.
+
+    Args:
+        drive: (14,) coefficients: inertias, stiffness, damping; viscous forwards, backwards, Coulomb forwards,
+            backwards of the motor, then of the load; constant force the motor works against, and the load.
+        lengths: (parts,) seconds of each part of a controller period, first to last.
+        lags: (parts,) how many periods ago the torque that acts in each part was computed.
+        z: (nz,) state of the controller's feedback; may be overwritten.
+        feedback: the controller.
+        w: (elements, periods) response of its elements to its reference and to what is added before the limit.
+        post: (periods,) what is added after the limit.
+        before: torque that acted before the first period.
+        x: (4,) initial state, overwritten.
+        far: a motor position beyond which the loop counts as diverged.
+        u: (periods,) out, the torque that acts.
+        tapped: (periods,) out, the controller's output behind its limit, where that is another; else (0,).
+        excess: (periods, elements) out, what limits and gates took away; or (0, elements). Not of a law of one limit,
+            at most two states and one phase, where `u` says it.
+        states: (periods * parts, 4) out, states at the start of every part; or (0, 4).
+        modes: (periods * parts,) out, ``3 m1 + m2 + 4`` of the modes every part began in; empty when `states` is.
+        tape: (rows, TAPE) out, the Taylor steps of the parts with events; their number is counted beyond the rows, too.
+        counts: (4,) out: events, Taylor steps, periods simulated, periods at the limit.
+        gravity: (5,) factors of the cosine and the sine of an angle, and of the position; the angle per position; 1 if
+            it is the load's, whose spring then holds it, and 0 if it is the motor's. Where there is none the compiler
+            leaves out all that it would take.
+    """
+    n, parts, nz = w.shape[1], lengths.size, z.size
+    p = _Drive(
+        drive[0], drive[1], drive[2], drive[3], drive[4], drive[5], drive[6],
+        drive[7], drive[8], drive[9], drive[10], drive[11], drive[12], drive[13],
+    )  # fmt: skip
+    longest = _STEP / _fastest_rate(p)
+    if np.max(lengths) > _PIECES * longest:
+        return TOO_STIFF
+    maps = np.empty(parts * 9 * _MAP)
+    filled = np.zeros(9, dtype=np.bool_)
+    c = np.empty((_STACK + _DEPTH, _ORDER + 3))
+    new, raw, cut = np.empty(nz), np.zeros(w.shape[0]), np.zeros(w.shape[0])
+    x0, x1, x2, x3 = x[0], x[1], x[2], x[3]
+    m1 = 0 if x1 == 0.0 else (1 if x1 > 0.0 else -1)
+    m2 = 0 if x3 == 0.0 else (1 if x3 > 0.0 else -1)
+    keep = states.shape[0] > 0
+    events, steps, clipped = 0, 0, 0
+    status = FINISHED
+    alone = feedback.D.size == 1 and feedback.driven.shape[0] == 0  # one phase, one element
+    simple = parts == 1 and nz <= 2 and alone and gravity is None
+    a = _small(feedback, nz if simple else 0)
+    direct, limit, sole = feedback.D[0, 0], feedback.limits[0], w[0]
+    law = _Law(a[0], a[1], a[2], a[3], a[4], a[5], a[6], a[7], a[8], a[9], direct, nz == 2, limit, lags[0], before)
+    memory = z[0] if simple and nz > 0 else 0.0, z[1] if simple and nz > 1 else 0.0
+    bound, last = np.inf, 0.0
+    if gravity is not None:
+        g = _Gravity(gravity[0], gravity[1], gravity[2], gravity[3], gravity[4] > 0.0)
+        slid, since = x3 if g.of_load else x1, lengths[0]
+    k = 0
+    while k < n and status == FINISHED:
+        if simple:
+            start, begun = (x0, x1, x2, x3), k
+            mode = 3 * m1 + m2 + 4
+            b = mode * _MAP
+            if not filled[mode]:
+                filled[mode] = True
+                _fill_map(maps, b, p, m1, m2, lengths[0])
+            if m1 != 0 and m2 != 0:
+                k, limited, start, memory = _glide(
+                    False, p, law, sole, post, u, states, maps, b, m1, m2, memory, start, bound, last, k
+                )
+            elif m1 != 0 or m2 != 0:
+                k, limited, start, memory = _glide(
+                    True, p, law, sole, post, u, states, maps, b, m1, m2, memory, start, bound, last, k
+                )
+            else:
+                k, limited, start, memory = _rest(p, law, sole, post, u, states, memory, start, k)
+            x0, x1, x2, x3 = start
+            clipped += limited
+            if keep:
+                modes[begun:k] = mode
+            if k == n:
+                break
+        else:
+            _control_any(feedback, w, k, x0, z, new, raw, cut)
+            u[k] = raw[feedback.output] + cut[feedback.output]
+            if tapped.size > 0:
+                tapped[k] = raw[feedback.tap] + cut[feedback.tap]
+            if excess.shape[0] > 0:
+                excess[k] = cut
+            if cut[feedback.tap] != 0.0:
+                clipped += 1
+        if not (abs(x0) <= far and abs(u[k]) < np.inf):
+            status = DIVERGED
+            break
+        for part in range(parts):
+            if keep:
+                row = k * parts + part
+                states[row, 0], states[row, 1], states[row, 2], states[row, 3] = x0, x1, x2, x3
+            source = k - lags[part]
+            s = u[source] + post[source] if source >= 0 else before
+            if gravity is not None:
+                q, v = (x2, x3) if g.of_load else (x0, x1)
+                force = _gravity(g, q, v, slid, lengths[part], since)
+                slid, since = v, lengths[part]
+                # A load that a constant force pulls moves as one that hangs lower by what this stretches the spring,
+                # behind a motor that has so much less torque: then both see what they see without it.
+                shift = force / p.stiffness if g.of_load else 0.0
+                s -= force
+                stood, hung = x2, x2 + shift
+                x2 = hung
+            if x1 == 0.0:
+                m1 = _settled(p, (x0, x1, x2, x3), s, 0)
+            if x3 == 0.0:
+                m2 = _settled(p, (x0, x1, x2, x3), s, 1)
+            mode = 3 * m1 + m2 + 4
+            if keep:
+                modes[k * parts + part] = mode
+            if not filled[mode]:
+                filled[mode] = True
+                for other in range(parts):
+                    _fill_map(maps, (9 * other + mode) * _MAP, p, m1, m2, lengths[other])
+            b = (9 * part + mode) * _MAP
+            y0, y1, y2, y3 = x0, 0.0, x2, 0.0
+            for column, size in enumerate((x1, x2 - x0, x3, s, 1.0)):
+                at = b + 4 * column
+                y0, y1 = y0 + maps[at] * size, y1 + maps[at + 1] * size
+                y2, y3 = y2 + maps[at + 2] * size, y3 + maps[at + 3] * size
+            f = _motion(p, m1, m2)
+            last = s
+            calm, bound = _calm(
+                p, f, maps[b + 20], maps[b + 21], (x0, x1, x2, x3), (y0, y1, y2, y3), s, m1, m2, lengths[part]
+            )
+            if calm:
+                x0, x1, x2, x3 = y0, y1, y2, y3
+            else:
+                bound = np.inf
+                (x0, x1, x2, x3), m1, m2, found, used = _travel(
+                    c, p, (x0, x1, x2, x3), m1, m2, s, lengths[part], longest, tape, steps, k * parts + part
+                )
+                events += max(found, 0)
+                steps += used
+                if found < 0:
+                    status = CHATTERING
+                elif steps > _WORK * n + 10_000:
+                    status = TOO_STIFF
+            if gravity is not None:
+                x2 = stood + (x2 - hung)  # exactly where it stood, if it did
+        k += 1
+    x[0], x[1], x[2], x[3] = x0, x1, x2, x3
+    counts[0], counts[1], counts[2], counts[3] = events, steps, k, min(clipped, k)
+    return status

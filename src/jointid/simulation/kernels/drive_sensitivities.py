@@ -1,0 +1,570 @@
+"""The derivatives of a simulation by its parameters, exact, compiled: the tangent of the maps of `kernels`.
+
+A run has left its states, its modes and a tape of the pieces of the periods in which something happened. This follows
+it once more with a column of derivatives per parameter. Within a piece the drive is linear, so a column moves by the
+map of its mode, and is pushed by what its parameter changes in that map (the Fréchet derivative of the exponential,
+by Taylor series). At an event:
+
+- where a velocity falls to zero its derivative is scaled by the acceleration after over that before: less than 1
+  where the mass turns round, 0 where it sticks (the time of the event moves, and the slopes differ on its two sides);
+- where a mass comes loose nothing changes, since its acceleration begins at zero; where a step of the torque tears it
+  loose, the time is the controller's and does not move;
+- a delay moves the edges of the torque, so each edge kicks the velocity by the difference of the accelerations.
+
+Everything called from `follow` lives in this file but `wide_vectors`, because the compiler's cache on disk does not
+notice edits in another one. All that the loop over the periods goes on from is one array, with rows of a constant
+length: only then the compiler knows that nothing overlaps, and keeps to vector instructions.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.common.compiled import compiled, inlined, wide_vectors
+from jointid.simulation.kernels.drive import Feedback
+
+Motion: TypeAlias = tuple[float, float, float, float, float]
+
+LANES = 8  # columns that are followed at a time: one vector of a wide machine, two of others; `_written` names each
+
+_ORDER = 11  # of the Taylor series
+_STEP = 0.25  # longest Taylor step, as a fraction of 1/(fastest rate of the drive)
+_AT_REST = 4  # the mode of both masses
+_LINE = 8  # numbers of a cache line
+_INPUTS = 5  # of a map: motor velocity, stretch, load velocity, torque, constant forces
+_NOTHING = (
+    1e-200  # what falls below it is 0: near the smallest numbers there are, many machines are a hundred times slower
+)
+_OFTEN = 64  # periods after which that is looked for
+_WIDE = 4 * LANES  # of the derivatives of a state
+_FACTOR = np.array([1.0 / math.factorial(i) for i in range(_ORDER + 1)])
+
+# Rows of the scratch, LANES long: derivatives of the state, what parameters change in the map, the derivatives of the
+# torque that acts, of a Taylor series, of two states of the law, of its output and its limit; then what parameters
+# change in the output; then, in gravity, the derivatives of the velocity of its mass at the last part, of how far its
+# force hangs the load, and of its factors; last those of stiffness and damping, of the inertias, and of viscous
+# coefficient and constant force of the motor and of the load in the modes they are in: beside what is written, where
+# the compiler sees that nothing overlaps.
+_S, _T, _DS, _W, _Z, _OUT, _LIMIT, _EXPLICIT = (LANES * row for row in (0, 4, 8, 9, 12, 14, 15, 16))
+_SLID, _HUNG, _WEIGHT, _SPRING, _INERTIA, _SIDE, _ROWS = (LANES * row for row in (17, 18, 19, 22, 24, 26, 30))
+
+
+class _Law(NamedTuple):
+    """A feedback of two states at most, in its observer form: its output is its first state, and what it sees at once.
+
+    Numbers, which stay in registers; and few: of the states, z0' = own z0 + z1 and z1' = other z0.
+    """
+
+    own: float
+    other: float
+    b0: float
+    b1: float
+    e0: float
+    e1: float
+    d: float
+
+
+@compiled
+def _propagate(
+    q: FloatArray, h: float, mode: int, steady: float, s: float, motion: Motion, spring: FloatArray, side: FloatArray,
+    dside: FloatArray,
+) -> Motion:  # fmt: skip
+    """Move one piece of a motion, and its derivatives in the scratch, over `h` seconds; return the motion.
+
+    A motion is what the motor has travelled, its velocity, the stretch, what the load has travelled, its velocity.
+    `steady` is 1 where the constant forces act and 0 for the response to anything else.
+    """
+    wide_vectors()
+    one, two = mode // 3, mode % 3
+    K, F = spring[0], spring[1]
+    h1, h2 = h * side[0, 0, one], h * side[1, 0, two]
+    drag1, drag2 = side[0, 1, one] * h1, side[1, 1, two] * h2
+    d1, v1, stretch, d2, v2 = motion
+    moves1, moves2 = 1.0 if h1 > 0.0 else 0.0, 1.0 if h2 > 0.0 else 0.0
+    for j in range(LANES):
+        q[_SIDE + j], q[_SIDE + LANES + j] = dside[0, 0, one, j], dside[0, 1, one, j]
+        q[_SIDE + 2 * LANES + j], q[_SIDE + 3 * LANES + j] = dside[1, 0, two, j], dside[1, 1, two, j]
+    for j in range(LANES):
+        dv1, dv2 = moves1 * q[_S + LANES + j], moves2 * q[_S + 3 * LANES + j]
+        q[_W + LANES + j] = q[_S + 2 * LANES + j] - q[_S + j]
+        q[_W + j], q[_W + 2 * LANES + j] = dv1, dv2
+        q[_S + LANES + j], q[_S + 3 * LANES + j] = dv1, dv2
+    end1, end2, end = v1, v2, stretch
+    first = 1.0
+    for k in range(1, _ORDER + 1):
+        # What waits for the term before is added last: from one term to the next there is a chain of three operations.
+        apart = v2 - v1
+        pull = K * stretch + F * apart
+        new1 = h1 * pull + (h1 * (first * (s + steady * side[0, 2, one])) - drag1 * v1)
+        new2 = (h2 * (first * steady * side[1, 2, two]) - drag2 * v2) - h2 * pull
+        moved, rate, steadily = h * _FACTOR[k], _FACTOR[k], first * steady
+        for j in range(LANES):
+            dv1, dstretch, dv2 = q[_W + j], q[_W + LANES + j], q[_W + 2 * LANES + j]
+            dapart = dv2 - dv1
+            dpull = F * dapart + K * dstretch
+            given = q[_SPRING + j] * stretch + q[_SPRING + LANES + j] * apart
+            push1 = ((given + first * q[_DS + j]) + steadily * q[_SIDE + LANES + j]) - q[_SIDE + j] * v1
+            push2 = (steadily * q[_SIDE + 3 * LANES + j] - q[_SIDE + 2 * LANES + j] * v2) - given
+            to1 = h1 * dpull + ((h1 * push1 - q[_INERTIA + j] * new1) - drag1 * dv1)
+            to2 = ((h2 * push2 - q[_INERTIA + LANES + j] * new2) - drag2 * dv2) - h2 * dpull
+            q[_S + j] += moved * dv1
+            q[_S + LANES + j] += rate * to1
+            q[_S + 2 * LANES + j] += moved * dv2
+            q[_S + 3 * LANES + j] += rate * to2
+            q[_W + j], q[_W + LANES + j], q[_W + 2 * LANES + j] = to1, h * dapart, to2
+        d1 += moved * v1
+        d2 += moved * v2
+        end += moved * apart
+        end1 += rate * new1
+        end2 += rate * new2
+        v1, v2, stretch = new1, new2, h * apart
+        first = 0.0
+    return d1, end1, end, d2, end2
+
+
+@compiled
+def _fill(
+    q: FloatArray, h: float, rate: float, mode: int, b: int, phi: FloatArray, M: FloatArray, spring: FloatArray,
+    side: FloatArray, dside: FloatArray,
+) -> None:  # fmt: skip
+    """Write the map of a mode over `h` seconds at phi[b], and its derivatives at M[b], one input after the other."""
+    one, two = mode // 3, mode % 3
+    pieces = max(math.ceil(rate * h / _STEP), 1)
+    for i in range(_INPUTS):
+        q[:_SPRING] = 0.0
+        v1 = 1.0 if i == 0 and side[0, 0, one] > 0.0 else 0.0
+        v2 = 1.0 if i == 2 and side[1, 0, two] > 0.0 else 0.0
+        motion = 0.0, v1, 1.0 if i == 1 else 0.0, 0.0, v2
+        for _ in range(pieces):
+            motion = _propagate(
+                q, h / pieces, mode, 1.0 if i == 4 else 0.0, 1.0 if i == 3 else 0.0, motion, spring, side, dside
+            )
+        phi[b, 4 * i], phi[b, 4 * i + 1] = motion[0], motion[1]
+        phi[b, 4 * i + 2], phi[b, 4 * i + 3] = motion[3], motion[4]
+        M[b, _WIDE * i : _WIDE * (i + 1)] = q[_S : _S + _WIDE]
+
+
+@inlined
+def _pushed(q: FloatArray, M: FloatArray, b: int, v1: float, stretch: float, v2: float, s: float) -> None:
+    """Write what the parameters change in the map of a part, for the motion there is."""
+    wide_vectors()
+    m = np.uint64(b)  # Numba looks for negative indices among the signed
+    for i in range(_WIDE):
+        moved = (M[m, 4 * _WIDE + i] + M[m, i] * v1) + M[m, _WIDE + i] * stretch
+        q[_T + i] = (moved + M[m, 2 * _WIDE + i] * v2) + M[m, 3 * _WIDE + i] * s
+
+
+@inlined
+def _step(
+    q: FloatArray, phi: FloatArray, M: FloatArray, b: int, v1: float, stretch: float, v2: float, s: float
+) -> None:
+    """Move the derivatives over a part in which nothing happened."""
+    wide_vectors()
+    p00, p01, p02, p03 = phi[b, 0], phi[b, 1], phi[b, 2], phi[b, 3]
+    p10, p11, p12, p13 = phi[b, 4], phi[b, 5], phi[b, 6], phi[b, 7]
+    p20, p21, p22, p23 = phi[b, 8], phi[b, 9], phi[b, 10], phi[b, 11]
+    g0, g1, g2, g3 = phi[b, 12], phi[b, 13], phi[b, 14], phi[b, 15]
+    _pushed(q, M, b, v1, stretch, v2, s)
+    for j in range(LANES):
+        a0, a1, a2, a3 = q[_S + j], q[_S + LANES + j], q[_S + 2 * LANES + j], q[_S + 3 * LANES + j]
+        a, d = a2 - a0, q[_DS + j]
+        q[_S + j] = ((((q[_T + j] + a0) + p00 * a1) + p20 * a3) + p10 * a) + g0 * d
+        q[_S + LANES + j] = (((q[_T + LANES + j] + p01 * a1) + p21 * a3) + p11 * a) + g1 * d
+        q[_S + 2 * LANES + j] = ((((q[_T + 2 * LANES + j] + a2) + p02 * a1) + p22 * a3) + p12 * a) + g2 * d
+        q[_S + 3 * LANES + j] = (((q[_T + 3 * LANES + j] + p03 * a1) + p23 * a3) + p13 * a) + g3 * d
+
+
+@inlined
+def _written(q: FloatArray, at: np.uint64, du: FloatArray) -> None:
+    """Write the derivatives of the law's output: all are read first, so that the machine need not fear an overlap."""
+    wide_vectors()
+    a, b, c, d = q[_OUT], q[_OUT + 1], q[_OUT + 2], q[_OUT + 3]
+    e, f, g, h = q[_OUT + 4], q[_OUT + 5], q[_OUT + 6], q[_OUT + 7]
+    du[0, at], du[1, at], du[2, at], du[3, at] = a, b, c, d
+    du[4, at], du[5, at], du[6, at], du[7, at] = e, f, g, h
+
+
+@inlined
+def _glide(
+    q: FloatArray, law: _Law, phi: FloatArray, M: FloatArray, mode: int, k: int, end: int, limit: float,
+    states: FloatArray, modes: NDArray[np.int8], u: FloatArray, post: FloatArray, explicit: FloatArray,
+    first_explicit: int, du: FloatArray,
+) -> int:  # fmt: skip
+    """Do what `_control` and `_step` do, at once, while the mode lasts and no limit cuts; return the next period.
+
+    Nearly all periods are of this kind. One loop whose every value is written once: a machine keeps it in vectors, and
+    no value waits in memory.
+    """
+    wide_vectors()
+    p00, p01, p02, p03 = phi[mode, 0], phi[mode, 1], phi[mode, 2], phi[mode, 3]
+    p10, p11, p12, p13 = phi[mode, 4], phi[mode, 5], phi[mode, 6], phi[mode, 7]
+    p20, p21, p22, p23 = phi[mode, 8], phi[mode, 9], phi[mode, 10], phi[mode, 11]
+    g0, g1, g2, g3 = phi[mode, 12], phi[mode, 13], phi[mode, 14], phi[mode, 15]
+    while k < end and modes[k] == mode and abs(u[k]) < limit:
+        at = np.uint64(k)
+        for i in range(explicit.shape[2]):
+            q[_EXPLICIT + first_explicit + i] = explicit[at, 0, i]
+        v1, stretch, v2, s = states[at, 1], states[at, 2] - states[at, 0], states[at, 3], u[at] + post[at]
+        _pushed(q, M, mode, v1, stretch, v2, s)
+        for j in range(LANES):
+            a0, a1, a2, a3 = q[_S + j], q[_S + LANES + j], q[_S + 2 * LANES + j], q[_S + 3 * LANES + j]
+            z0, z1 = q[_Z + j], q[_Z + LANES + j]
+            d = (law.d * a0 + q[_EXPLICIT + j]) + z0
+            a = a2 - a0
+            q[_S + j] = ((((q[_T + j] + a0) + p00 * a1) + p20 * a3) + p10 * a) + g0 * d
+            q[_S + LANES + j] = (((q[_T + LANES + j] + p01 * a1) + p21 * a3) + p11 * a) + g1 * d
+            q[_S + 2 * LANES + j] = ((((q[_T + 2 * LANES + j] + a2) + p02 * a1) + p22 * a3) + p12 * a) + g2 * d
+            q[_S + 3 * LANES + j] = (((q[_T + 3 * LANES + j] + p03 * a1) + p23 * a3) + p13 * a) + g3 * d
+            q[_Z + j] = law.b0 * a0 + (law.own * z0 + z1)
+            q[_Z + LANES + j] = law.b1 * a0 + law.other * z0
+            q[_OUT + j] = d
+        _written(q, at, du)
+        k += 1
+    return k
+
+
+@inlined
+def _rest(
+    q: FloatArray, law: _Law, k: int, end: int, limit: float, modes: NDArray[np.int8], u: FloatArray,
+    explicit: FloatArray, first_explicit: int, du: FloatArray,
+) -> int:  # fmt: skip
+    """Do what `_glide` does while both masses are at rest: the law alone goes on."""
+    wide_vectors()
+    for j in range(LANES):  # a velocity that was not let begin, as the first may be, does not come back
+        q[_S + LANES + j], q[_S + 3 * LANES + j] = 0.0, 0.0
+    while k < end and modes[k] == _AT_REST and abs(u[k]) < limit:
+        at = np.uint64(k)
+        for i in range(explicit.shape[2]):
+            q[_EXPLICIT + first_explicit + i] = explicit[at, 0, i]
+        for j in range(LANES):
+            a0, z0, z1 = q[_S + j], q[_Z + j], q[_Z + LANES + j]
+            q[_Z + j] = law.b0 * a0 + (law.own * z0 + z1)
+            q[_Z + LANES + j] = law.b1 * a0 + law.other * z0
+            q[_OUT + j] = (law.d * a0 + q[_EXPLICIT + j]) + z0
+        _written(q, at, du)
+        k += 1
+    return k
+
+
+@inlined
+def _acceleration(side: FloatArray, mass: int, m: int, force: float, v: float) -> float:
+    """Return the acceleration of a mass in a mode under the torque and the spring's force."""
+    return (force + side[mass, 2, m] - side[mass, 1, m] * v) * side[mass, 0, m]
+
+
+@compiled
+def _through_events(
+    q: FloatArray, part: int, row: int, s: float, tape: FloatArray, rows: int, spring: FloatArray, side: FloatArray,
+    dside: FloatArray,
+) -> int:  # fmt: skip
+    """Move the derivatives through the pieces of a part with events, from a row of the tape; return the next row."""
+    while row < rows and tape[row, 0] == part:
+        one, two = int(tape[row, 2]) + 1, int(tape[row, 3]) + 1
+        motion = tape[row, 4], tape[row, 5], tape[row, 6] - tape[row, 4], tape[row, 6], tape[row, 7]
+        if tape[row, 1] > 0.0:
+            motion = _propagate(q, tape[row, 1], 3 * one + two, 1.0, s, motion, spring, side, dside)
+        mass = int(tape[row, 8])
+        if mass >= 0:
+            _, v1, stretch, _, v2 = motion
+            force = spring[0] * stretch + spring[1] * (v2 - v1)
+            push, v, m = (s + force, v1, one) if mass == 0 else (-force, v2, two)
+            before = _acceleration(side, mass, m, push, v)
+            after = _acceleration(side, mass, int(tape[row, 9]) + 1, push, v)
+            # Friction grows where a mass turns round, so the ratio is between 0 and 1; grazing leaves 0/0.
+            ratio = min(max(after / before, 0.0), 1.0) if before != 0.0 else 0.0
+            at = _S + (LANES if mass == 0 else 3 * LANES)
+            for j in range(LANES):
+                q[at + j] *= ratio
+        row += 1
+    return row
+
+
+@inlined
+def _hang(
+    q: FloatArray, gravity: FloatArray, stiffness: float, x: float, v: float, slid: float, h: float, since: float
+) -> tuple[float, float]:
+    """Return gravity's force in a part, and how far it hangs the load; move the derivatives to what `kernels` sees."""
+    of_load = gravity[4] > 0.0
+    at = _S + (2 * LANES if of_load else 0)
+    ahead, bend = (0.5 * h, 0.25 * h / since) if v != 0.0 else (0.0, 0.0)
+    middle = x + ahead * (v + bend * (v - slid))
+    cos, sin = math.cos(gravity[3] * middle), math.sin(gravity[3] * middle)
+    force = gravity[0] * cos + gravity[1] * sin + gravity[2] * middle
+    slope = gravity[3] * (gravity[1] * cos - gravity[0] * sin) + gravity[2]
+    compliance = 1.0 / stiffness if of_load else 0.0
+    for j in range(LANES):
+        dx, dv = q[at + j], q[at + LANES + j]
+        by_factors = (q[_WEIGHT + j] * cos + q[_WEIGHT + LANES + j] * sin) + q[_WEIGHT + 2 * LANES + j] * middle
+        dforce = slope * (dx + ahead * (dv + bend * (dv - q[_SLID + j]))) + by_factors
+        dhung = compliance * (dforce - compliance * force * q[_SPRING + j])
+        q[_SLID + j] = dv
+        q[_DS + j] -= dforce
+        q[_HUNG + j] = dhung
+        q[_S + 2 * LANES + j] += dhung
+    return force, compliance * force
+
+
+@inlined
+def _control(q: FloatArray, law: _Law, saturated: float, at: int, du: FloatArray) -> None:
+    """Write the derivatives of the output of a law of two states at most, and move those of its states.
+
+    `saturated` is the sign of an output at its limit, else 0.
+    """
+    wide_vectors()
+    row = np.uint64(at)
+    if saturated == 0.0:
+        for j in range(LANES):
+            position, z0, z1 = q[_S + j], q[_Z + j], q[_Z + LANES + j]
+            q[_OUT + j] = (law.d * position + q[_EXPLICIT + j]) + z0
+            q[_Z + j] = law.b0 * position + (law.own * z0 + z1)
+            q[_Z + LANES + j] = law.b1 * position + law.other * z0
+    else:
+        for j in range(LANES):
+            position, z0, z1 = q[_S + j], q[_Z + j], q[_Z + LANES + j]
+            raw = (law.d * position + q[_EXPLICIT + j]) + z0
+            out = saturated * q[_LIMIT + j]
+            cut = out - raw
+            q[_Z + j] = (law.b0 * position + law.e0 * cut) + (law.own * z0 + z1)
+            q[_Z + LANES + j] = (law.b1 * position + law.e1 * cut) + law.other * z0
+            q[_OUT + j] = out
+    _written(q, row, du)
+
+
+@compiled
+def _control_any(
+    q: FloatArray, z: FloatArray, e: FloatArray, feedback: Feedback, excess: FloatArray, explicit: FloatArray,
+    first_explicit: int, dlimits: FloatArray, at: int, du: FloatArray, dtapped: FloatArray,
+) -> None:  # fmt: skip
+    """Do the same for any law; `z` are its states' derivatives, with their next values below, `e` its excesses'.
+
+    Where a limit acts its value follows the limit alone, and where a gate is closed nothing passes.
+    """
+    phase, nz, elements = at % feedback.A.shape[0], feedback.A.shape[1], e.shape[0]
+    for i in range(elements):
+        for j in range(LANES):
+            q[_W + j] = feedback.D[phase, i] * q[_S + j]
+        for j in range(explicit.shape[2]):
+            q[_W + first_explicit + j] += explicit[at, i, j]
+        for other in range(nz):
+            for j in range(LANES):
+                q[_W + j] += feedback.C[phase, i, other] * z[other, j]
+        for other in range(i):
+            for j in range(LANES):
+                q[_W + j] += feedback.E[phase, i, other] * e[other, j]
+        cut = excess[at, i]
+        acts = 0.0 if cut == 0.0 else 1.0
+        sign = -math.copysign(1.0, cut) if feedback.gates[i] < 0 else 0.0
+        for j in range(LANES):
+            e[i, j] = acts * (sign * dlimits[i, j] - q[_W + j])
+            q[_OUT + j] = q[_W + j] + e[i, j]
+        if i == feedback.output:
+            du[:, at] = q[_OUT : _OUT + LANES]
+        if i == feedback.tap and dtapped.shape[1] > 0:
+            dtapped[:, at] = q[_OUT : _OUT + LANES]
+    for i in range(nz):
+        for j in range(LANES):
+            z[nz + i, j] = feedback.Bq[phase, i] * q[_S + j]
+        for other in range(nz):
+            for j in range(LANES):
+                z[nz + i, j] += feedback.A[phase, i, other] * z[other, j]
+        for other in range(elements):
+            for j in range(LANES):
+                z[nz + i, j] += feedback.F[phase, i, other] * e[other, j]
+    z[:nz] = z[nz:]
+
+
+@inlined
+def _law(feedback: Feedback, nz: int) -> tuple[_Law, FloatArray]:
+    """Return a feedback of two states at most, one limit and one phase; and its states, (2, nz), of those it was in."""
+    A, C, d = feedback.A, feedback.C, feedback.D[0, 0]
+    seen, trace = np.zeros((2, nz)), 0.0
+    for i in range(nz):
+        trace += A[0, i, i]
+    for i in range(nz):
+        seen[0, i] = C[0, 0, i]
+        seen[1, i] = -trace * C[0, 0, i]
+        for other in range(nz):
+            seen[1, i] += C[0, 0, other] * A[0, other, i]
+    b0, b1, e0, e1 = 0.0, 0.0, 0.0, 0.0
+    for i in range(nz):
+        b0, b1 = b0 + seen[0, i] * feedback.Bq[0, i], b1 + seen[1, i] * feedback.Bq[0, i]
+        e0, e1 = e0 + seen[0, i] * feedback.F[0, i, 0], e1 + seen[1, i] * feedback.F[0, i, 0]
+    determinant = A[0, 0, 0] * A[0, 1, 1] - A[0, 0, 1] * A[0, 1, 0] if nz == 2 else 0.0
+    return _Law(trace, -determinant, b0, b1, e0, e1, d), seen
+
+
+@inlined
+def _by_mode(drive: FloatArray, seeds: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a drive by the modes of its masses, and the derivatives of that.
+
+    The first is (mass 2, what 3, mode 3): mobility, viscous coefficient and constant force going backwards, at rest,
+    forwards; the second, of the last two, (mass 2, what 2, mode 3, columns).
+    """
+    side, dside = np.zeros((2, 3, 3)), np.zeros((2, 2, 3, LANES))
+    for mass in range(2):
+        for mode, back, sign in ((0, 1, 1.0), (2, 0, -1.0)):
+            viscous, coulomb, offset = 4 + 4 * mass + back, 6 + 4 * mass + back, 12 + mass
+            side[mass, 0, mode], side[mass, 1, mode] = 1.0 / drive[mass], drive[viscous]
+            side[mass, 2, mode] = sign * drive[coulomb] - drive[offset]
+            for j in range(LANES):
+                dside[mass, 0, mode, j] = seeds[viscous, j]
+                dside[mass, 1, mode, j] = sign * seeds[coulomb, j] - seeds[offset, j]
+    return side, dside
+
+
+@inlined
+def _aligned(size: int) -> FloatArray:
+    """Return so many zeros that begin with a line of the cache, as every row of a wide vector then does."""
+    room = np.zeros(size + _LINE)
+    first = (-(room.ctypes.data // 8)) % _LINE
+    return room[first : first + size]
+
+
+@compiled
+def follow(
+    lengths: FloatArray,
+    lags: NDArray[np.int64],
+    states: FloatArray,
+    modes: NDArray[np.int8],
+    tape: FloatArray,
+    rows: int,
+    u: FloatArray,
+    post: FloatArray,
+    before: float,
+    excess: FloatArray,
+    feedback: Feedback,
+    drive: FloatArray,
+    seeds: FloatArray,
+    explicit: FloatArray,
+    first_explicit: int,
+    ddelay: FloatArray,
+    dlimits: FloatArray,
+    S: FloatArray,
+    Z: FloatArray,
+    du: FloatArray,
+    dtapped: FloatArray,
+    dstates: FloatArray,
+    gravity: FloatArray | None = None,
+    dgravity: FloatArray | None = None,
+) -> None:
+    """Fill `du` with LANES columns of derivatives of a finished run's output, and `dstates` with those of its states.
+
+    `dtapped` is filled with those of the output behind the torque's limit where that is another; else it is (LANES, 0).
+
+    What drives the run is given as to `kernels.run`, and what it left behind as it left it; `rows` of the tape are
+    filled. The derivatives come by columns: `seeds` (14, columns) of the `drive`; `ddelay` (columns,)
+    of the controller's delay; `dlimits` (elements, columns) of its limits; `S` (4, columns) and `Z` (nz, columns) of
+    the first state of the drive and of the law. `explicit` (periods, elements, n) is how the elements depend on the
+    parameters of columns `first_explicit` and on, with the motor position and what limits and gates take away held.
+
+    `du` is (columns, periods), `dstates` (periods * parts, 4, columns), at the start of every part, or (0, 4, columns).
+    Of a drive in gravity, `dgravity` (3, columns) are the derivatives of the first of `gravity`.
+    """
+    wide_vectors()
+    n, parts, nz, elements = u.size, lengths.size, feedback.A.shape[1], feedback.limits.size
+    spring, (side, dside) = drive[2:4], _by_mode(drive, seeds)
+    inverse1, inverse2 = side[0, 0, 2], side[1, 0, 2]
+    rate = math.sqrt(spring[0] * (inverse1 + inverse2)) + spring[1] * (inverse1 + inverse2)
+    rate += max(abs(side[0, 1, 0]), abs(side[0, 1, 2])) * inverse1
+    rate += max(abs(side[1, 1, 0]), abs(side[1, 1, 2])) * inverse2
+    phi = np.empty((9 * parts, 4 * _INPUTS))
+    M = _aligned(9 * parts * _INPUTS * _WIDE).reshape((9 * parts, _INPUTS * _WIDE))
+    filled = np.zeros(9 * parts, dtype=np.bool_)
+    q, scratch, z = _aligned(_ROWS), _aligned(_ROWS), np.zeros((2 * nz, LANES))
+    e = np.zeros((elements, LANES))
+    for one in (q, scratch):
+        for j in range(LANES):
+            for i in range(2):
+                one[_SPRING + i * LANES + j] = seeds[2 + i, j]
+                one[_INERTIA + i * LANES + j] = seeds[i, j] / drive[i]
+    q[_S : _S + _WIDE] = S.reshape(-1)
+    z[:nz] = Z
+    small = nz <= 2 and feedback.D.size == 1  # one phase, one element
+    (law, seen), limit = _law(feedback, nz if small else 0), feedback.limits[0]
+    for i in range(seen.shape[1]):
+        for j in range(LANES):
+            q[_Z + j] += seen[0, i] * Z[i, j]
+            q[_Z + LANES + j] += seen[1, i] * Z[i, j]
+    q[_LIMIT : _LIMIT + LANES] = dlimits[0]
+    delayed = np.any(ddelay != 0.0)
+    if gravity is not None and dgravity is not None:
+        at = 3 if gravity[4] > 0.0 else 1
+        slid, since = states[0, at], lengths[0]
+        q[_SLID : _SLID + LANES] = S[at]
+        q[_WEIGHT : _WEIGHT + 3 * LANES] = dgravity.reshape(-1)
+    keep = dstates.shape[0] > 0
+    plain = small and parts == 1 and lags[0] == 0 and gravity is None and not keep and not delayed
+    row, last = 0, before
+    k = 0
+    while k < n:
+        if k % _OFTEN == 0:
+            for i in range(_WIDE):
+                q[_S + i] = q[_S + i] if abs(q[_S + i]) > _NOTHING else 0.0
+            for i in range(2 * LANES):
+                q[_Z + i] = q[_Z + i] if abs(q[_Z + i]) > _NOTHING else 0.0
+        if plain and abs(u[k]) < limit and (row >= rows or tape[row, 0] > k):
+            mode = int(modes[k])
+            end = min(k - k % _OFTEN + _OFTEN, n)
+            if row < rows:
+                end = min(end, int(tape[row, 0]))
+            if mode == _AT_REST:
+                k = _rest(q, law, k, end, limit, modes, u, explicit, first_explicit, du)
+                continue
+            if not filled[mode]:
+                filled[mode] = True
+                _fill(scratch, lengths[0], rate, mode, mode, phi, M, spring, side, dside)
+            k = _glide(q, law, phi, M, mode, k, end, limit, states, modes, u, post, explicit, first_explicit, du)
+            continue
+        if small:
+            saturated = 0.0 if abs(u[k]) < limit else math.copysign(1.0, u[k])
+            for i in range(explicit.shape[2]):
+                q[_EXPLICIT + first_explicit + i] = explicit[k, 0, i]
+            _control(q, law, saturated, k, du)
+        else:
+            _control_any(q, z, e, feedback, excess, explicit, first_explicit, dlimits, k, du, dtapped)
+        for part in range(parts):
+            at = k * parts + part
+            x0, x1, x2, x3 = states[at, 0], states[at, 1], states[at, 2], states[at, 3]
+            mode = int(modes[at])
+            source = k - lags[part]
+            s = u[source] + post[source] if source >= 0 else before
+            origin = np.uint64(max(source, 0))
+            for j in range(LANES):
+                q[_DS + j] = du[j, origin]
+            if keep:
+                for i in range(4):
+                    for j in range(LANES):
+                        dstates[at, i, j] = q[_S + i * LANES + j]
+            acting, pull = s, 0.0
+            if gravity is not None and dgravity is not None:
+                y, v = (x2, x3) if gravity[4] > 0.0 else (x0, x1)
+                pull, hung = _hang(q, gravity, spring[0], y, v, slid, lengths[part], since)
+                slid, since = v, lengths[part]
+                s -= pull
+                x2 += hung
+            if delayed and acting != last:
+                # What hangs the load, or pulls a rigid joint, acts on both sides of an edge of the torque.
+                force = spring[0] * (x2 - x0) + spring[1] * (x3 - x1) - pull
+                was = 1 + (1 if x1 > 0.0 else (-1 if x1 < 0.0 else 0))
+                kick = _acceleration(side, 0, was, last + force, x1)
+                kick -= _acceleration(side, 0, mode // 3, acting + force, x1)
+                for j in range(LANES):
+                    q[_S + LANES + j] += kick * ddelay[j]
+            last = acting
+            if row < rows and tape[row, 0] == at:
+                row = _through_events(q, at, row, s, tape, rows, spring, side, dside)
+            else:
+                b = 9 * part + mode
+                if not filled[b]:
+                    filled[b] = True
+                    _fill(scratch, lengths[part], rate, mode, b, phi, M, spring, side, dside)
+                _step(q, phi, M, b, x1, x2 - x0, x3, s)
+            if gravity is not None and dgravity is not None:
+                for j in range(LANES):
+                    q[_S + 2 * LANES + j] -= q[_HUNG + j]
+        k += 1

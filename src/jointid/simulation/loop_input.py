@@ -1,0 +1,321 @@
+"""What a loop is driven with: all that does not depend on the joint's parameters, computed once.
+
+`prepare` turns a record into an `Experiment`: the controller lowered to its sampled law, its answer to the reference,
+and the cut of a controller period into the parts in which the torque, or what the log looks at, changes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import RecordError
+from jointid.models.controllers import (
+    CONSTANT,
+    DIRECTION,
+    INJECTED,
+    INPUTS,
+    POSITION,
+    REFERENCE,
+    REFERENCE_VELOCITY,
+    Controller,
+    Interpolation,
+    SampledLaw,
+    begun_later,
+    respond,
+    scaled,
+)
+from jointid.models.joints import Joint
+from jointid.models.linear import SNAP
+from jointid.records.record import Channel, InjectionPoint, Record, Tap, Timing
+from jointid.records.refer import require_units
+
+if TYPE_CHECKING:
+    from jointid.simulation.kernels.drive import Feedback
+
+_SAME_RATE = 1e-4  # two clocks whose rates differ by less than crystals do are one clock
+_FEWEST = 10  # periods that can be simulated to any purpose
+_MOST = 200  # periods to one log sample, or the other way round: more is a mistake
+_SLOWLY = 1e-4  # of the sampling frequency: there a loop holds its position
+_FAR = 1e3  # times the commanded travel: a motor this far away will not come back
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedLoop:
+    """A joint under its controller: from reference alone to torque."""
+
+    joint: Joint
+    controller: Controller
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels a record must have to be compared with this loop."""
+        return ("torque", *self.controller.channels)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Experiment:
+    """What a loop was driven with, at the controller's instants; made by `prepare`.
+
+    Attributes:
+        law: the controller's state-space form. feedback: what of it the motion moves, and the same as the kernels read
+            it, with what is `driven`.
+        memory: (states, 2) of the feedback, what a motor position of 1 leaves before the first period, and a velocity
+            of 1. integral: (states,) see `SampledLaw.integral`.
+        inputs: (periods, INPUTS) of the law, with a column of zeros for the position.
+        after_limit: (periods,) what is added to the output; in the log or not, see below.
+        logged: (periods,) the part of `after_limit` that the logged torque contains.
+        feedforward: (elements, periods) the answer of the law's elements to everything but the position.
+        state: (states,) of the feedback at the first period, but for what the position leaves.
+        sample_time: of the log, which is every `every`-th period, or shows each period `repeat` times.
+        lengths, lags: the parts of a period, see `kernels.run`.
+        looked: (samples,) which of all parts, period after period, begin at the log's instants. begun: (samples,) those
+            at which the newest torque of the same periods begins to act.
+        far: a motor position that no loop comes back from, reckoned from the initial one.
+        tap: where the torque is logged. timing: what a logged value is.
+        samples: of the log.
+        begin: seconds from the first sample of the record's file to the first here, see `Record`.
+        shows: whether the logged torque contains anything beside the controller's output, see `shown`.
+    """
+
+    law: SampledLaw
+    feedback: SampledLaw
+    kernel: Feedback
+    memory: FloatArray
+    integral: FloatArray | None
+    inputs: FloatArray
+    after_limit: FloatArray
+    logged: FloatArray
+    feedforward: FloatArray
+    state: FloatArray
+    sample_time: float
+    every: int
+    repeat: int
+    lengths: FloatArray
+    lags: NDArray[np.int64]
+    looked: NDArray[np.intp]
+    begun: NDArray[np.intp]
+    far: float
+    tap: Tap
+    timing: Timing
+    samples: int
+    begin: float
+    shows: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shows", bool(np.any(self.shown)))
+
+    @property
+    def periods(self) -> int:
+        """Of the controller that are simulated."""
+        return len(self.inputs)
+
+    @property
+    def injected(self) -> bool:
+        """Whether anything is added to the controller's output."""
+        return bool(np.any(self.inputs[:, INJECTED]) or np.any(self.after_limit))
+
+    @property
+    def shown(self) -> FloatArray:
+        """What the logged torque contains beside the controller's output, (periods,)."""
+        return self.after_limit if self.tap is Tap.MEASURED else self.logged
+
+    def law_of(self, controller: Controller) -> SampledLaw:
+        """Return the law of a controller here: its position loop counts from the first sample of the record's file."""
+        return begun_later(controller, self.begin).law(self.sample_time)
+
+    def with_law(self, law: SampledLaw) -> Experiment:
+        """Return the same experiment under another law of the same period and delay."""
+        return _experiment(
+            law, self.inputs, self.after_limit, self.logged, self.sample_time, self.samples, self.tap, self.timing,
+            self.begin,
+        )  # fmt: skip
+
+    def scaled(self, factor: float) -> Experiment:
+        """Return the same experiment with the law's output, and what is added to it, `factor` times as large."""
+        more = replace(self, after_limit=factor * self.after_limit, logged=factor * self.logged)
+        return more.with_law(scaled(self.law, factor))
+
+
+def prepare(loop: ClosedLoop, record: Record) -> Experiment:
+    """Return what the record drove the loop with.
+
+    Raises:
+        RecordError: a channel the controller reads is missing, or its clock does not divide the controller's.
+    """
+    record.require(loop.controller.channels, "The simulation of this controller")
+    require_units(record, loop.joint)
+    assert record.reference is not None
+    log = record.torque or record.reference
+    law = begun_later(loop.controller, record.begin).law(log.sample_time)
+    periods = math.floor(min(record.duration / law.period, 1e9) + SNAP)
+    if periods < _FEWEST:
+        raise RecordError(
+            f"The record lasts {record.duration:.4g} s, fewer than {_FEWEST} of the controller's periods of "
+            f"{law.period:.4g} s; use a longer one, or correct the period."
+        )
+    _ratio(law.period, log.sample_time, "the log")
+    inputs = law_inputs(loop.controller, record, law.period, periods)
+    after, logged = np.zeros(periods), np.zeros(periods)
+    if record.injected is not None:
+        signal = at_period(record.injected.channel, law.period, periods, "injected")
+        if record.injected.at is InjectionPoint.BEFORE_LIMIT:
+            inputs[:, INJECTED] = signal
+        else:
+            after = signal
+            logged = signal * record.injected.in_torque
+    timing = record.torque.timing if record.torque is not None else Timing.HELD
+    samples = math.floor(record.duration / log.sample_time + SNAP)
+    return _experiment(law, inputs, after, logged, log.sample_time, samples, record.tap, timing, record.begin)
+
+
+def law_inputs(controller: Controller, record: Record, period: float, periods: int) -> FloatArray:
+    """Return what a law reads, (periods, INPUTS), but for the position and what is injected."""
+    assert record.reference is not None
+    filled: Interpolation | None = getattr(controller, "interpolation", None)
+    inputs = np.zeros((periods, INPUTS))
+    reference = at_period(record.reference, period, periods, "reference", filled)
+    inputs[:, REFERENCE], inputs[:, CONSTANT] = reference, 1.0
+    inputs[1:, DIRECTION] = np.sign(np.diff(reference))
+    inputs[0, DIRECTION] = inputs[1, DIRECTION]
+    if "reference_velocity" in controller.channels:
+        assert record.reference_velocity is not None
+        velocity = at_period(record.reference_velocity, period, periods, "reference_velocity", filled)
+        inputs[:, REFERENCE_VELOCITY] = velocity
+    return inputs
+
+
+def at_period(
+    channel: Channel, period: float, periods: int, name: str, interpolation: Interpolation | None = None
+) -> FloatArray:
+    """Return a channel at the controller's instants.
+
+    A channel that is faster than the controller is picked. One that is slower is filled in: held until its next
+    sample, by straight lines, or by Catmull-Rom's cubic, whose slope at a sample is half the difference of its
+    neighbours; after the last sample it stays. What is not said follows from the channel: one that is sampled (as a
+    reference is, unless it is declared held) gets lines.
+
+    Raises:
+        RecordError: neither of the two periods is a multiple of the other.
+    """
+    every, repeat = _ratio(period, channel.sample_time, name)
+    if interpolation is None:
+        interpolation = "linear" if channel.timing is Timing.SAMPLED else "hold"
+    if repeat == 1 or interpolation == "hold" or channel.values.size < 2:
+        return np.asarray(np.repeat(channel.values[::every], repeat)[:periods])
+    values, at = channel.values, np.minimum(np.arange(periods) / repeat, channel.values.size - 1)
+    if interpolation == "linear":
+        return np.asarray(np.interp(at, np.arange(values.size), values), dtype=np.float64)
+    begin = np.minimum(at.astype(np.intp), values.size - 2)
+    ends = np.concatenate([2 * values[:1] - values[1:2], values, 2 * values[-1:] - values[-2:-1]])
+    before, first, second, after = (ends[begin + i] for i in range(4))
+    t = at - begin
+    straight, low, high = second - first, 0.5 * (second - before), 0.5 * (after - first)
+    curve = (low - straight) * (1 - t) - (high - straight) * t
+    return np.asarray(first + t * (straight + (1 - t) * curve))
+
+
+def _ratio(long: float, short: float, name: str) -> tuple[int, int]:
+    """Return (every, repeat): how many of `short` make one `long`, or the other way round; one of them is 1."""
+    ratio = long / short
+    every, repeat = max(round(min(ratio, 1e9)), 1), max(round(min(1 / ratio, 1e9)), 1)
+    if max(every, repeat) > _MOST or abs(ratio * repeat / every - 1) > _SAME_RATE:
+        raise RecordError(
+            f"The controller's period and the sample time of {name}, {long:.9g} s and {short:.9g} s, are not the same, "
+            f"nor is one a multiple of the other up to {_MOST} times; correct the period, or resample the log."
+        )
+    return every, repeat
+
+
+def _experiment(
+    law: SampledLaw,
+    inputs: FloatArray,
+    after_limit: FloatArray,
+    logged: FloatArray,
+    sample_time: float,
+    samples: int,
+    tap: Tap,
+    timing: Timing,
+    begin: float,
+) -> Experiment:
+    repeat, every = _ratio(law.period, sample_time, "the log")
+    lengths, lags = _parts(law, repeat)
+    starts = np.cumsum(lengths) - lengths
+    inside = [int(np.argmin(np.abs(starts - j * law.period / repeat))) for j in range(repeat)]
+    looked = (np.arange(0, len(inputs), every)[:, np.newaxis] * lengths.size + inside).reshape(-1)[:samples]
+    newest = int(np.argmin(lags))
+    begun = np.minimum(looked // lengths.size + lags[newest], len(inputs) - 1) * lengths.size + newest
+    feedback, feedforward, driven, state = _beforehand(law, inputs)
+    far = _far(law, feedforward[law.output], after_limit)
+    memory = np.column_stack([feedback.memory(POSITION, 1.0, 0.0), feedback.memory(POSITION, 0.0, 1.0)])
+    return Experiment(
+        law, feedback, _for_kernel(feedback, driven), memory, feedback.integral(), inputs, after_limit, logged,
+        feedforward, state, sample_time, every, repeat, lengths,
+        lags, looked, begun, far, tap, timing, looked.size, begin,
+    )  # fmt: skip
+
+
+def _beforehand(law: SampledLaw, inputs: FloatArray) -> tuple[SampledLaw, FloatArray, FloatArray, FloatArray]:
+    """Return what of a law the motion moves, and what is known before it: see `Experiment`."""
+    feedback, beforehand = law.split()
+    moved = law.fed_back()
+    state = known_memory(law, inputs)
+    if not law.integrates:
+        feedforward = respond(law, inputs, state).T
+        return feedback, np.ascontiguousarray(feedforward), np.zeros((0, feedback.order)), np.zeros(feedback.order)
+    found, elements = respond(beforehand, inputs, state[~moved]), law.limits.size
+    driven = np.ascontiguousarray(found[:, elements:])
+    return feedback, np.ascontiguousarray(found[:, :elements].T), driven, state[moved]
+
+
+def _for_kernel(law: SampledLaw, driven: FloatArray) -> Feedback:
+    """Return a law as the kernels read it; `driven` (periods, states) is what everything but the position puts into it.
+
+    That is where it is not in the elements' answers, as for an integrator, which the reference alone would carry far
+    away; else it is (0, states).
+    """
+    from jointid.simulation.kernels.drive import Feedback
+
+    B, D = np.ascontiguousarray(law.B[:, :, POSITION]), np.ascontiguousarray(law.D[:, :, POSITION])
+    A, F, C, E = (np.ascontiguousarray(matrix) for matrix in (law.A, law.F, law.C, law.E))
+    return Feedback(A, B, F, C, D, E, law.limits, law.gates, driven, law.output, law.tap)
+
+
+def known_memory(law: SampledLaw, inputs: FloatArray) -> FloatArray:
+    """Return the states that all inputs but the position leave before the first period, when they moved uniformly."""
+    first = inputs[0]
+    slope = (inputs[1, REFERENCE] - first[REFERENCE]) / law.period if len(inputs) > 1 else 0.0
+    values, slopes = np.zeros(INPUTS), np.zeros(INPUTS)
+    known = [REFERENCE, REFERENCE_VELOCITY, DIRECTION, CONSTANT]
+    values[known], slopes[REFERENCE] = first[known], slope
+    return law.memories(values, slopes)
+
+
+def _parts(law: SampledLaw, repeat: int) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Cut a period where the torque changes (the delay) and where the log looks (a log faster than the loop)."""
+    late = law.delay / law.period
+    whole = math.floor(late + SNAP)
+    fraction = max(late - whole, 0.0)
+    fraction = 0.0 if fraction < SNAP else fraction
+    cuts = [j / repeat for j in range(repeat)]
+    if all(abs(cut - fraction) > SNAP for cut in cuts):
+        cuts = sorted([*cuts, fraction])
+    lengths = np.diff([*cuts, 1.0]) * law.period
+    lags = [whole + 1 if cut < fraction - SNAP else whole for cut in cuts]
+    return lengths, np.array(lags, dtype=np.int64)
+
+
+def _far(law: SampledLaw, feedforward: FloatArray, after_limit: FloatArray) -> float:
+    # Of a fast loop most of the gain within a period is that of the velocity, and holds no position.
+    slowly = float(abs(law.feedback(np.array([_SLOWLY / law.period]))[0]))
+    gain = min(law.stiffness, slowly)
+    if not gain > 0.0:
+        return math.inf
+    asked = feedforward / gain
+    travel = float(np.ptp(asked) + np.max(np.abs(after_limit)) / gain)
+    return float(np.max(np.abs(asked))) + _FAR * travel + 1e-9

@@ -1,0 +1,1 @@
+"""Numerical minimisation, for any criterion: parameters in, residual and Jacobian out."""

@@ -1,0 +1,91 @@
+"""The whole joint's inertia, friction and constant force, with what an estimate knows of their errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from jointid.estimation.result.estimate import Estimate
+
+
+@dataclass(frozen=True, slots=True)
+class Total:
+    """A weighted sum of parameters, both sides of a joint together.
+
+    Attributes:
+        formula: in symbols. value: in SI on the joint's side. std: None where nothing of it was free.
+    """
+
+    formula: str
+    value: float
+    std: float | None
+
+
+def totals(estimate: Estimate) -> dict[str, Total]:
+    """Return inertia, viscous and Coulomb friction and the constant force of the whole joint, by those names.
+
+    Of friction that differs with the direction viscous and Coulomb friction are the means of both directions, and half
+    the difference of the Coulomb forces belongs to the constant.
+    """
+    sides = ("motor_", "load_") if estimate.joint.model == "flexible" else ("",)
+    if estimate.joint.friction.symmetric:
+        friction = {name: {f"{side}{name}": 1.0 for side in sides} for name in ("viscous", "coulomb")}
+        constant: dict[str, float] = {}
+    else:
+        ways = (("forwards", 0.5), ("backwards", 0.5))
+        friction = {
+            name: {f"{side}{name}_{way}": half for side in sides for way, half in ways}
+            for name in ("viscous", "coulomb")
+        }
+        constant = {
+            f"{side}coulomb_{way}": half for side in sides for way, half in (("forwards", 0.5), ("backwards", -0.5))
+        }
+    names = {p.name for p in estimate.parameters}
+    constant |= {name: 1.0 for name in ("offset", "gravity_constant") if name in names}
+    wanted = {"inertia": {f"{side}inertia": 1.0 for side in sides}, **friction, "constant": constant}
+    return {name: _total(estimate, weights) for name, weights in wanted.items()}
+
+
+def _total(estimate: Estimate, weights: Mapping[str, float]) -> Total:
+    formula = _formula(estimate, weights)
+    if estimate.bounds:
+        return _of_sums(estimate, weights, formula)
+    free = [p.name for p in estimate.parameters if p.free]
+    value = sum(weight * estimate.values[name] for name, weight in weights.items())
+    spread = {name: weight * std for name, weight in weights.items() if (std := estimate[name].std)}
+    if not spread:
+        return Total(formula, value, None)
+    square = 0.0
+    for one, size in spread.items():
+        for other, its in spread.items():
+            i, j = free.index(one), free.index(other)
+            known = max(i, j) < len(estimate.correlation)
+            square += size * its * (float(estimate.correlation[i, j]) if known else float(i == j))
+    return Total(formula, value, math.sqrt(max(square, 0.0)))
+
+
+def _of_sums(estimate: Estimate, weights: Mapping[str, float], formula: str) -> Total:
+    """Return a sum where only those of both sides are told; what their errors have in common is not kept: no less."""
+    assert estimate.known is not None
+    value, std = 0.0, 0.0
+    for known in estimate.known.physical:
+        weight = weights.get(next(iter(known.combination.weights)))
+        if weight is not None:
+            value, std = value + weight * known.value, std + abs(weight) * known.std
+    for name, weight in weights.items():
+        if name in estimate.values:  # what both sides have in common, and what was fixed
+            value, std = value + weight * estimate.values[name], std + abs(weight) * (estimate[name].std or 0.0)
+    return Total(formula, value, std or None)
+
+
+def _formula(estimate: Estimate, weights: Mapping[str, float]) -> str:
+    """Return the sum in symbols, with a mean written as one."""
+    kept = {name: w for name, w in weights.items() if estimate[name].free or estimate.values.get(name)} or weights
+    halves = all(abs(w) == 0.5 for w in kept.values())
+    terms = [
+        ("- " if w < 0 else "+ ") + ("" if halves or abs(w) == 1 else f"{abs(w):g} ") + estimate[name].symbol
+        for name, w in kept.items()
+    ]
+    joined = " ".join(terms).removeprefix("+ ")
+    return f"({joined})/2" if halves else joined

@@ -1,0 +1,131 @@
+"""Weighted sums of parameters: what a record often knows better than the parameters themselves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.models.parameters import Parameter, Quantity
+from jointid.solvers.criterion import Criterion
+
+
+@dataclass(frozen=True, slots=True)
+class Combination:
+    """A weighted sum of parameters.
+
+    Attributes:
+        name: in words.
+        formula: in symbols.
+        unit: of the sum.
+        weights: of the parameters, by name.
+    """
+
+    name: str
+    formula: str
+    unit: str
+    weights: Mapping[str, float]
+
+    def vector(self, parameters: Sequence[Parameter]) -> FloatArray:
+        """Return the weights in the order of the parameters, (parameters,).
+
+        Raises:
+            MethodError: one of those it weighs is not among them.
+        """
+        names = [p.name for p in parameters]
+        missing = [name for name in self.weights if name not in names]
+        if missing:
+            raise MethodError(f"{self.name} needs {', '.join(missing)} free; free are {', '.join(names)}.")
+        return np.array([self.weights.get(name, 0.0) for name in names])
+
+
+def single(parameter: Parameter, unit: str) -> Combination:
+    """Return a parameter by itself."""
+    return Combination(parameter.name.replace("_", " "), parameter.symbol, unit, {parameter.name: 1.0})
+
+
+def physical(parameters: Sequence[Parameter], units: Mapping[str, str]) -> tuple[Combination, ...]:
+    """Return the combinations of both sides of a joint that have a meaning of their own.
+
+    Sum and difference of the frictions, viscous and Coulomb, in each direction where they are told apart; and the
+    whole inertia. A rigid joint has none.
+
+    Args:
+        parameters: the free ones.
+        units: by name.
+    """
+    known = {p.name: p for p in parameters}
+    found = []
+    for name, motor in known.items():
+        load = known.get(name.replace("motor_", "load_", 1))
+        if not name.startswith("motor_") or load is None:
+            continue
+        words, unit = name.removeprefix("motor_").replace("_", " "), units[name]
+        weights = {name: 1.0, load.name: 1.0}
+        found.append(Combination(f"total {words}", f"{motor.symbol} + {load.symbol}", unit, weights))
+        if motor.quantity is not Quantity.INERTIA:
+            weights = {name: 1.0, load.name: -1.0}
+            formula = f"{motor.symbol} - {load.symbol}"
+            found.append(Combination(f"difference of {words}, motor less load", formula, unit, weights))
+    return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
+class ByCompliance:
+    """A criterion whose stiffness is searched as the compliance 1/K, in which a nearly rigid joint is nearly linear.
+
+    A stiffness that a record does not show has no upper bound, which a search meets as a plain without an end; its
+    compliance merely has 0 in its interval.
+
+    Attributes:
+        criterion: with one free parameter that is a stiffness.
+        least: the compliance that is as good as none: nothing stiffer is simulated.
+    """
+
+    criterion: Criterion
+    least: float
+
+    def __post_init__(self) -> None:
+        stiff = [p.name for p in self.criterion.free if p.quantity is Quantity.STIFFNESS]
+        if len(stiff) != 1 or not (math.isfinite(self.least) and self.least > 0):
+            raise MethodError(
+                "A compliance takes the place of the one free stiffness, and is at least a positive number; received "
+                f"{len(stiff)} stiffnesses and {self.least}."
+            )
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters, the compliance in the place of the stiffness."""
+        found = list(self.criterion.free)
+        stiff = found[self._at]
+        lower = max(1.0 / stiff.upper, self.least)
+        upper = 1.0 / stiff.lower if stiff.lower > 0 else math.inf
+        start = None if stiff.start is None else 1.0 / stiff.start
+        symbol = f"1/{stiff.symbol}"
+        found[self._at] = Parameter("compliance", symbol, Quantity.COMPLIANCE, start=start, lower=lower, upper=upper)
+        return tuple(found)
+
+    def exchanged(self, x: FloatArray) -> FloatArray:
+        """Return parameters with the compliance for the stiffness, or the other way round."""
+        found = np.array(x, dtype=np.float64)
+        found[self._at] = 1.0 / found[self._at]
+        return found
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the residual, (rows,)."""
+        return self.criterion.residual(self.exchanged(x))
+
+    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
+        residual, J = self.criterion.linearised(self.exchanged(x))
+        J = J.copy()
+        J[:, self._at] *= -1.0 / x[self._at] ** 2
+        return residual, J
+
+    @property
+    def _at(self) -> int:
+        return [p.quantity for p in self.criterion.free].index(Quantity.STIFFNESS)

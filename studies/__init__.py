@@ -1,0 +1,1 @@
+"""Monte-Carlo studies behind numbers in the documentation; not part of the installed package."""

@@ -1,0 +1,284 @@
+"""Which laws a record gives back: random loops of every law, learned from records with noise, and judged."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.progress import Progress, silent
+from jointid.common.text import aligned, number
+from jointid.controller_id.learn import SAME, learn_loop
+from jointid.controller_id.learned import LearnedLoop
+from jointid.controller_id.structure_moves import canonical
+from jointid.controller_id.structures import ACCELERATION, INTEGRAL, Structure, controller
+from jointid.models.joints import RigidJoint
+from jointid.records.excitation import pulses, trapezoids
+from jointid.records.record import Record, Tap
+from jointid.simulation.closed_loop import Initial
+from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.synthesis import simulated_record
+
+_PERIOD = 1e-3
+_SAMPLES = 10_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopTwin:
+    """A loop of known structure, and its record.
+
+    Attributes:
+        structure: of the law.
+        numbers: of the law, in the structure's names.
+        record: with reference, torque and motor position, all noisy but the reference.
+    """
+
+    structure: Structure
+    numbers: dict[str, float]
+    record: Record
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """One run: the law there was, and the one that was learned.
+
+    Attributes:
+        seed: of the twin.
+        true: words of the true structure, under its canonical name. found: of the one that was learned.
+        right: whether they are the same, or two names of one equation: the true structure fits, too, and its torque is
+            that of the learned law but for rounding. named: whether the true one is at least among those that are said
+            to be alike.
+        alike: how many are said to be alike.
+        deviations: of the numbers from the true ones, in standard deviations; none where the name is another.
+        seconds: that it took.
+    """
+
+    seed: int
+    true: str
+    found: str
+    right: bool
+    named: bool
+    alike: int
+    deviations: tuple[float, ...]
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class LearnedTwins:
+    """What became of many loops.
+
+    Attributes:
+        runs: all of them.
+    """
+
+    runs: tuple[Judged, ...]
+
+    @property
+    def right(self) -> float:
+        """Share of the runs that gave the true structure."""
+        return float(np.mean([run.right for run in self.runs]))
+
+    @property
+    def named(self) -> float:
+        """Share of the runs that gave the true structure, or named it among those the record does not tell apart."""
+        return float(np.mean([run.right or run.named for run in self.runs]))
+
+    @property
+    def covered(self) -> float:
+        """Share of all numbers of the right structures that are within 2 standard deviations of the truth."""
+        return float(np.mean([abs(z) <= 2.0 for run in self.runs for z in run.deviations]))
+
+    def __str__(self) -> str:
+        """Return the table, a row for each law, and what all say."""
+        laws = sorted({run.true.split(",")[0] for run in self.runs})
+        rows = [_row(law, [run for run in self.runs if run.true.split(",")[0] == law]) for law in laws]
+        rows.append(_row("", self.runs))
+        header = ("law", "runs", "right, %", "right or named, %", "named alike", "2 sigma hold, %", "seconds")
+        wrong = [f"seed {r.seed}: {r.true} -> {r.found}" for r in self.runs if not (r.right or r.named)]
+        return "\n".join([aligned(header, rows, (False, *(True,) * 6)), "", *wrong])
+
+
+def learned_twins(seeds: Sequence[int] = range(200), progress: Progress = silent) -> LearnedTwins:
+    """Learn the controllers of random twins, and judge what was learned.
+
+    Args:
+        seeds: of the twins.
+        progress: is told every run.
+    """
+
+    def one(seed: int) -> Judged:
+        judged = _judged(seed)
+        verdict = "right" if judged.right else "named" if judged.named else f"wrong: {judged.found}"
+        progress(f"seed {seed}: {judged.true}: {verdict}, {judged.seconds:.1f} s")
+        return judged
+
+    return LearnedTwins(tuple(map(one, seeds)))
+
+
+def _judged(seed: int) -> Judged:
+    made = loop_twin(seed)
+    begin = time.perf_counter()
+    learned = learn_loop(made.record)
+    seconds = time.perf_counter() - begin
+    true = canonical(made.structure)
+    same = learned.words == true.words
+    right = same or any(one.words == true.words and one.apart < SAME for one in learned.alternatives)
+    named = any(one.words == true.words for one in learned.alike)
+    deviations = _deviations(made, true, learned) if same else ()
+    return Judged(seed, true.words, learned.words, right, named, len(learned.alike), deviations, seconds)
+
+
+def _deviations(made: LoopTwin, true: Structure, learned: LearnedLoop) -> tuple[float, ...]:
+    """Return the numbers' deviations; those of a law that was drawn under another name are brought to that one."""
+    value = {one.name: one.value for one in learned.numbers}
+    std = {one.name: one.std for one in learned.numbers}
+    if true.law != made.structure.law:  # kp of the PD is kp kv of the cascade
+        names = [one.name for one in learned.numbers]
+        gains = value["kp"], value["kv"], value.get("ki", 0.0)
+        kp, kv, ki = gains
+        period = _PERIOD / true.rate
+        slopes = {"kp": {"kp": kv, "kv": kp + ki, "ki": kv}, "kv": {"kv": 1 - ki * period, "ki": -kv * period}}
+        slopes["ki"] = {"kp": kv * ki, "kv": kp * ki, "ki": kv * kp}
+        moved = {"kp": kv * (kp + ki), "kv": kv * (1 - ki * period), "ki": kv * kp * ki}
+        spread = np.array([std[name] for name in names])
+        for name in ("kp", "kv", *(("ki",) if "ki" in value else ())):
+            weights = np.array([slopes[name].get(other, 0.0) for other in names]) * spread
+            std[name] = math.sqrt(float(weights @ learned.correlation @ weights))
+            value[name] = moved[name]
+    truth = {("kv" if name == "kd" and true.cascade else name): v for name, v in made.numbers.items()}
+    return tuple((value[name] - truth[name]) / std[name] for name in value if name in truth and name != INTEGRAL)
+
+
+def _row(law: str, runs: Sequence[Judged]) -> tuple[str, ...]:
+    found = LearnedTwins(tuple(runs))
+    counted = any(run.deviations for run in runs)
+    return (
+        law or "all",
+        f"{len(runs)}",
+        f"{100 * found.right:.1f}",
+        f"{100 * found.named:.1f}",
+        number(float(np.mean([run.alike for run in runs])), 2),
+        f"{100 * found.covered:.1f}" if counted else "-",
+        number(float(np.median([run.seconds for run in runs])), 2),
+    )
+
+
+def loop_twin(seed: int) -> LoopTwin:
+    """Return a random loop and its record: any law, bandwidths of 5 to 40 Hz, an encoder and a log that round.
+
+    Args:
+        seed: of everything.
+    """
+    rng = np.random.default_rng([seed, 7])
+    while True:
+        made = _made(rng)
+        if made is not None:
+            return made
+
+
+def _made(rng: np.random.Generator) -> LoopTwin | None:
+    inertia, travel = 10 ** rng.uniform(-1, 2), 10 ** rng.uniform(-1, 0.5)
+    structure, numbers = _law(rng, inertia)
+    reference = _reference(rng, travel)
+    size = inertia * travel  # N at 1/s^2
+    values = {
+        "inertia": inertia,
+        "viscous": size / travel * rng.uniform(0.2, 2.0),
+        "coulomb": size * rng.uniform(0.3, 2.0),
+        "offset": size * rng.uniform(-0.3, 0.3),
+    }
+    known = pulses(reference.size, _PERIOD, height=5 * size, width=0.02, every=0.4, seed=int(rng.integers(1 << 30)))
+    loop = ClosedLoop(RigidJoint(), controller(structure, numbers, _PERIOD, 1.0))
+    tap = Tap.MEASURED if structure.late else Tap.COMMAND
+    try:
+        record = simulated_record(
+            loop, reference, values, sample_time=_PERIOD, injected=known, tap=tap, name="twin",
+            encoder_step=travel * 10 ** rng.uniform(-6.5, -5.0), initial=Initial(),
+        )  # fmt: skip
+    except MethodError:
+        return None
+    assert record.torque is not None and record.motor_position is not None
+    torque = record.torque.values
+    if np.max(np.abs(record.motor_position.values - reference)) > 0.5 * travel or _rings(torque):
+        return None
+    noise = float(np.std(torque)) * 10 ** rng.uniform(-3.5, -2.3) * rng.standard_normal(torque.size)
+    return LoopTwin(structure, numbers, replace(record, torque=replace(record.torque, values=torque + noise)))
+
+
+def _rings(torque: FloatArray) -> bool:
+    return float(np.std(np.diff(torque)[-1500:])) > 3 * float(np.std(np.diff(torque)[:5000]))
+
+
+def _reference(rng: np.random.Generator, travel: float) -> FloatArray:
+    speeds = tuple(travel * rng.uniform(0.3, 2.5, 3))
+    reference = trapezoids(speeds, travel * rng.uniform(4.0, 12.0), travel, _PERIOD, 0.1, _SAMPLES * _PERIOD)
+    window = np.hanning(2 * int(rng.integers(5, 30)) + 1)  # a jerk that is limited
+    padded = np.pad(reference, window.size // 2, mode="edge")
+    return np.asarray(np.convolve(padded, window / window.sum(), "valid"))
+
+
+def _law(rng: np.random.Generator, inertia: float) -> tuple[Structure, dict[str, float]]:
+    law = str(rng.choice(["P-P", "P-PI", "PD", "PID"]))
+    cascade, integral = law in ("P-P", "P-PI"), law in ("P-PI", "PID")
+    velocity = str(rng.choice(["none", "share", "full"] if cascade else ["difference", "none"][: 1 + integral]))
+    filters = ["none", "mean 2", "mean 4", "first order", "second order"]
+    filtered = str(rng.choice(filters, p=[0.25, 0.25, 0.1, 0.25, 0.15]))
+    parts = {part for part in ("acceleration", "coulomb") if rng.random() < 0.3}
+    structure = Structure(law, velocity, filtered, frozenset(parts))  # type: ignore[arg-type]
+    extra = str(
+        rng.choice(["none", "torque", "reference", "late", "rate", "every"], p=[0.45, 0.15, 0.1, 0.1, 0.1, 0.1])
+    )
+    if extra == "torque":
+        structure = replace(structure, torque_filter=str(rng.choice(["first order", "second order", "notch"])))
+    if extra == "reference":
+        structure = replace(structure, reference_delay=True)
+    if extra == "late":
+        structure = replace(structure, late=int(rng.integers(1, 4)))
+    if extra == "rate":
+        # Of lines an acceleration is all jerks, where they meet: between the log's samples, where no log shows it.
+        structure = replace(structure, rate=int(rng.choice([2, 4, 8])), curved=ACCELERATION in parts)
+    if extra == "every" and cascade:
+        every = int(rng.choice([2, 4, 8]))
+        structure = replace(structure, every=every, offset=int(rng.integers(every)))
+    return structure, _numbers(rng, structure, inertia)
+
+
+def _numbers(rng: np.random.Generator, structure: Structure, inertia: float) -> dict[str, float]:
+    inner = 2 * math.pi * math.exp(rng.uniform(math.log(10), math.log(40)))  # rad/s
+    outer, slow = inner / rng.uniform(2.5, 5.0), inner / rng.uniform(5, 20)
+    cascade = {"kp": outer, "kv": inertia * inner, "ki": slow}
+    others = {"kp": inertia * inner * outer, "kd": inertia * inner, "ki": inertia * inner * outer * slow / 3}
+    beside = {
+        "velocity_feedforward": rng.uniform(0.5, 1.0),
+        "acceleration_feedforward": inertia * rng.uniform(0.5, 1.0),
+        "coulomb_feedforward": inertia * rng.uniform(0.3, 1.0),
+        "velocity_filter.time_constant": 10 ** rng.uniform(-3.2, -2.5),
+        "velocity_filter.frequency": rng.uniform(80, 250),
+        "velocity_filter.damping": rng.uniform(0.5, 1.0),
+        "torque_filters.0.time_constant": 10 ** rng.uniform(-3.2, -2.7),
+        "torque_filters.0.frequency": rng.uniform(80, 200),
+        "torque_filters.0.damping": rng.uniform(0.5, 1.0),
+        "torque_filters.0.bandwidth": rng.uniform(20, 60),
+        "torque_filters.0.depth": rng.uniform(0.0, 0.3),
+        "reference_delay": rng.uniform(0.5e-3, 4e-3),
+        "integral": 0.0,
+    }
+    known = (cascade if structure.cascade else others) | beside
+    return {name: float(known[name]) for name in structure.names}
+
+
+def _main() -> None:
+    """Show the table of the seeds ``python -m studies.learned [FIRST AFTER_LAST]``, 0 to 199 unless told."""
+    first, last = map(int, sys.argv[1:3]) if len(sys.argv) > 2 else (0, 200)
+    show = sys.stdout.write
+    show(f"{learned_twins(range(first, last), lambda said: print(said, file=sys.stderr))}\n")  # noqa: T201
+
+
+if __name__ == "__main__":
+    _main()

@@ -1,0 +1,310 @@
+"""How often stated margins hold: random flexible drives, identified from torque alone, and what their loops truly bear.
+
+Each twin is a drive of another size under a loop that suits it, with a disturbance inside the loop. It is identified
+from torque and reference, the margins of its loop and of the loop that is then proposed are stated, and set beside
+those of the true joint under the same laws. A margin holds where the true one is no smaller.
+
+`changes` does the same for the smallest change that is told: pairs of records of one axis, of which in half a parameter
+has changed by exactly the stated size, are compared.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.progress import Progress, silent
+from jointid.common.text import aligned
+from jointid.diagnostics.minimum_detectable_change import detectable
+from jointid.estimation.identify import identify
+from jointid.estimation.methods.flexible import FlexibleDIDIM, refined_least_squares
+from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.controllers import Cascade, Controller
+from jointid.models.joints import FlexibleJoint
+from jointid.records.excitation import pulses, trapezoids
+from jointid.records.record import Record
+from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.synthesis import simulated_record
+from jointid.tuning.margins import NAMES
+from jointid.tuning.tune import tune
+from jointid.tuning.tuned import LoopMargins
+from jointid.tuning.worst_case import bench
+
+_ROUNDING = 1e-3  # of a margin: how exactly it is computed
+_ENOUGH = 1e-6  # relative: far below a deviation
+_SHARES = (0.02, 0.10)  # of the torque's variation, that the disturbance makes of it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """A random flexible drive under its loop, and its motion.
+
+    Attributes:
+        loop: of joint and controller. truth: the joint's parameters. mode: Hz, free-free.
+        period: s. reference, known: (samples,) the motion, and the pulses that are injected.
+        seed: of all of it. noise: standard deviation of the disturbance.
+    """
+
+    loop: ClosedLoop
+    truth: dict[str, float]
+    mode: float
+    period: float
+    reference: FloatArray
+    known: FloatArray
+    noise: float = 0.0
+
+    def record(self, seed: int | None, truth: dict[str, float] | None = None) -> Record:
+        """Return a record of torque and reference, with a disturbance of that seed, or none."""
+        white = None
+        if seed is not None:
+            white = self.noise * np.random.default_rng([seed, 3]).standard_normal(self.reference.size)
+        made = simulated_record(
+            self.loop, self.reference, truth or self.truth, sample_time=self.period, injected=self.known,
+            disturbance=white, name="twin",
+        )  # fmt: skip
+        return made.without("motor_position", "load_position")
+
+    def identified(self, record: Record) -> Estimate:
+        """Return what torque and reference say; the search begins at the mode's frequency, which saves time alone."""
+        return identify(record, self.loop, FlexibleDIDIM(frequency=self.mode))
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """One twin: what was stated, and what is true.
+
+    Attributes:
+        seed: of the twin. mode: Hz.
+        stated: margins by loop ("present", "proposed") and name, of the loops for which any could be stated.
+        true: the same of the true joint. refused: why none was stated, if so.
+    """
+
+    seed: int
+    mode: float
+    stated: dict[str, tuple[float, ...]]
+    true: dict[str, tuple[float, ...]]
+    refused: str = ""
+
+    def holds(self, loop: str, name: str) -> bool:
+        """Whether a margin is no smaller than stated."""
+        at = NAMES.index(name)
+        return self.true[loop][at] >= self.stated[loop][at] * (1 - _ROUNDING)
+
+
+@dataclass(frozen=True, slots=True)
+class HeldMargins:
+    """Many twins.
+
+    Attributes:
+        twins: all of them.
+    """
+
+    twins: tuple[Held, ...]
+
+    def share(self, loop: str, name: str | None = None) -> float:
+        """Return in which share of the twins with stated margins one holds, or all of them do."""
+        told = [t for t in self.twins if loop in t.stated]
+        names = NAMES if name is None else (name,)
+        return float(np.mean([all(t.holds(loop, one) for one in names) for t in told]))
+
+    @property
+    def all(self) -> float:
+        """Share of the twins in which every stated margin of every loop holds."""
+        told = [t for t in self.twins if t.stated]
+        return float(np.mean([all(t.holds(loop, one) for loop in t.stated for one in NAMES) for t in told]))
+
+    def __str__(self) -> str:
+        """Return the table."""
+        rows = []
+        for loop in ("present", "proposed"):
+            told = [t for t in self.twins if loop in t.stated]
+            tight = [
+                t.stated[loop][i] / t.true[loop][i] for t in told for i in (0, 4) if math.isfinite(t.true[loop][i])
+            ]
+            cells = [f"{100 * self.share(loop, name):.1f}" for name in (*NAMES, None)] if told else ["-"] * 6
+            rows.append((loop, str(len(told)), *cells, f"{float(np.median(tight)):.3f}" if tight else "-"))
+        header = ("loop", "stated", *NAMES, "all", "stated / true")
+        lines = [
+            aligned(header, rows, (False, *(True,) * 8)),
+            f"every stated margin of both loops: {100 * self.all:.1f} %",
+        ]
+        for t in self.twins:
+            lost = [f"{loop} {one}" for loop in t.stated for one in NAMES if not t.holds(loop, one)]
+            lines += [f"seed {t.seed}: {', '.join(lost)}"] * bool(lost) + [f"seed {t.seed}: {t.refused}"] * bool(
+                t.refused
+            )
+        return "\n".join(lines)
+
+
+def held_margins(seeds: Sequence[int] = range(200), progress: Progress = silent) -> HeldMargins:
+    """Identify random twins, state their margins, and count how often these hold."""
+    found = []
+    for seed in seeds:
+        found.append(_held(seed))
+        progress(f"seed {seed}: {found[-1].refused or 'stated'}")
+    return HeldMargins(tuple(found))
+
+
+def _held(seed: int) -> Held:
+    drive = random_drive(seed)
+    try:
+        tuned = tune(drive.identified(drive.record(seed)))
+    except MethodError as error:
+        return Held(seed, drive.mode, {}, {}, str(error))
+    stated: dict[str, tuple[float, ...]] = {}
+    true: dict[str, tuple[float, ...]] = {}
+    loops: dict[str, LoopMargins | None] = {"present": tuned.present, "proposed": tuned.proposed}
+    for name, loop in loops.items():
+        if loop is not None and loop.worst.stable:
+            stated[name] = tuple(getattr(loop.worst, one) for one in NAMES)
+            true[name] = true_margins(drive, loop.controller)
+    return Held(seed, drive.mode, stated, true, "" if len(stated) == 2 else "; ".join(tuned.notes))
+
+
+def true_margins(drive: Drive, controller: Controller) -> tuple[float, ...]:
+    """Return the margins of the true joint under a law."""
+    law = controller.law(drive.period)
+    return tuple(map(float, bench(drive.loop.joint, [drive.truth], law).margins(law)[0]))
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """How often a change was said, by parameter.
+
+    Attributes:
+        false: share of pairs without a change in which one was said. found: share of pairs with one of the stated size.
+        pairs: of each kind.
+    """
+
+    false: dict[str, float]
+    found: dict[str, float]
+    pairs: int
+
+    def __str__(self) -> str:
+        """Return the table."""
+        rows = [(name, f"{100 * self.false[name]:.1f}", f"{100 * self.found[name]:.1f}") for name in self.false]
+        return aligned((f"{self.pairs} pairs each", "false alarms %", "detected %"), rows, (False, True, True))
+
+
+CHANGED = ("stiffness", "motor_inertia", "load_inertia", "damping", "load_viscous", "load_coulomb")
+"""Parameters that are changed, one at a time."""
+
+
+def changes(pairs: Sequence[int] = range(200), names: Sequence[str] = CHANGED, progress: Progress = silent) -> Told:
+    """Compare pairs of records of one axis, without a change and with one of the stated size (1 %, 90 %).
+
+    Args:
+        pairs: their seeds: of so many without a change, and as many with one of each parameter.
+        names: of the parameters, each changed in records of its own.
+        progress: is told every ten pairs.
+    """
+    drive = random_drive(0)
+    false, found = dict.fromkeys(names, 0), dict.fromkeys(names, 0)
+    for done, pair in enumerate(pairs, 1):
+        seeds = iter(range(10_000 + 10 * pair, 10_010 + 10 * pair))
+        first = drive.identified(drive.record(next(seeds)))
+        stated = detectable(first)
+        again = _again(first, drive.record(next(seeds)))
+        for name in names:
+            told = stated[name]
+            false[name] += abs(again[name] - told.value) > told.limit
+            # The stated size varies with the record's noise, as it does for whoever relies on it.
+            moved = dict(drive.truth) | {name: drive.truth[name] + told.size}
+            after = _again(first, drive.record(next(seeds), moved))
+            found[name] += abs(after[name] - told.value) > told.limit
+        if done % 10 == 0:
+            progress(f"{done} of {len(pairs)} pairs")
+    count = len(pairs)
+    return Told({n: c / count for n, c in false.items()}, {n: c / count for n, c in found.items()}, count)
+
+
+def _again(first: Estimate, record: Record) -> dict[str, float]:
+    """Return what the parameters are by another record, searched for from those of the first."""
+    assert first.loop is not None
+    problem = torque_problem(record, first.loop, first.filtering, first.joint.parameters)
+    still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
+    problem = replace(problem, parameters=still)
+    x, _ = refined_least_squares(problem, problem.vector({p.name: p.value or 0.0 for p in first.parameters}), _ENOUGH)
+    return dict(zip((p.name for p in problem.free), map(float, x), strict=True))
+
+
+def random_drive(seed: int) -> Drive:
+    """Return a random drive whose loop is stable: any size, modes of 5 to 200 Hz, damped by 0.5 to 8 %.
+
+    Args:
+        seed: of everything.
+    """
+    rng = np.random.default_rng([seed, 11])
+    while True:
+        drive = _drawn(rng, seed)
+        law = drive.loop.controller.law(drive.period)
+        if bench(drive.loop.joint, [drive.truth], law).margins(law)[0, -1] > 0.1:
+            break
+    clean, answer = drive.record(None), replace(drive, noise=1e-3 * _size(drive)).record(seed)
+    assert clean.torque is not None and answer.torque is not None
+    change = float(np.std(answer.torque.values - clean.torque.values))
+    share = math.exp(rng.uniform(math.log(_SHARES[0]), math.log(_SHARES[1])))
+    return replace(drive, noise=1e-3 * _size(drive) * share * float(np.std(clean.torque.values)) / change)
+
+
+def _size(drive: Drive) -> float:
+    return drive.truth["motor_inertia"] * float(np.ptp(drive.reference)) * drive.mode**2
+
+
+def _drawn(rng: np.random.Generator, seed: int) -> Drive:
+    inertia = 10 ** rng.uniform(-4, 2)
+    mode = math.exp(rng.uniform(math.log(5), math.log(200)))
+    period = 1 / math.exp(rng.uniform(math.log(15 * mode), math.log(60 * mode)))
+    swing, pace = 10 ** rng.uniform(-1, 1), 30.0 / mode
+    speeds = (0.21 * swing / pace, 0.415 * swing / pace, 0.625 * swing / pace)
+    force = inertia * swing / pace**2
+    reference = trapezoids(speeds, 4.15 * swing / pace**2, swing, period, duration=min(24.0 * pace, 30_000 * period))
+    known = pulses(reference.size, period, height=7.0 * force, width=0.02 * pace, every=0.4 * pace, seed=seed)
+    share, ratio = rng.uniform(0.2, 0.8), math.exp(rng.uniform(math.log(0.005), math.log(0.08)))
+    motor, load, rate = (1 - share) * inertia, share * inertia, 2 * math.pi * mode
+    reduced = motor * load / inertia
+    level = rng.uniform(0.5, 1.5, 4)
+    truth = {
+        "motor_inertia": motor,
+        "motor_viscous": level[0] * 0.95 * inertia / pace,
+        "motor_coulomb": level[1] * 0.5 * force,
+        "stiffness": reduced * rate**2,
+        "damping": 2 * ratio * reduced * rate,
+        "load_inertia": load,
+        "load_viscous": level[2] * 0.95 * inertia / pace,
+        "load_coulomb": level[3] * 0.5 * force,
+        "offset": rng.uniform(-0.2, 0.2) * force,
+    }
+    controller = Cascade(
+        kp=rate * rng.uniform(0.1, 0.4),
+        kv=inertia * rate * rng.uniform(0.2, 0.6),
+        ki=rate * rng.uniform(0.01, 0.05) * (rng.random() < 0.3),
+        delay=period * float(rng.choice([0.0, 0.5, 1.0])),
+        velocity_filter=(0.5, 0.5) if rng.random() < 0.5 else (1.0,),
+    )
+    loop = ClosedLoop(FlexibleJoint(kind="revolute"), controller)
+    return Drive(loop, {name: float(value) for name, value in truth.items()}, mode, period, reference, known)
+
+
+def _main() -> None:
+    """Show a table: ``python -m studies.margins [changes] [FIRST AFTER_LAST]``, seeds 0 to 199 unless told."""
+
+    def told(said: str) -> None:
+        sys.stderr.write(f"{said}\n")
+
+    numbers = [int(word) for word in sys.argv[1:] if word != "changes"] or [0, 200]
+    if "changes" in sys.argv[1:]:
+        sys.stdout.write(f"{changes(range(*numbers), progress=told)}\n")
+    else:
+        sys.stdout.write(f"{held_margins(range(*numbers), told)}\n")
+
+
+if __name__ == "__main__":
+    _main()

@@ -1,0 +1,168 @@
+"""How stiff a spring may be and still be reported: the twin, with its spring made stiffer until no record shows it.
+
+Each noisy run ends in a stiffness with an interval, or in a refusal with a bound. What should happen is known
+beforehand, from the sensitivities at the truth: they predict how well the stiffness can be known at all.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from jointid.common.progress import Progress, silent
+from jointid.common.text import aligned, number
+from jointid.estimation.methods.flexible import refined_least_squares
+from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.result.stiffness_identifiability import visible
+from jointid.estimation.search.exploration import frequency_of
+from jointid.estimation.search.multistart import on_band
+from jointid.paper.twin import Twin, twin
+from jointid.records.signals import Filtering
+from jointid.simulation.closed_loop import in_threads
+from jointid.uncertainty.position_dependent_error import uncertainty
+
+Noise = Literal["disturbance", "white"]
+
+FACTORS = (1.0, 3.0, 10.0, 20.0, 30.0, 50.0, 100.0, 300.0, 1e3, 1e4)
+"""Times the K12 of Table 2: free-free modes from 30 Hz to 3 kHz; a log at 1 kHz follows them to 220 Hz."""
+
+PLAIN, INVISIBLE = 0.03, 0.5  # predicted deviations of K12: below, it must be reported; above, it must not
+_EXACTLY = 1e-8
+_SHARE = 0.33  # of the twin's load in its inertia: bounds are stated for this one
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """One run: what could be known of its spring, and what was said.
+
+    Attributes:
+        factor: times the K12 of Table 2.
+        noise: of the twin.
+        seed: of the noise.
+        stiffness: true.
+        frequency: free-free, Hz, true.
+        predicted: relative standard deviation of the stiffness, from the sensitivities and the noise at the truth.
+        value: None where it was refused.
+        std: standard deviation of it.
+        bound: of a refused one, at the true load share; None where the record bounds nothing.
+    """
+
+    factor: float
+    noise: Noise
+    seed: int
+    stiffness: float
+    frequency: float
+    predicted: float
+    value: float | None
+    std: float | None
+    bound: float | None
+
+    @property
+    def holds(self) -> bool:
+        """Whether what was said is true: 2 sigma about the value hold the stiffness, or it is above the bound."""
+        if self.value is None or self.std is None:
+            return self.bound is None or self.bound < self.stiffness
+        return abs(self.value - self.stiffness) <= 2 * self.std
+
+
+@dataclass(frozen=True, slots=True)
+class Refusals:
+    """What became of the stiffness in many runs.
+
+    Attributes:
+        runs: all of them, by factor.
+    """
+
+    runs: tuple[Judged, ...]
+
+    @property
+    def held(self) -> float:
+        """Share of the runs in which what was said is true."""
+        return float(np.mean([run.holds for run in self.runs]))
+
+    @property
+    def refused_plain(self) -> float:
+        """Share of the runs refused among those of which the stiffness can be known to 3 %."""
+        return float(np.mean([run.value is None for run in self.runs if run.predicted < PLAIN]))
+
+    @property
+    def given_invisible(self) -> float:
+        """Share of the runs given a value among those whose 2 sigma would be as large as the stiffness, or larger."""
+        return float(np.mean([run.value is not None for run in self.runs if run.predicted > INVISIBLE]))
+
+    def __str__(self) -> str:
+        """Return the table, a row for each stiffness."""
+        header = ("K12, N/m", "free-free, Hz", "predicted deviation, %", "values given, %", "bound / K12", "true, %")
+        rows = [_row(list(group)) for _, group in itertools.groupby(self.runs, lambda run: run.factor)]
+        said = (
+            f"{len(self.runs)} runs: {100 * self.held:.1f} % of what is said is true; refused where K12 can be known "
+            f"to {100 * PLAIN:.0f} %: {100 * self.refused_plain:.1f} %; given where it is invisible: "
+            f"{100 * self.given_invisible:.1f} %"
+        )
+        return f"{aligned(header, rows, (True,) * len(header))}\n\n{said}"
+
+
+def refusals(
+    factors: Sequence[float] = FACTORS,
+    seeds: Sequence[int] = range(1, 11),
+    noises: Sequence[Noise] = ("disturbance", "white"),
+    progress: Progress = silent,
+) -> Refusals:
+    """Judge the stiffness of the twin (loop L19) with springs from soft to stiff, under noise of both kinds.
+
+    Args:
+        factors: times the K12 of Table 2; see `jointid.paper.twin.twin` for what happens to F12.
+        seeds: of the noise, for each factor and kind.
+        noises: kinds.
+        progress: is told every run.
+    """
+
+    def one(at: tuple[float, Noise, int]) -> Judged:
+        judged = _judged(*at)
+        verdict = f"K12 {judged.value:.4g}" if judged.value is not None else f"refused, bound {judged.bound or 0:.4g}"
+        progress(f"K12 times {at[0]:g}, {at[1]}, seed {at[2]}: {verdict}, {'true' if judged.holds else 'wrong'}")
+        return judged
+
+    return Refusals(tuple(in_threads(one, list(itertools.product(factors, noises, seeds)))))
+
+
+def _judged(factor: float, noise: Noise, seed: int) -> Judged:
+    """Return what is said of one run, by a fit that begins at the truth: what is judged here is no search."""
+    axis = twin("L19", noise=noise, seed=seed, stiffer=factor)
+    problem = _problem(axis)
+    names = [p.name for p in problem.free]
+    at, truth = names.index("stiffness"), problem.vector({**axis.truth, "initial_position": 0.0})
+    error, J = problem.linearised(truth)
+    predicted = uncertainty(J, J, error, problem.cells(problem.simulate(truth)), names).robust.std[at] / truth[at]
+    x, J = refined_least_squares(problem, truth, _EXACTLY)
+    known = uncertainty(J, J, problem.residual(x), problem.cells(problem.simulate(x)), names)
+    spring = visible(problem, x, known, (2, 2), silent, (_SHARE,))
+    value, std = (float(x[at]), float(known.covariance.std[at])) if spring.shown else (None, None)
+    bound = spring.bounds[0].stiffness if spring.bounds else None
+    mode = frequency_of(axis.truth)
+    return Judged(factor, noise, seed, float(truth[at]), mode, float(predicted), value, std, bound)
+
+
+def _problem(axis: Twin) -> Problem:
+    """Return the problem that an identification of a twin ends on: at rest, on a band that follows the mode."""
+    record = axis.record.without("motor_position", "load_position")
+    problem = torque_problem(record, axis.loop, Filtering(), axis.loop.joint.parameters)
+    still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
+    return on_band(replace(problem, parameters=still), Filtering(), frequency_of(axis.truth))
+
+
+def _row(runs: list[Judged]) -> tuple[str, ...]:
+    bounds = [run.bound / run.stiffness for run in runs if run.bound is not None]
+    given = np.mean([run.value is not None for run in runs])
+    return (
+        f"{runs[0].stiffness:.2g}",
+        number(runs[0].frequency, 3),
+        number(100 * float(np.median([run.predicted for run in runs])), 2),
+        f"{100 * given:.0f}",
+        number(float(np.median(bounds)), 2) if bounds else "-",
+        f"{100 * np.mean([run.holds for run in runs]):.0f}",
+    )

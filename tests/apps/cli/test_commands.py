@@ -1,0 +1,561 @@
+"""The program as a user meets it: its commands, what they write, and how they fail."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid.apps.cli.app import app, main
+from jointid.config import load
+from jointid.controller_id.learned import LearnedLoop
+from jointid.models.controllers import Cascade
+from jointid.models.joints import FlexibleJoint
+from jointid.paper.twin import CONTROLLERS, JOINT_FILE, TABLE_2, twin
+from jointid.records.excitation import trapezoids
+from jointid.records.formats import Table, write_table
+from jointid.records.reading import read
+from jointid.records.record import Record
+from jointid.records.writing import write
+from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.synthesis import simulated_record
+
+ROOT = Path(__file__).resolve().parents[3]
+EMPS = ROOT / "examples" / "emps" / "joint.toml"
+
+
+def run(*words: object) -> int:
+    """Run the program and return its exit code."""
+    with pytest.raises(SystemExit) as end:
+        main([str(word) for word in words])
+    assert isinstance(end.value.code, int)
+    return end.value.code
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("demo") / "out"
+    assert run("demo", folder, "--quiet") == 0
+    return folder
+
+
+def test_the_demo_writes_a_folder_to_play_with(demo: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert {path.name for path in demo.iterdir()} == {"record.csv", "joint.toml", "estimate.json", "torque.png"}
+    answer = json.loads((demo / "estimate.json").read_text(encoding="utf-8"))
+    for name, value in TABLE_2.items():
+        found = answer["parameters"][name]
+        assert abs(found["value"] - value) <= 3 * found["std"], name
+    assert abs(answer["parameters"]["stiffness"]["value"] / 8e5 - 1) <= 0.01
+    assert answer["channels"] == ["torque", "reference", "injected"]
+    changed = (demo / "joint.toml").read_text(encoding="utf-8").replace("cutoff = 60.0", "cutoff = 50.0")
+    (demo / "joint.toml").write_text(changed, encoding="utf-8")
+    assert run("identify", demo / "joint.toml") == 0
+    said = capsys.readouterr()
+    assert "K12" in said.out
+    assert "iteration 0" in said.err
+
+
+def test_advise_says_what_a_load_encoder_would_do(
+    tmp_path: Path, demo: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "advice.json"
+    (tmp_path / "joint.toml").write_text(JOINT_FILE, encoding="utf-8")
+    words = ("--record", demo / "record.csv", "--encoder-step", "1e-6", "--json", out, "-q")
+    assert run("advise", tmp_path / "joint.toml", *words) == 0
+    assert "load encoder: steps of 1e-06 m; narrows" in capsys.readouterr().out
+    answer = json.loads(out.read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.advice/1"
+    assert answer["noise"] == "loop"
+
+
+def test_tune_says_what_to_set_and_how_far_the_loop_is_from_instability(
+    tmp_path: Path, demo: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, picture = tmp_path / "tuning.json", tmp_path / "loop.png"
+    (tmp_path / "joint.toml").write_text(JOINT_FILE, encoding="utf-8")
+    words = (
+        "--record",
+        demo / "record.csv",
+        "--no-notch",
+        "--phase-margin",
+        "50",
+        "--json",
+        out,
+        "--figure",
+        picture,
+        "-q",
+    )
+    assert run("tune", tmp_path / "joint.toml", *words) == 0
+    said = capsys.readouterr().out
+    assert "proposed, worst case" in said
+    assert "Smallest change that another record of this motion would tell" in said
+    answer = json.loads(out.read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.tuning/1"
+    assert answer["notch"] is None
+    assert answer["proposed"]["worst"]["phase_degrees"] >= 49.7
+    assert picture.stat().st_size > 10_000
+    assert run("tune", tmp_path / "joint.toml", "--power", "2") == 2
+    assert "the power is from 0.5 to 1" in capsys.readouterr().err
+
+
+def test_a_refused_stiffness_ends_with_what_would_show_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    loop = ClosedLoop(FlexibleJoint(), CONTROLLERS["L19"])
+    reference = trapezoids((0.042, 0.125), 0.83, 0.2, 1e-3, duration=8.0)
+    force = 30.0 * np.random.default_rng(1).standard_normal(reference.size)
+    stiff = {**TABLE_2, "stiffness": 1e9, "damping": 1e4}
+    write(simulated_record(loop, reference, stiff, sample_time=1e-3, disturbance=force), tmp_path / "record.csv")
+    text = JOINT_FILE.replace("frequency = 30.0", "# frequency = 30.0")
+    (tmp_path / "joint.toml").write_text(text, encoding="utf-8")
+    assert run("identify", tmp_path / "joint.toml", "-q", "--json", tmp_path / "refused.json") == 0
+    said = capsys.readouterr().out
+    assert "K12 is at least" in said
+    assert "would" in said.strip().splitlines()[-1]
+    assert run("validate", tmp_path / "joint.toml", "--estimate", tmp_path / "refused.json") == 2
+    assert (
+        "which its record did not tell, so it predicts no torque; identify the joint as rigid"
+        in capsys.readouterr().err
+    )
+    assert run("advise", tmp_path / "joint.toml", "-q", "--json", tmp_path / "out.json") == 0
+    assert json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["sentence"] in capsys.readouterr().out
+
+
+def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        assert run("demo", tmp_path / name, "-q", "--seed", 7) == 0
+    for name in ("record.csv", "joint.toml", "estimate.json", "torque.png"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_the_example_of_the_twin_is_the_demo_s_joint_file() -> None:
+    assert (ROOT / "examples" / "twin" / "joint.toml").read_text(encoding="utf-8") == JOINT_FILE
+
+
+def test_identify_validate_simulate_on_the_real_axis(
+    emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, pulses = tmp_path / "out.json", emps_path.with_name("DATA_EMPS_PULSES.mat")
+    assert run("identify", EMPS, "--record", emps_path, "--json", out, "--figure", tmp_path / "t.svg", "-q") == 0
+    answer = json.loads(out.read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.estimate/1"
+    assert answer["method"] == "didim"
+    assert answer["model"] == "rigid"
+    assert answer["channels"] == ["torque", "reference"]
+    assert set(answer["parameters"]["inertia"]) == {
+        "symbol", "value", "std", "unit", "free", "identifiable", "lower_bound",
+    }  # fmt: skip
+    assert abs(answer["parameters"]["inertia"]["value"] - 95.0) <= 0.5
+    assert answer["relative_error_percent"] <= 4.6
+    assert (tmp_path / "t.svg").read_text(encoding="utf-8").lstrip().startswith("<?xml")
+
+    check = tmp_path / "check.json"
+    assert run("validate", EMPS, "--estimate", out, "--record", pulses, "--json", check, "-q") == 0
+    cross = json.loads(check.read_text(encoding="utf-8"))
+    assert (cross["schema"], cross["test"]) == ("jointid.validation/1", "cross")
+    assert cross["relative_error_percent"] <= 5.5
+    assert run("validate", EMPS, "--estimate", out, "--record", emps_path, "--json", check, "-q") == 0
+    assert json.loads(check.read_text(encoding="utf-8"))["test"] == "direct"
+
+    made, summary = tmp_path / "made.csv", tmp_path / "made.json"
+    words = ("--record", emps_path, "--estimate", out, "--out", made, "--json", summary, "-q")
+    assert run("simulate", EMPS, *words) == 0
+    assert json.loads(summary.read_text(encoding="utf-8"))["outcome"] == "finished"
+    capsys.readouterr()
+    assert run("identify", EMPS, "--record", made, "--json", check, "-q") == 0  # it has the columns of EMPS itself
+    again = json.loads(check.read_text(encoding="utf-8"))
+    assert again["record"]["samples"] == answer["record"]["samples"]
+    for name in ("inertia", "viscous", "coulomb", "offset"):
+        assert abs(again["parameters"][name]["value"] / answer["parameters"][name]["value"] - 1) <= 1e-6, name
+    assert again["relative_error_percent"] <= 1e-4
+
+
+def test_what_is_simulated_for_a_profile_is_identified_by_it(tmp_path: Path) -> None:
+    """A geared axis traced by a CiA 402 drive, in counts and per mille: simulate and identify, with one joint file."""
+    text = """[joint]
+kind = "revolute"
+[transmission]
+ratio = 50
+[record]
+file = "trace.csv"
+[record.channels]
+reference = { sign = -1 }
+[drive]
+profile = "cia402"
+rated_torque = 1.27
+counts_per_turn = 1048576
+[controller]
+law = "cascade"
+kp = 25.0
+kv = 0.02
+[parameters]
+inertia = { start = 0.5 }
+viscous = { start = 2.5 }
+coulomb = { start = 1.5 }
+offset = { start = 0.5 }
+"""
+    reference = trapezoids((20.0, 40.0), 400.0, 60.0, 1e-3, duration=8.0) / (2 * np.pi) * 2**20  # counts of the motor
+    still = np.zeros(reference.size)
+    still[0] = 1.0  # a torque that nothing is identified from
+    columns = {"t": np.arange(reference.size) * 1e-3, "6074h": still, "6062h": -reference}
+    write_table(tmp_path / "trace.csv", Table(columns))
+    joint, made, out = tmp_path / "joint.toml", tmp_path / "made.csv", tmp_path / "out.json"
+    joint.write_text(text, encoding="utf-8")
+    assert run("simulate", joint, "--out", made, "-q") == 0
+    names = made.read_text(encoding="utf-8").splitlines()[0]
+    assert names == "t,6074h,6062h,6064h"
+    assert run("identify", joint, "--record", made, "--json", out, "-q") == 0
+    found = json.loads(out.read_text(encoding="utf-8"))["parameters"]
+    for name, value in {"inertia": 0.5, "viscous": 2.5, "coulomb": 1.5, "offset": 0.5}.items():
+        assert abs(found[name]["value"] / value - 1) <= 1e-6, name
+
+
+def test_what_is_simulated_from_a_late_beginning_counts_from_its_own(tmp_path: Path) -> None:
+    """The record begins 2 ms after its file, at its first refresh; what is written begins with itself."""
+    text = """[joint]
+kind = "revolute"
+[record]
+file = "trace.csv"
+[record.channels]
+torque = { column = "i", update_time = 0.004 }
+reference = { column = "r", update_time = 0.004 }
+[controller]
+law = "cascade"
+kp = 10.0
+kv = 2.0
+position_period = 0.016
+position_offset = 0.006
+[parameters]
+inertia = { start = 0.05 }
+viscous = { start = 0.2 }
+coulomb = { start = 0.3 }
+offset = { start = 0.1 }
+"""
+    slow = trapezoids((1.0, 2.0), 10.0, 2.0, 4e-3, duration=16.0)
+    samples = 4 * slow.size
+    rows = np.maximum((np.arange(samples) - 2) // 4, 0)
+    columns = {"t": np.arange(samples) * 1e-3, "r": slow[rows], "i": np.sin(0.3 * rows)}
+    write_table(tmp_path / "trace.csv", Table(columns))
+    joint, made, out = tmp_path / "joint.toml", tmp_path / "made.csv", tmp_path / "out.json"
+    joint.write_text(text, encoding="utf-8")
+    assert load(joint).record().begin == pytest.approx(2e-3)
+    assert run("simulate", joint, "--out", made, "-q") == 0
+    assert run("identify", joint, "--record", made, "--json", out, "-q") == 0
+    found = json.loads(out.read_text(encoding="utf-8"))
+    assert found["relative_error_percent"] <= 1e-4
+    assert abs(found["parameters"]["inertia"]["value"] / 0.05 - 1) <= 1e-6
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".mat", ".tsv"])
+def test_the_twin_is_written_in_every_format_that_is_read(suffix: str, tmp_path: Path) -> None:
+    out = tmp_path / f"twin{suffix}"
+    assert run("simulate", "--twin", "L30", "--added-mass", "--noise", "white", "--seed", 5, "--out", out, "-q") == 0
+    names = ("torque", "reference", "motor_position", "load_position", "injected")
+    record = read(out, {name: name for name in names})
+    made = twin("L30", added_mass=True, noise="white", seed=5).record
+    for name in names[:4]:
+        assert np.array_equal(getattr(record, name).values, getattr(made, name).values)
+
+
+def test_simulate_needs_something_to_simulate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert run("simulate") == 2
+    assert "needs a joint file; name one, or give --twin" in capsys.readouterr().err
+    assert run("simulate", "--twin", "L19") == 2
+    assert "--twin needs --out" in capsys.readouterr().err
+
+
+def test_pulses_may_be_declared_after_the_limit_as_the_report_says(emps_path: Path, tmp_path: Path) -> None:
+    """Its 14 samples beyond the limit are no reason to refuse the record: both declarations must work."""
+    text = EMPS.read_text(encoding="utf-8")
+    assert 'at = "before_limit"' in text
+    (tmp_path / "joint.toml").write_text(text.replace("before_limit", "after_limit"), encoding="utf-8")
+    pulses, out, check = emps_path.with_name("DATA_EMPS_PULSES.mat"), tmp_path / "out.json", tmp_path / "check.json"
+    assert run("identify", tmp_path / "joint.toml", "--record", emps_path, "--json", out, "-q") == 0
+    assert run("validate", tmp_path / "joint.toml", "--record", pulses, "--estimate", out, "--json", check, "-q") == 0
+    assert json.loads(check.read_text(encoding="utf-8"))["relative_error_percent"] <= 5.5
+
+
+def test_the_published_results_by_command(emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out.json"
+    words = ("--record", emps_path, "--method", "idim", "--filtering", "published", "-q", "--json", out)
+    assert run("identify", EMPS, *words) == 0
+    assert "4.0834 %" in capsys.readouterr().out
+    pulses = emps_path.with_name("DATA_EMPS_PULSES.mat")
+    assert run("validate", EMPS, "--estimate", out, "--record", pulses) == 0
+    assert "5.9824 %" in capsys.readouterr().out
+    assert run("identify", EMPS, *words, "--friction", "asymmetric") == 0
+    assert "3.1117 %" in capsys.readouterr().out
+
+
+def test_the_motor_position_may_be_removed_from_the_file(emps_path: Path, tmp_path: Path) -> None:
+    """The proof that DIDIM does not read it: the column is gone, and the answer is the same to the last digit."""
+    from jointid.records.formats import Table, read_table, write_table
+
+    table = read_table(emps_path)
+    kept = {name: values for name, values in table.columns.items() if name != "qm"}
+    write_table(tmp_path / "no_encoder.mat", Table(kept))
+    answers = []
+    for record in (emps_path, tmp_path / "no_encoder.mat"):
+        assert run("identify", EMPS, "--record", record, "--json", tmp_path / "out.json", "-q") == 0
+        answers.append(json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["parameters"])
+    assert answers[0] == answers[1]
+
+
+def test_the_flexible_axis_by_command(demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flexible = JOINT_FILE.replace('"rigid"', '"flexible"').replace("cutoff = 5.0", "cutoff = 60.0")
+    (tmp_path / "joint.toml").write_text(flexible, encoding="utf-8")
+    out = tmp_path / "out.json"
+    words = ("identify", tmp_path / "joint.toml", "--record", demo / "record.csv", "--json", out, "-q")
+
+    def stiffness() -> float:
+        return float(json.loads(out.read_text(encoding="utf-8"))["parameters"]["stiffness"]["value"])
+
+    assert run(*words, "--frequency", 30) == 0
+    said = capsys.readouterr().out
+    assert "by least squares" in said
+    assert "Nyquist" not in said
+    assert abs(stiffness() / TABLE_2["stiffness"] - 1) <= 0.05
+    assert run(*words, "--frequency", 30, "--filtering", "as-printed") == 0
+    assert "its Nyquist frequency at 41.7 Hz, below the cut-off of 60 Hz" in capsys.readouterr().out
+    assert run(*words, "--frequency", 30, "--minimiser", "nelder-mead") == 0
+    assert "by Nelder-Mead" in capsys.readouterr().out
+    assert abs(stiffness() / TABLE_2["stiffness"] - 1) <= 0.05
+
+
+def test_several_records_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    light = twin(noise="white", seed=1)
+    write(light.record, tmp_path / "light.csv")
+    write(twin(noise="white", seed=2, added_mass=True).record, tmp_path / "heavy.csv")
+    listed = """
+[[records]]
+file = "light.csv"
+
+[[records]]
+file = "heavy.csv"
+added_inertia = 10.0
+own = ["motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb", "damping", "stiffness", "motor_inertia"]
+"""
+    joint, out = tmp_path / "joint.toml", tmp_path / "out.json"
+    joint.write_text(JOINT_FILE + listed, encoding="utf-8")
+    assert run("together", joint, "--json", out) == 0
+    said = capsys.readouterr()
+    assert "record 2: heavy, 10.000 kg added to the load" in said.out
+    assert "by itself" in said.err
+    answer = json.loads(out.read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.together/1"
+    assert set(answer["parameters"]) == {"load_inertia", "offset"}
+    assert set(answer["records"][1]["parameters"]) >= {"motor_viscous", "stiffness", "initial_position"}
+    inertia = answer["parameters"]["load_inertia"]
+    assert abs(inertia["value"] - TABLE_2["load_inertia"]) <= 4 * inertia["std"]
+    assert len(answer["correlation"]) == len(answer["free"])
+    words = [word for name in ("light", "light") for word in ("--record", tmp_path / f"{name}.csv")]
+    assert run("together", joint, "-q", *words) == 2
+    assert "Records 1 and 2 are the same record" in capsys.readouterr().err
+    assert run("together", joint, "-q", "--record", tmp_path / "light.csv") == 2
+    assert "lists 2 records and 1 are named" in capsys.readouterr().err
+
+
+@pytest.fixture
+def learned(monkeypatch: pytest.MonkeyPatch) -> Cascade:
+    """What `jointid loop` finds here, at once: a velocity loop at 4 ms, and a position loop at every fourth of them."""
+    controller = Cascade(kp=40.0, kv=2.0, period=4e-3, position_period=16e-3, position_offset=12e-3)
+    nothing = np.zeros(0)
+
+    def learn_loop(record: Record, **_: object) -> LearnedLoop:
+        return LearnedLoop(
+            controller, "P-P", (), nothing, (), (), (), 0.0, 0.0, 0.0, 0.0, 1.0, nothing, "N m", "rad", record.name, ""
+        )
+
+    monkeypatch.setattr("jointid.controller_id.learn.learn_loop", learn_loop)
+    return controller
+
+
+@pytest.mark.parametrize("place", [".", "learned/here", "../beside"])
+def test_a_learned_joint_file_finds_its_record_from_any_folder(
+    tmp_path: Path, learned: Cascade, place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = tmp_path / "home"
+    home.mkdir()
+    time = np.arange(400) * 1e-3
+    write_table(
+        home / "run 1.csv",
+        Table({"t": time, "torque": np.cos(time), "position": np.sin(time), "reference": np.sin(time)}),
+    )
+    (home / "joint.toml").write_text(
+        """[joint]
+kind = "revolute"
+[record]
+file = 'run 1.csv'               # of the morning
+[drive]
+profile = "generic"
+[method]
+name = "idim"
+""",
+        encoding="utf-8",
+    )
+    folder = home / place
+    folder.mkdir(parents=True, exist_ok=True)
+    monkeypatch.chdir(home)
+    assert run("loop", "joint.toml", "--record", "run 1.csv", "--write", f"{place}/out.toml", "-q") == 0
+    made = load(folder / "out.toml")
+    assert made.source.file is not None
+    assert not Path(made.source.file).is_absolute()
+    assert made.record().name == "run 1"
+    assert "# of the morning" in (folder / "out.toml").read_text(encoding="utf-8")
+
+
+MISTAKES = {
+    "no such record": (("identify", EMPS, "--record", "nothing.mat"), "nothing.mat cannot be opened"),
+    "no such joint file": (("identify", "nothing.toml"), "nothing.toml cannot be opened"),
+    "no joint file": (("identify",), "JOINT"),
+    "unknown command": (("identfy", EMPS), "identfy"),
+    "unknown option": (("identify", EMPS, "--recrod", "x.mat"), "--recrod"),
+    "unknown method": (("identify", EMPS, "--method", "magic"), "magic"),
+    "unknown minimiser": (("identify", EMPS, "--minimiser", "simplex"), "simplex"),
+    "no frequency": (("identify", EMPS, "--frequency", "fast"), "fast"),
+    "frequency of a rigid joint": (("identify", EMPS, "--frequency", "30"), 'set joint.model = "flexible"'),
+    "no estimate": (("validate", EMPS, "--estimate", EMPS), "is no JSON file"),
+    "no records": (("together", EMPS), "Two or more records are identified together; received 0"),
+    "unwritable folder": (("demo", EMPS / "inside"), "cannot be made a folder"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_one_sentence_and_exit_code_2(
+    mistake: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words, expected = MISTAKES[mistake]
+    assert run(*words) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert expected in said.err
+    assert said.err.startswith("jointid: ")
+    assert "Traceback" not in said.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_could_not_be_written_is_refused_before_anything_runs(
+    demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for words, sentence in (
+        (("--figure", tmp_path / "t.bmp"), ".png, .svg, .pdf"),
+        (("--json", tmp_path / "none" / "out.json"), "there is no folder"),
+        (("--json", tmp_path), "it is a folder"),
+    ):
+        assert run("identify", demo / "joint.toml", "-q", *words) == 2
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert sentence in said.err
+
+
+def test_the_rigid_example_finds_the_sums(demo: Path, tmp_path: Path) -> None:
+    rigid = ROOT / "examples" / "twin" / "rigid.toml"
+    assert run("identify", rigid, "--record", demo / "record.csv", "-q", "--json", tmp_path / "out.json") == 0
+    found = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["parameters"]
+    for name, truth in (("inertia", 105.0), ("viscous", 202.0), ("coulomb", 20.4), ("offset", -3.16)):
+        assert abs(found[name]["value"] - truth) <= 3 * found[name]["std"], name
+
+
+def test_a_failure_of_ours_is_a_sentence_and_exit_code_1(
+    demo: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import jointid.config
+
+    def broken(path: Path) -> None:
+        raise ZeroDivisionError("by design")
+
+    monkeypatch.setattr(jointid.config, "load", broken)
+    assert run("identify", demo / "joint.toml") == 1
+    said = capsys.readouterr().err
+    assert "a fault of ours (ZeroDivisionError: by design)" in said
+    assert "Traceback" not in said
+    with pytest.raises(ZeroDivisionError):
+        main(["identify", str(demo / "joint.toml"), "--debug"])
+
+
+def test_an_interruption_is_said(
+    demo: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import jointid.config
+
+    def interrupted(path: Path) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(jointid.config, "load", interrupted)
+    assert run("identify", demo / "joint.toml") == 130
+    assert "Interrupted" in capsys.readouterr().err
+
+
+def test_compare_sets_every_method_of_the_real_axis_side_by_side(
+    emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.json"
+    assert run("compare", EMPS, "--record", emps_path, "--json", out) == 0
+    said = capsys.readouterr()
+    assert "trying IDIM-IV" in said.err
+    assert "IDIM-IV reads torque, reference, motor_position" in said.out
+    answer = json.loads(out.read_text(encoding="utf-8"))
+    assert [method["name"] for method in answer["methods"]][:4] == ["DIDIM", "IDIM-LS", "IDIM-IRLS", "IDIM-IV"]
+    assert {method["estimate"]["schema"] for method in answer["methods"]} == {"jointid.estimate/1"}
+
+
+def test_an_estimate_with_ripple_is_validated_and_simulated(
+    emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.json"
+    settings = ("--method", "idim", "--estimator", "robust", "--harmonics", 1, "--period", 0.0025, "--drift", "force")
+    assert run("identify", EMPS, "--record", emps_path, *settings, "--json", out, "-q") == 0
+    assert run("validate", EMPS, "--record", emps_path, "--estimate", out, "-q") == 0
+    fitted = json.loads(out.read_text(encoding="utf-8"))["filtered_error_percent"]
+    assert f"{fitted:.4f} % filtered" in capsys.readouterr().out.split("Direct test")[1]
+    assert run("simulate", EMPS, "--record", emps_path, "--estimate", out) == 0
+    assert "ripple and drift are left out" in capsys.readouterr().err
+
+
+def test_every_command_and_option_is_documented() -> None:
+    page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    documented = {}
+    for section in page.split("\n## `jointid ")[1:]:
+        name = section.split()[0].rstrip("`")
+        documented[name] = set(re.findall(r"`(--?[a-z-]+)`", section))
+    commands = {name for name in app if not name.startswith("-")}
+    assert set(documented) == commands
+    for name in commands:
+        arguments = app[name].assemble_argument_collection(parse_docstring=True)
+        options = {word for argument in arguments for word in argument.names if word.startswith("-")}
+        assert documented[name] == options, name
+
+
+def test_numbers_in_answers_are_finite(demo: Path) -> None:
+    def numbers(value: object) -> list[float]:
+        if isinstance(value, dict):
+            return [n for item in value.values() for n in numbers(item)]
+        if isinstance(value, list):
+            return [n for item in value for n in numbers(item)]
+        return [float(value)] if isinstance(value, (int, float)) else []
+
+    text = (demo / "estimate.json").read_text(encoding="utf-8")
+    assert "NaN" not in text
+    assert "Infinity" not in text
+    assert np.all(np.isfinite(numbers(json.loads(text))))
+
+
+@pytest.mark.parametrize(("given", "kept"), [(None, "1"), ("2", "2")])
+def test_small_matrices_are_left_to_one_thread(given: str | None, kept: str) -> None:
+    """Before NumPy is loaded, which reads it once; what the user has set stays."""
+    program = (
+        "import os, sys\n"
+        "from jointid.apps.cli.app import main\n"
+        "assert 'numpy' not in sys.modules\n"
+        "try:\n    main(['--version'])\n"
+        "except SystemExit:\n    print(os.environ['OPENBLAS_NUM_THREADS'])\n"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    environment |= {} if given is None else {"OPENBLAS_NUM_THREADS": given}
+    ran = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    assert ran.stdout.split()[-1] == kept

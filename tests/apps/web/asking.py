@@ -1,0 +1,84 @@
+"""A visitor without a browser: sends what the page's forms send."""
+
+from __future__ import annotations
+
+import re
+import time
+from dataclasses import dataclass
+from html import unescape
+from pathlib import Path
+
+from jointid.apps.web.sessions import Run, Visitor
+from tests.apps.web.testclient import TestClient
+
+ORIGIN = {"origin": "http://127.0.0.1:8765"}
+LAW = {"controller.law": "cascade", "controller.kp": "60", "controller.kv": "500"}
+
+
+@dataclass
+class Asker:
+    """One visitor."""
+
+    client: TestClient
+
+    def get(self, path: str) -> str:
+        answer = self.client.get(path)
+        assert answer.status_code == 200, answer.text
+        return unescape(answer.text)
+
+    def post(self, path: str, data: dict[str, str] | None = None) -> tuple[int, str]:
+        answer = self.client.post(path, data=data or {}, headers=ORIGIN)
+        return answer.status_code, unescape(answer.text)
+
+    def send(self, name: str, content: bytes, to: str = "/record") -> tuple[int, str]:
+        answer = self.client.post(to, files={"file": (name, content)}, headers=ORIGIN)
+        return answer.status_code, unescape(answer.text)
+
+    def said(self, name: str, content: bytes) -> str:
+        """Send a record that is refused, and return why."""
+        code, text = self.send(name, content)
+        assert code == 422
+        (faults,) = re.findall(r'<div class="faults".*?</div>', text, re.DOTALL)
+        return str(faults)
+
+    def identify(self, log: bytes, **fields: str) -> Run:
+        """Go through the steps, and return the identification."""
+        assert self.send("log.csv", log)[0] == 200
+        assert self.post("/channels")[0] == 200
+        answer = self.client.post("/joint", data={**LAW, **fields}, headers=ORIGIN, follow_redirects=False)
+        assert answer.status_code == 303, answer.text
+        found = self.visitor.run(int(answer.headers["location"].rsplit("/", 1)[1]))
+        assert found is not None
+        return found
+
+    @property
+    def visitor(self) -> Visitor:
+        desk = self.client.app.state.desk  # type: ignore[attr-defined]
+        found = desk.sessions.visitor(self.client.cookies[desk.cookie])
+        assert isinstance(found, Visitor)
+        return found
+
+    @property
+    def kept(self) -> set[str]:
+        """The names of all files of this visitor."""
+        folder: Path = self.visitor.folder
+        return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+
+
+def ended(run: Run, most: float = 180.0) -> str:
+    """Wait for the end of an identification, and return its state."""
+    for _ in range(int(most / 0.1)):
+        if not run.active:
+            return str(run.status["state"])
+        time.sleep(0.1)
+    raise AssertionError(f"still {run.status} after {most} s: {run.lines()}")
+
+
+def running(run: Run, line: str, most: float = 60.0) -> None:
+    """Wait until an identification has told that it is there."""
+    for _ in range(int(most / 0.05)):
+        if any(line in told for told in run.lines()):
+            return
+        assert run.active, run.status
+        time.sleep(0.05)
+    raise AssertionError(f"{run.status}: {run.lines()}")

@@ -1,0 +1,255 @@
+"""The page in a real browser: end to end on the EMPS record, by keyboard alone, and on a tablet."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from jointid.apps.cli.app import main
+from tests.browser import browser_path
+
+ARGUMENTS = [
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-background-networking", "--disable-component-update",
+    "--disable-sync", "--no-first-run",
+]  # fmt: skip
+LAW = {"kp": "160.18", "kv": "243.45", "velocity_filter": "0.5, 0.5", "gain": "35.15065188", "limit": "10"}
+PATIENCE = 240_000  # ms
+SHOTS = os.environ.get("JOINTID_SHOTS")  # a folder: pictures of each step are left there
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The page, served by the command."""
+    folder = tmp_path_factory.mktemp("page")
+    program = "import sys; from jointid.apps.cli import main; main(sys.argv[1:])"
+    words = [sys.executable, "-c", program, "serve", "--port", "0", "--folder", str(folder)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        found = re.search(r"http://127\.0\.0\.1:\d+/", process.stdout.readline())
+        assert found is not None
+        yield found[0]
+        process.terminate()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    path = browser_path()
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as running:
+        launched = running.chromium.launch(executable_path=path, args=ARGUMENTS)
+        yield launched
+        launched.close()
+
+
+class Visit:
+    """A visitor with a fresh browser; what the page complains of, and where it asks, is written down."""
+
+    def __init__(self, browser: Any, address: str, width: int = 1280, height: int = 800) -> None:
+        self.page = browser.new_context(viewport={"width": width, "height": height}).new_page()
+        self.address, self.width = address, width
+        self.complaints: list[str] = []
+        self.elsewhere: list[str] = []
+        self.page.set_default_timeout(60_000)
+        self.page.on("console", lambda said: self.complaints.append(said.text) if said.type == "error" else None)
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("request", self._asked)
+        self.page.goto(address)
+
+    def _asked(self, request: Any) -> None:
+        if not request.url.startswith((self.address, "data:", "blob:")):
+            self.elsewhere.append(request.url)
+
+    def looked_at(self, name: str) -> None:
+        """Nothing is wider than the screen; a picture is left where one is wanted."""
+        wide, screen = self.page.evaluate("[document.documentElement.scrollWidth, window.innerWidth]")
+        assert wide <= screen, name
+        if SHOTS:
+            self.page.screenshot(path=Path(SHOTS) / f"{self.width}-{name}.png", full_page=True)
+
+    def on(self, path: str) -> None:
+        self.page.wait_for_url(re.compile(re.escape(self.address) + path + r"(\?.*)?$"))
+
+    def field(self, name: str) -> Any:
+        return self.page.locator(f'[name="{name}"]')
+
+
+def upload(visit: Visit, record: Path) -> None:
+    visit.page.set_input_files("#file", record)
+    visit.page.get_by_role("button", name="Read this file").click()
+    visit.on("channels")
+
+
+def map_torque(visit: Visit) -> None:
+    visit.field("record.channels.torque.unit@prismatic").select_option("N")
+    gain = visit.field("record.channels.torque.gain")
+    if not gain.is_visible():
+        visit.page.locator("[data-channel] summary").first.click()
+    gain.fill("35.15065188")
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (820, 1180)])
+def test_emps_end_to_end(browser: Any, address: str, emps_path: Path, tmp_path: Path, width: int, height: int) -> None:
+    visit = Visit(browser, address, width, height)
+    page = visit.page
+    visit.looked_at("1-record")
+    upload(visit, emps_path)
+    assert [visit.field(f"record.channels.{name}.column").input_value() for name in ("torque", "reference")] == [
+        "vir",
+        "qg",
+    ]
+    page.wait_for_load_state("networkidle")
+    drawn = "[...document.querySelectorAll('[data-channel] img[src]')].map(image => image.naturalWidth > 0)"
+    assert page.evaluate(drawn) == [True] * 3
+    visit.looked_at("2-channels")
+    with page.expect_response("**/draft"):
+        map_torque(visit)
+    page.reload()
+    assert visit.field("record.channels.torque.gain").input_value() == "35.15065188"
+    page.get_by_role("button", name="Check, and go on").click()
+    visit.on("joint")
+    visit.field("controller.law").select_option("cascade")
+    for key, value in LAW.items():
+        visit.field(f"controller.{key}").fill(value)
+    visit.looked_at("3-joint")
+    page.get_by_role("button", name="Identify").click()
+    visit.on("runs/1")
+    page.wait_for_selector("text=reading the record")
+    visit.looked_at("4-identify")
+    page.reload()
+    page.wait_for_selector(".log li")  # the progress again, from its beginning
+    page.wait_for_selector("h1:has-text('The answer')", timeout=PATIENCE)
+    table = page.inner_text("table")
+    assert re.search(r"inertia\s+94\.90", table)
+    assert re.search(r"coulomb\s+20\.1", table)
+    frame = page.frame_locator("iframe")
+    frame.get_by_role("heading", level=1).wait_for(timeout=PATIENCE)
+    visit.looked_at("5-report")
+    page.locator("iframe").evaluate("frame => frame.scrollIntoView()")
+    frame.get_by_role("heading", name="Verdicts").wait_for()
+    if SHOTS:
+        page.screenshot(path=Path(SHOTS) / f"{width}-6-frame.png")
+    with page.expect_download() as downloading:
+        page.get_by_role("link", name="Joint file").click()
+    joint = tmp_path / "joint.toml"
+    downloading.value.save_as(joint)
+    with pytest.raises(SystemExit) as end:
+        main(["identify", str(joint), "--record", str(emps_path), "--json", str(tmp_path / "again.json"), "-q"])
+    assert end.value.code == 0
+    again = json.loads((tmp_path / "again.json").read_text(encoding="utf-8"))
+    answer = page.context.request.get(f"{address}runs/1/answer.json").json()
+    assert again["parameters"] == answer["parameters"]
+    assert visit.complaints == []
+    assert visit.elsewhere == []
+
+
+def test_scripts_that_are_not_ours_do_not_run(browser: Any, address: str, emps_path: Path) -> None:
+    visit = Visit(browser, address)
+    upload(visit, emps_path)
+    cookies = visit.page.context.cookies()
+    assert [(cookie["httpOnly"], cookie["sameSite"]) for cookie in cookies] == [(True, "Strict")]
+    assert visit.page.evaluate("document.cookie") == ""
+    blocked = visit.page.evaluate(
+        "new Promise(done => { addEventListener('securitypolicyviolation', e => done(e.effectiveDirective));"
+        "const s = document.createElement('script'); s.textContent = 'window.ran = true'; document.body.append(s); })"
+    )
+    assert blocked.startswith("script-src")
+    assert visit.page.evaluate("window.ran === undefined")
+
+
+def tab_to(visit: Visit, selector: str) -> None:
+    """Press Tab until the focus is there; it must be seen on its way."""
+    for _ in range(120):
+        visit.page.keyboard.press("Tab")
+        if visit.page.evaluate("selector => document.activeElement?.matches(selector)", selector):
+            outline = visit.page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
+            assert outline != "none", selector
+            return
+    raise AssertionError(f"Tab never reaches {selector}")
+
+
+def test_by_keyboard_alone(browser: Any, address: str) -> None:
+    visit = Visit(browser, address)
+    page, keys = visit.page, visit.page.keyboard
+    keys.press("Tab")
+    assert page.evaluate("document.activeElement.className") == "skip"
+    keys.press("Enter")
+    assert page.evaluate("document.activeElement.id") == "content"
+    tab_to(visit, "#file")
+    tab_to(visit, 'form[action="/example"] button')
+    keys.press("Enter")
+    visit.on("channels")
+    tab_to(visit, '[name="joint.kind"]')
+    tab_to(visit, '[name="record.channels.torque.column"]')
+    tab_to(visit, 'form[action="/channels"] button.primary')
+    keys.press("Enter")
+    visit.on("joint")
+    tab_to(visit, '[name="joint.model"]')
+    keys.press("Home")  # rigid: its frequency no longer counts
+    assert visit.field("joint.model").input_value() == "rigid"
+    tab_to(visit, '[name="controller.kp"]')
+    keys.press("Control+A")
+    keys.type("fast")
+    tab_to(visit, 'form[action="/joint"] button.primary')
+    keys.press("Enter")
+    page.wait_for_selector(".fault:visible")
+    assert page.evaluate("document.activeElement.name") == "controller.kp"  # the focus is at the fault
+    assert 'is "fast"; expected a number' in page.inner_text("#controller-kp-wrong")
+    keys.press("Control+A")
+    keys.type("160.18")
+    tab_to(visit, 'form[action="/joint"] button.primary')
+    keys.press("Enter")
+    visit.on("runs/1")
+    tab_to(visit, 'form[action$="/cancel"] button')
+    keys.press("Enter")
+    page.wait_for_selector("h1:has-text('Cancelled')")
+    page.on("dialog", lambda dialog: dialog.accept())
+    tab_to(visit, ".danger")
+    keys.press("Enter")
+    page.wait_for_selector("h1:has-text('Your data is deleted')")
+    assert page.context.cookies() == []
+
+
+def test_every_field_has_a_name_for_those_who_do_not_see(browser: Any, address: str, emps_path: Path) -> None:
+    visit = Visit(browser, address)
+    upload(visit, emps_path)
+    for path in ("", "channels", "joint"):
+        visit.page.goto(address + path)
+        nameless = visit.page.evaluate(
+            "[...document.querySelectorAll('input, select, textarea, progress, iframe')].filter(one => "
+            "!(one.labels?.length || one.ariaLabel || one.title)).map(one => one.outerHTML)"
+        )
+        assert nameless == []
+        doubled = visit.page.evaluate(
+            "(ids => ids.filter((id, i) => ids.indexOf(id) !== i))"
+            "([...document.querySelectorAll('[id]')].map(e => e.id))"
+        )
+        assert doubled == []
+        assert visit.page.evaluate("document.querySelectorAll('h1').length") == 1
+
+
+def test_a_file_that_is_dropped_is_read(browser: Any, address: str) -> None:
+    visit = Visit(browser, address)
+    visit.page.evaluate(
+        """() => {
+            const data = new DataTransfer();
+            const rows = Array.from({ length: 200 }, (_, i) => `${i / 1000};${Math.sin(i)};${i * i}`);
+            data.items.add(new File([["t;force;x_ref", ...rows].join("\\n")], "dropped.csv"));
+            const zone = document.querySelector("[data-drop]");
+            for (const type of ["dragover", "drop"]) {
+                zone.dispatchEvent(new DragEvent(type, { dataTransfer: data, bubbles: true }));
+            }
+        }"""
+    )
+    visit.on("channels")
+    assert "dropped.csv" in visit.page.inner_text(".lead")
+    assert visit.field("record.channels.torque.column").input_value() == "force"
+    assert visit.complaints == []

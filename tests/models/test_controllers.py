@@ -1,0 +1,147 @@
+"""Controllers: each law against its equation written out, and what can be done with all of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError
+from jointid.models.controllers import (
+    INPUTS,
+    PD,
+    POSITION,
+    REFERENCE,
+    REFERENCE_VELOCITY,
+    Cascade,
+    Controller,
+    DigitalFilter,
+    StateSpaceController,
+    invert,
+    run,
+    scaled,
+)
+
+T = 1e-3
+RANDOM = np.random.default_rng(0)
+REFERENCE_SIGNAL = np.cumsum(RANDOM.normal(0, 1e-3, 300))
+POSITION_SIGNAL = REFERENCE_SIGNAL + RANDOM.normal(0, 1e-4, 300)
+
+LAWS: dict[str, Controller] = {
+    "cascade": Cascade(kp=160.0, kv=240.0, velocity_filter=(0.5, 0.5), gain=35.0),
+    "cascade, unfiltered": Cascade(kp=160.0, kv=240.0),
+    "PD": PD(kp=4e5, kd=6e3, velocity_filter=DigitalFilter((0.3,), (1.0, -0.7))),
+    "PD, damping only": PD(kp=4e5, kd=6e3, reference_velocity="none", velocity_filter=(0.25, 0.5, 0.25)),
+    "integrating": StateSpaceController(
+        A=[[1.0]], B={"reference": [0.1], "position": [-0.1]}, C=[50.0], D={"reference": 4e3, "position": -4e3}
+    ),
+    "proportional": StateSpaceController(A=[], B={}, C=[], D={"reference": 1e4, "position": -1e4}),
+}
+
+
+def inputs(reference: np.ndarray, position: np.ndarray) -> np.ndarray:
+    made = np.zeros((reference.size, INPUTS))
+    made[:, REFERENCE], made[:, POSITION] = reference, position
+    return made
+
+
+def at_rest(controller: Controller, reference: np.ndarray, position: np.ndarray) -> np.ndarray:
+    law = controller.law(T)
+    return law.memory(REFERENCE, reference[0], 0.0) + law.memory(POSITION, position[0], 0.0)
+
+
+def output(controller: Controller, reference: np.ndarray, position: np.ndarray) -> np.ndarray:
+    return run(controller.law(T), inputs(reference, position), at_rest(controller, reference, position)).raw[:, 0]
+
+
+def test_the_cascade_is_the_law_of_the_benchmark() -> None:
+    r, q = REFERENCE_SIGNAL, POSITION_SIGNAL
+    before = np.concatenate([[q[0]], q[:-1]])
+    mean = 0.5 * (q + before)
+    velocity = (mean - np.concatenate([[mean[0]], mean[:-1]])) / T
+    expected = 35.0 * 240.0 * (160.0 * (r - q) - velocity)
+    assert np.allclose(output(LAWS["cascade"], r, q), expected, rtol=1e-12, atol=1e-9)
+
+
+def test_the_pd_is_its_equation() -> None:
+    r, q = REFERENCE_SIGNAL, POSITION_SIGNAL
+    speed, filtered, last = 0.0, np.empty(r.size), r[0] - q[0]
+    for k, error in enumerate(r - q):
+        speed = 0.7 * speed + 0.3 * (error - last) / T
+        last, filtered[k] = error, speed
+    expected = 4e5 * (r - q) + 6e3 * filtered
+    assert np.allclose(output(LAWS["PD"], r, q), expected, rtol=1e-11, atol=1e-7)
+
+
+def test_the_pd_may_read_the_reference_velocity_or_none() -> None:
+    velocity = RANDOM.normal(size=300)
+    law = PD(kp=10.0, kd=2.0, reference_velocity="channel").law(T)
+    both = inputs(REFERENCE_SIGNAL, POSITION_SIGNAL)
+    both[:, REFERENCE_VELOCITY] = velocity
+    none = PD(kp=10.0, kd=2.0, reference_velocity="none").law(T)
+    start = law.memory(POSITION, POSITION_SIGNAL[0], 0.0)
+    expected = run(none, inputs(REFERENCE_SIGNAL, POSITION_SIGNAL), start).output + 2.0 * velocity
+    assert np.allclose(run(law, both, start).output, expected, rtol=1e-12, atol=1e-12)
+    assert PD(kp=1.0, kd=1.0, reference_velocity="channel").channels == ("reference", "reference_velocity")
+
+
+@pytest.mark.parametrize("name", [name for name in LAWS if name != "integrating"])
+def test_a_law_turned_round_gives_the_position_back(name: str) -> None:
+    controller, r, q = LAWS[name], REFERENCE_SIGNAL, POSITION_SIGNAL
+    torque = output(controller, r, q)
+    found = invert(controller.law(T), torque, inputs(r, np.zeros_like(r)), at_rest(controller, r, q))
+    assert np.max(np.abs(found - q)) <= 1e-9 * np.ptp(q)
+
+
+def test_a_law_that_cannot_be_turned_round_says_so() -> None:
+    late = StateSpaceController(A=[[0.0]], B={"position": [1.0]}, C=[-5.0], D={"reference": 5.0})
+    with pytest.raises(MethodError, match="does not react to the position within its period"):
+        invert(late.law(T), np.zeros(5), np.zeros((5, INPUTS)), np.zeros(1))
+    wild = StateSpaceController(A=[[0.0]], B={"position": [1.0]}, C=[-5.0], D={"position": -1.0})
+    with pytest.raises(MethodError, match="inverse of this law is unstable"):
+        invert(wild.law(T), np.zeros(5), np.zeros((5, INPUTS)), np.zeros(1))
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_memory_is_what_uniform_motion_leaves(name: str) -> None:
+    """After a long uniform motion the state is what `memory` says at once."""
+    law = LAWS[name].law(T)
+    k = np.arange(-4000, 1)
+    signal = 0.3 + 0.05 * k * T
+    state = law.memory(REFERENCE, signal[0], 0.05) + law.memory(POSITION, signal[0], 0.05)
+    for value in signal[:-1]:
+        state = law.A[0] @ state + law.B[0, :, REFERENCE] * value + law.B[0, :, POSITION] * value
+    expected = law.memory(REFERENCE, 0.3, 0.05) + law.memory(POSITION, 0.3, 0.05)
+    assert np.allclose(state, expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_scaling_multiplies_the_output(name: str) -> None:
+    law = LAWS[name].law(T).limited(7.0)
+    r, q = REFERENCE_SIGNAL, POSITION_SIGNAL
+    start = at_rest(LAWS[name], r, q)
+    assert np.allclose(run(scaled(law, 3.0), inputs(r, q), start).output, 3.0 * run(law, inputs(r, q), start).output)
+    assert scaled(law, 3.0).limit == 21.0
+
+
+def test_the_excess_is_fed_back_in_controller_units() -> None:
+    law = StateSpaceController(A=[[1.0]], B={"excess": [0.5]}, C=[2.0], D={"reference": 1.0}, gain=10.0, limit=3.0)
+    lowered = law.law(T)
+    assert lowered.limit == 30.0
+    assert lowered.F[0, 0, 0] * 10.0 == 0.5
+    assert scaled(lowered, 4.0).F[0, 0, 0] * 40.0 == 0.5
+
+
+def test_the_period_is_the_log_s_unless_the_law_has_its_own() -> None:
+    assert Cascade(kp=1.0, kv=1.0).law(2e-3).period == 2e-3
+    assert Cascade(kp=1.0, kv=1.0, period=5e-4).law(2e-3).period == 5e-4
+
+
+def test_wrong_gains_are_all_named_in_one_sentence() -> None:
+    with pytest.raises(MethodError, match=r"kp = -1\.0, delay = -0\.1, gain = 0\.0, limit = -2\.0"):
+        Cascade(kp=-1.0, kv=2.0, gain=0.0, limit=-2.0, delay=-0.1)
+    with pytest.raises(MethodError, match=r"needs A \(2, 2\).*B\.position \(1,\).*speed"):
+        StateSpaceController(A=np.eye(2), B={"position": [1.0], "speed": [0, 0]}, C=[1.0, 0.0], D={})
+    with pytest.raises(MethodError, match='one of "difference", "channel", "none"'):
+        PD(kp=1.0, kd=1.0, reference_velocity="derivative")  # type: ignore[arg-type]
+    with pytest.raises(MethodError, match="does not start with 0"):
+        DigitalFilter((1.0,), (0.0, 1.0))

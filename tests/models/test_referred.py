@@ -1,0 +1,112 @@
+"""A law seen through a transmission is the same law, in other units of position and torque; so is a loop."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError
+from jointid.models.controllers import (
+    INJECTED,
+    PD,
+    PID,
+    POSITION,
+    REFERENCE,
+    REFERENCE_VELOCITY,
+    Cascade,
+    Controller,
+    FirstOrder,
+    StateSpaceController,
+    numbers_of,
+    run,
+)
+from jointid.models.joints import FlexibleJoint
+from jointid.records.excitation import trapezoids
+from jointid.records.record import Channel, Injection, InjectionPoint, Record
+from jointid.simulation.closed_loop import simulate
+from jointid.simulation.loop_input import ClosedLoop, prepare
+from tests.geared import FLEXIBLE, RATE
+
+T, RATIOS = RATE, (100.0, -100.0, 2 * np.pi / 0.01, -0.3)
+FED = {"acceleration_feedforward": 2e-4, "viscous_feedforward": 1e-3, "coulomb_feedforward": 0.03}
+LAWS = {
+    "PI cascade that holds": Cascade(
+        kp=25.0, kv=0.02, ki=30.0, limit=0.6, velocity_limit=35.0, gain=1.5, constant_feedforward=0.02, **FED
+    ),
+    "slow cascade that tracks": Cascade(
+        kp=25.0,
+        kv=0.02,
+        ki=30.0,
+        limit=0.6,
+        anti_windup="track",
+        position_period=4 * T,
+        velocity_feedforward=0.9,
+        torque_filters=(FirstOrder(time_constant=2e-3),),
+        filters_at="after_limit",
+    ),
+    "PID": PID(kp=0.5, ki=4.0, kd=0.02, limit=0.6, velocity_filter=(0.5, 0.5)),
+    "PD with a channel": PD(kp=0.5, kd=0.02, reference_velocity="channel", limit=0.6),
+    "state space": StateSpaceController(
+        A=[[0.5]],
+        B={"reference": [0.1], "position": [-0.1], "excess": [0.05]},
+        C=[1.0],
+        D={"reference": 0.4, "position": -0.4},
+        limit=0.6,
+        gain=2.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("ratio", RATIOS)
+@pytest.mark.parametrize("controller", LAWS.values(), ids=LAWS)
+def test_a_law_gives_ratio_times_what_it_gives_to_ratio_times_the_motion(controller: Controller, ratio: float) -> None:
+    own, seen = controller.law(T), replace(controller, ratio=ratio).law(T)  # type: ignore[type-var]
+    rng = np.random.default_rng(1)
+    inputs = np.cumsum(rng.standard_normal((400, 6)), axis=0)
+    inputs[:, 2] = np.sign(rng.standard_normal(400))
+    inputs[:, 3] = 1.0
+    moved = inputs.copy()
+    moved[:, [REFERENCE, REFERENCE_VELOCITY, POSITION]] /= ratio
+    moved[:, 2] *= np.sign(ratio)
+    moved[:, INJECTED] *= ratio
+    plain, turned = (run(law, signals, np.zeros(law.order)) for law, signals in ((own, inputs), (seen, moved)))
+    assert np.max(np.abs(plain.tapped)) == pytest.approx(own.limit)  # or limits and gates would not be tried
+    np.testing.assert_allclose(turned.output, ratio * plain.output, rtol=1e-9, atol=1e-12 * abs(ratio))
+    np.testing.assert_allclose(turned.tapped, ratio * plain.tapped, rtol=1e-9, atol=1e-12 * abs(ratio))
+    assert seen.limit == pytest.approx(abs(ratio) * own.limit)
+
+
+@pytest.mark.parametrize("ratio", RATIOS)
+@pytest.mark.parametrize("controller", LAWS.values(), ids=LAWS)
+@pytest.mark.parametrize("at", InjectionPoint)
+def test_a_loop_moves_alike_on_both_sides(controller: Controller, ratio: float, at: InjectionPoint) -> None:
+    """With saturation, sticking, an integral and feed-forward; the load is the joint's side."""
+    reference = trapezoids((20.0, 40.0), 400.0, 20.0, T, duration=3.0)
+    pulse = 0.2 * (np.arange(reference.size) % 500 < 10)
+    powers = {"coulomb": abs(ratio), "offset": ratio}
+    there = {name: v * powers.get(name.split("_")[-1], ratio**2) for name, v in FLEXIBLE.items()}
+    runs = []
+    for r, law, v in ((1.0, controller, FLEXIBLE), (ratio, replace(controller, ratio=ratio), there)):  # type: ignore[type-var]
+        velocity = np.gradient(reference / r, T)
+        record = Record(
+            reference=Channel(reference / r, "rad", T),
+            reference_velocity=Channel(velocity, "rad/s", T),
+            injected=Injection(Channel(pulse * r, "N m", T), at),
+        )
+        loop = ClosedLoop(FlexibleJoint("revolute"), law)
+        runs.append(simulate(loop, prepare(loop, record), v))
+    plain, turned = runs
+    assert turned.outcome is plain.outcome
+    assert turned.events == plain.events
+    scale = float(np.max(np.abs(plain.torque)))
+    np.testing.assert_allclose(turned.torque / ratio, plain.torque, atol=1e-8 * scale, rtol=0)
+    assert turned.at_limit == pytest.approx(plain.at_limit)
+
+
+def test_a_ratio_is_no_number_that_is_freed() -> None:
+    assert "ratio" not in numbers_of(replace(LAWS["PID"], ratio=3.0))  # type: ignore[type-var]
+    for wrong in (0.0, np.inf, np.nan):
+        with pytest.raises(MethodError, match="is a number but 0; received"):
+            PD(kp=1.0, kd=1.0, ratio=wrong)

@@ -1,0 +1,72 @@
+"""What the tests of exports share: a joint as its answer says it, and a servo that closes a loop around any plant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+import jointid as ji
+from jointid.models.joints import Joint
+from jointid.output.export.joint_model import JointModel, joint_model
+from jointid.output.json.parts import gravity_answer, transmission_answer
+
+
+def answer(joint: Joint, values: Mapping[str, float | None], record: str = "run 7") -> dict[str, Any]:
+    """The keys of an estimate's JSON that an export reads."""
+    return {
+        "schema": "jointid.estimate/1",
+        "method": "didim",
+        "model": joint.model,
+        "kind": joint.kind,
+        "friction": "symmetric" if joint.friction.symmetric else "asymmetric",
+        "gravity": gravity_answer(joint),
+        "transmission": transmission_answer(joint.transmission),
+        "record": {"name": record, "sample_time": 1e-3, "torque_sha256": "5f1c"},
+        "parameters": {
+            p.name: {
+                "symbol": p.symbol,
+                "value": values[p.name],
+                "std": 0.01,
+                "unit": joint.unit(p),
+                "free": True,
+                "identifiable": True,
+                "lower_bound": None,
+            }
+            for p in joint.parameters
+        },
+        "delay": 0.0,
+        "effects": [],
+    }
+
+
+def model(joint: Joint, values: Mapping[str, float | None], name: str = "axis", record: str = "run 7") -> JointModel:
+    return joint_model(answer(joint, values, record), joint, name)
+
+
+def servo(law: ji.Cascade, reference: np.ndarray, period: float, plant: Callable[[float], float]) -> np.ndarray:
+    """The torque of a P-P cascade with its velocity filter, written out; `plant` holds a torque for a period.
+
+    `plant` returns the motor's position after it; the motor begins at rest on the reference.
+    """
+    weights = np.asarray(law.velocity_filter)
+    seen = [float(reference[0])] * (weights.size + 1)  # the newest first
+    torque = np.empty(reference.size)
+    for k, wanted in enumerate(reference):
+        velocity = float(weights @ -np.diff(seen)) / period
+        torque[k] = law.gain * np.clip(law.kv * (law.kp * (wanted - seen[0]) - velocity), -law.limit, law.limit)
+        seen = [plant(float(torque[k])), *seen[:-1]]
+    return torque
+
+
+def simulated(joint: Joint, law: ji.Cascade, reference: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
+    """The torque of our own simulation of the same loop, at 1 kHz."""
+    record = ji.simulated_record(ji.ClosedLoop(joint, law), reference, values, sample_time=1e-3)
+    assert record.torque is not None
+    return record.torque.values
+
+
+def apart(torque: np.ndarray, ours: np.ndarray) -> float:
+    """The norm of what two torques differ by, over that of ours."""
+    return float(np.linalg.norm(torque - ours) / np.linalg.norm(ours))

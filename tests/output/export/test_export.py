@@ -1,0 +1,266 @@
+"""The verb and the command: which language, which side, whose answer; the joint file, which is read again by us."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+
+import jointid as ji
+from jointid.apps.cli.app import main
+from jointid.apps.cli.export import Language
+from jointid.config import loads
+from jointid.output.export.export import EXPORTERS, exporter_of
+from jointid.output.export.joint_model import joint_model
+from jointid.paper.twin import JOINT_FILE, TABLE_2
+from tests.output.export.models import answer, model
+
+ROOT = Path(__file__).resolve().parents[3]
+HOSTILE = 'run"\n[joint]\nkind = "revolute" \x07 \u2028 \\'
+RIGID = {"inertia": 95.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
+
+
+def run(*words: object) -> int:
+    with pytest.raises(SystemExit) as end:
+        main([str(word) for word in words])
+    assert isinstance(end.value.code, int)
+    return end.value.code
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A joint file of the twin and an estimate of it."""
+    text = (
+        JOINT_FILE
+        + "\n[parameters]   # as the makers say\nload_inertia = { start = 30.0, upper = 60.0 }\noffset = -3.0\n"
+    )
+    (tmp_path / "joint.toml").write_text(text, encoding="utf-8")
+    told = answer(ji.load(tmp_path / "joint.toml").joint, TABLE_2 | {"offset": -3.0}, HOSTILE)
+    (tmp_path / "out.json").write_text(json.dumps(told), encoding="utf-8")
+    return tmp_path
+
+
+def exported(folder: Path, out: str, *words: object) -> int:
+    return run("export", folder / "joint.toml", "--estimate", folder / "out.json", "--out", folder / out, *words)
+
+
+def test_every_language_has_a_name_and_an_ending_of_its_own_and_the_command_knows_it() -> None:
+    assert set(get_args(Language)) == {made.name for made in EXPORTERS}
+    suffixes = [suffix for made in EXPORTERS for suffix in made.suffixes]
+    assert len(set(suffixes)) == len(suffixes)
+    assert all(exporter_of(f"a{suffix}".upper()).name for suffix in suffixes)
+
+
+def test_the_joint_file_keeps_its_text_and_gives_the_values_back(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert exported(folder, "filled.toml") == 0
+    assert "nothing of the joint is lost in joint-file" in capsys.readouterr().out
+    text = (folder / "filled.toml").read_text(encoding="utf-8")
+    assert text.startswith(JOINT_FILE)
+    file = ji.load(folder / "filled.toml")
+    assert file.values() == TABLE_2 | {"offset": -3.0}
+    found = file.parameters
+    assert all(found[name].free for name in TABLE_2 if name != "offset")
+    assert not found["offset"].free  # as it was
+    assert found["load_inertia"].upper == 60.0
+    assert "# ZZ1 motor_inertia: 70.200 kg (+- 0.020, 2 sigma)" in text
+    assert "# record run" in text
+    plain = ji.load(folder / "joint.toml")
+    assert replace(file, parameters={}, path=plain.path).tables() == replace(plain, parameters={}).tables()
+
+
+def test_fixed_values_are_kept_and_paths_lead_to_the_same_record(folder: Path) -> None:
+    (folder / "below").mkdir()
+    assert exported(folder, "below/fixed.toml", "--fixed") == 0
+    file = ji.load(folder / "below" / "fixed.toml")
+    assert not any(parameter.free for parameter in file.parameters.values())
+    assert file.values() == TABLE_2 | {"offset": -3.0}
+    assert file.source.file == "../record.csv"
+
+
+def test_written_again_it_has_one_table_of_parameters(folder: Path) -> None:
+    assert exported(folder, "joint.toml") == 0
+    first = (folder / "joint.toml").read_bytes()
+    assert exported(folder, "joint.toml") == 0
+    assert (folder / "joint.toml").read_bytes() == first
+
+
+def test_simulate_takes_the_joint_file_and_gives_the_torque_of_the_estimate(folder: Path) -> None:
+    reference = ji.trapezoids((0.042, 0.125), 0.83, 0.1, 1e-3, duration=2.0)
+    loop = ji.load(folder / "joint.toml").loop
+    assert loop is not None
+    made = ji.simulated_record(loop, reference, TABLE_2 | {"offset": -3.0}, sample_time=1e-3)
+    ji.load(folder / "joint.toml").write(made, folder / "record.csv")
+    assert exported(folder, "filled.toml") == 0
+    assert run("simulate", folder / "filled.toml", "--out", folder / "torque.csv", "-q") == 0
+    again = ji.load(folder / "filled.toml").record(folder / "torque.csv")
+    assert again.torque is not None
+    assert made.torque is not None
+    assert abs(again.torque.values - made.torque.values).max() < 1e-9
+
+
+def test_what_a_joint_file_cannot_have_is_left_out_and_said(folder: Path) -> None:
+    file = ji.load(folder / "joint.toml")
+    values: dict[str, float | None] = {**TABLE_2, "stiffness": None, "motor_viscous": -4.0}
+    made = ji.export(model(file.joint, values), ji.JointToml(file))
+    assert "what the record does not tell: stiffness" in made.lost
+    assert "# K12 stiffness: refused: the record does not tell it" in made.text
+    assert any("motor_viscous, which is outside its bounds: -4.0000 N s/m" in one for one in made.lost)
+    again = loads(made.text)
+    assert set(again.parameters) == {*TABLE_2} - {"stiffness", "motor_viscous"}
+    with pytest.raises(ji.MethodError, match="stiffness cannot be told from run 7"):
+        ji.export(model(file.joint, values), "modelica")
+
+
+def test_a_joint_file_that_was_made_by_a_program_is_written_whole() -> None:
+    file = loads(JOINT_FILE)
+    made = ji.export(model(file.joint, TABLE_2), ji.JointToml(file))
+    assert loads(made.text).values() == TABLE_2
+    with pytest.raises(ji.MethodError, match=r"give it as JointToml\(file=load"):
+        ji.export(model(file.joint, TABLE_2), "joint-file")
+    with pytest.raises(ji.MethodError, match="of another joint than the estimate"):
+        ji.export(model(ji.RigidJoint(), RIGID), ji.JointToml(file))
+    geared = loads(JOINT_FILE.replace("[record]", "[transmission]\nratio = 3.0\n\n[record]", 1))
+    with pytest.raises(ji.MethodError, match="asked of the motor side"):
+        ji.export(model(geared.joint, TABLE_2), ji.JointToml(geared), side="motor")
+    with pytest.raises(ji.MethodError, match='"start" or "fixed"'):
+        ji.JointToml(file, "kept")  # type: ignore[arg-type]
+
+
+def test_friction_that_identify_was_told_on_the_command_line_comes_into_the_joint_file(tmp_path: Path) -> None:
+    text = JOINT_FILE.replace('model = "flexible"               #', 'model = "rigid"  #').replace("frequency", "# f")
+    (tmp_path / "joint.toml").write_text(text, encoding="utf-8")
+    values = {
+        "inertia": 95.0, "viscous_forwards": 200.0, "coulomb_forwards": 20.0, "viscous_backwards": 190.0,
+        "coulomb_backwards": 22.0, "offset": 0.0,
+    }  # fmt: skip
+    told = answer(ji.RigidJoint(friction=ji.AsymmetricFriction()), values)
+    (tmp_path / "out.json").write_text(json.dumps(told), encoding="utf-8")
+    assert exported(tmp_path, "filled.toml") == 0
+    file = ji.load(tmp_path / "filled.toml")
+    assert not file.joint.friction.symmetric
+    assert file.values() == values
+
+
+@pytest.mark.parametrize("out", ["a.toml", "a.json", "a.m", "a.xml", "a.urdf", "a.mo"])
+def test_the_same_estimate_gives_the_same_bytes_which_say_where_they_come_from(folder: Path, out: str) -> None:
+    assert exported(folder, out) == 0
+    first = (folder / out).read_bytes()
+    assert exported(folder, out) == 0
+    assert (folder / out).read_bytes() == first
+    for words in (b"5f1c", b"jointid.estimate/1", ji.__version__.encode(), b"run"):
+        assert words in first
+    assert b"\x07" not in first
+
+
+def test_mistakes_are_told_in_a_sentence(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert exported(folder, "a.pdf") == 2
+    assert (
+        '".pdf" is no language that a joint is exported to; expected one of joint-file (.toml)'
+        in capsys.readouterr().err
+    )
+    assert exported(folder, "a.mo", "--timestep", 1e-4) == 2
+    assert "modelica has no setting timestep; it has: none." in capsys.readouterr().err
+    assert exported(folder, "a.mo", "--side", "motor") == 2
+    assert "there are no numbers of the motor side" in capsys.readouterr().err
+    assert exported(folder, "nowhere/a.mo") == 2
+    assert "there is no folder" in capsys.readouterr().err
+    assert exported(folder, "out.json") == 2
+    assert "is the estimate itself" in capsys.readouterr().err
+    assert exported(folder, "any", "--format", "urdf") == 0
+    assert "lost in urdf: the spring of 800000 N/m" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"schema": "jointid.loop/1"}, {"model": "rigid"}, {"kind": "revolute"}, {"parameters": []}, {"record": None},
+        {"transmission": {"side": "load"}}, {"delay": "0"}, {"effects": [1]},
+        {"parameters": {}}, {"gravity": {"load": "link", "angle": 1.0}}, {"schema": []},
+    ],
+)  # fmt: skip
+def test_an_answer_of_something_else_is_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str], change: dict[str, Any]
+) -> None:
+    told = json.loads((folder / "out.json").read_text(encoding="utf-8")) | change
+    (folder / "out.json").write_text(json.dumps(told), encoding="utf-8")
+    assert exported(folder, "a.mo") == 2
+    said = capsys.readouterr().err
+    assert "is no estimate (jointid.estimate/1" in said
+    assert "Traceback" not in said
+    assert not (folder / "a.mo").exists()
+
+
+def test_a_number_that_json_does_not_know_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = json.loads((folder / "out.json").read_text(encoding="utf-8")) | {"delay": float("nan")}
+    (folder / "out.json").write_text(json.dumps(told), encoding="utf-8")
+    assert exported(folder, "a.mo") == 2
+    assert "out.json is no JSON file; give the file that identify --json wrote." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("value", ["1", True, float("inf"), [1.0]])
+def test_a_value_that_is_no_number_is_refused(value: object) -> None:
+    told = answer(ji.RigidJoint(), RIGID)
+    told["parameters"]["inertia"]["value"] = value
+    with pytest.raises(ji.RecordError, match="is no estimate"):
+        joint_model(told, ji.RigidJoint())
+
+
+def test_estimates_of_every_kind_are_exported_as_they_are_found() -> None:
+    first, second = (ji.twin("L19", seed=seed).record for seed in (1, 2))
+    loop = ji.ClosedLoop(
+        ji.RigidJoint(), ji.Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15065188)
+    )
+    alone = ji.identify(first, loop, filtering=ji.Filtering(cutoff=5.0))
+    both = ji.identify_together([first, second], [loop, loop], filtering=ji.Filtering(cutoff=5.0))
+    hours = ji.identify_long(first, loop, window=6.0, settling=1.0, filtering=ji.Filtering(cutoff=5.0))
+    every: tuple[tuple[Any, str], ...] = ((alone, "estimate"), (both, "together"), (hours, "long"))
+    for estimate, schema in every:
+        document = json.loads(ji.export(estimate, "state-space", name="Achse").text)
+        assert document["name"] == "Achse"
+        assert document["source"]["schema"] == f"jointid.{schema}/1"
+        assert document["parameters"]["inertia"]["value"] == estimate["inertia"].value
+    with pytest.raises(ji.MethodError, match="received Simulation"):
+        ji.export(object.__new__(ji.Simulation), "urdf")  # type: ignore[arg-type]
+    with pytest.raises(ji.MethodError, match='received "left"'):
+        ji.export(alone, "urdf", side="left")  # type: ignore[arg-type]
+
+
+def test_to_the_other_side_and_back_nothing_changes() -> None:
+    gear = ji.Transmission(load="revolute", ratio=100.0, sign=-1)
+    joint = ji.FlexibleJoint("revolute", ji.AsymmetricFriction(), gravity=ji.Gravity("link"), transmission=gear)
+    values = {p.name: 1.0 + i for i, p in enumerate(joint.parameters)}
+    here = model(joint, values)
+    back = here.on("motor").on("load")
+    assert back.values == pytest.approx(values, rel=1e-12)
+    assert here.on("motor").gravity == replace(ji.Gravity("link"), angle=-0.01)
+    assert here.on("motor").motor.directions[2] == pytest.approx(values["motor_coulomb_backwards"] / 100)
+    assert (here.gear, here.on("motor").gear) == (-100.0, 1.0)
+
+
+def test_a_joint_that_was_read_can_be_named_anew() -> None:
+    assert ji.export(model(ji.RigidJoint(), RIGID), "modelica", name="Achse 4").text.startswith("model Achse_4 ")
+
+
+def test_ripple_is_said_to_be_left_out() -> None:
+    told = answer(ji.RigidJoint(), RIGID) | {"effects": [{"kind": "harmonics", "period": 0.005}]}
+    for language in ("state-space", "matlab", "mjcf", "urdf", "modelica"):
+        lost = ji.export(joint_model(told, ji.RigidJoint()), language).lost
+        assert "what was identified beside the joint: harmonics" in lost
+
+
+def test_exporting_text_needs_no_simulation_and_no_optional_package() -> None:
+    program = (
+        "import sys; from tests.output.export.models import model; import jointid as ji; "
+        f"told = model(ji.RigidJoint(), {RIGID}); "
+        "[ji.export(told, name) for name in ('state-space', 'matlab', 'mjcf', 'urdf', 'modelica')]; "
+        "print([m for m in ('numba', 'matplotlib', 'control', 'mujoco', 'pymoca') if m in sys.modules])"
+    )
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert found.stdout.strip() == "[]"

@@ -1,0 +1,84 @@
+"""Modelica, parsed by pymoca and run by an interpreter that knows nothing of joints: the torque is ours."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.models.joints import Joint
+from jointid.paper.twin import CONTROLLERS, TABLE_2
+from tests.geared import FLEXIBLE, LAW, RIGID, TURNED_SCREW
+from tests.output.export.modelica_reader import ModelicaModel
+from tests.output.export.models import apart, model, servo, simulated
+
+REFERENCE = ji.trapezoids((0.042, 0.125), 0.83, 0.05, 1e-3, duration=2.0)
+
+
+def torque_of(
+    joint: Joint,
+    values: Mapping[str, float],
+    law: ji.Cascade,
+    reference: np.ndarray,
+    side: str | None = None,
+    to_side: float = 1.0,
+) -> np.ndarray:
+    """The torque of the loop around the exported model; `to_side` takes the joint's torque to the exported side."""
+    text = ji.export(model(joint, values), "modelica", side=side).text
+    start = float(reference[0]) / to_side
+    states = {"motor_position": start} | ({"load_position": start} if joint.model == "flexible" else {})
+    plant = ModelicaModel(text, "axis", **states)
+
+    def held(torque: float) -> float:
+        plant.advance(1e-3, 4, torque=to_side * torque)
+        return to_side * plant.values["motor_position"]
+
+    return servo(law, reference, 1e-3, held)
+
+
+def test_the_twin_s_torque_is_ours_to_the_last_digits_through_reversals_and_rests() -> None:
+    law = CONTROLLERS["L19"]
+    ours = simulated(ji.FlexibleJoint(), law, REFERENCE, TABLE_2)
+    assert apart(torque_of(ji.FlexibleJoint(), TABLE_2, law, REFERENCE), ours) < 1e-6
+
+
+def test_asymmetric_friction_and_a_link_s_weight_are_told_whole() -> None:
+    weight = ji.Gravity("link", ji.Counterbalance(cos=0.2, rate=0.05))
+    joint = ji.RigidJoint("revolute", ji.AsymmetricFriction(), gravity=weight)
+    law = ji.Cascade(kp=30.0, kv=2.0)
+    values = {
+        "inertia": 0.04, "viscous_forwards": 0.05, "coulomb_forwards": 0.1, "viscous_backwards": 0.08,
+        "coulomb_backwards": 0.16, "gravity_cos": 0.6, "gravity_sin": -0.2, "offset": 0.0, "counterbalance_cos": 0.2,
+        "counterbalance_rate": 0.05,
+    }  # fmt: skip
+    reference = ji.trapezoids([0.5, 2.0], 8.0, 1.0, 1e-3, duration=3.0)
+    ours = simulated(joint, law, reference, values)
+    # Our own simulation holds what gravity is over each period.
+    assert apart(torque_of(joint, values, law, reference), ours) < 2e-5
+
+
+@pytest.mark.parametrize(("made", "values"), [(ji.RigidJoint, RIGID), (ji.FlexibleJoint, FLEXIBLE)])
+def test_the_other_side_of_a_screw_that_turns_round_gives_the_same_torque(
+    made: type[ji.RigidJoint | ji.FlexibleJoint], values: Mapping[str, float]
+) -> None:
+    transmission = ji.Transmission(load="prismatic", lead=0.010, sign=-1, side="motor")
+    assert transmission.motor_per_load == TURNED_SCREW.motor_per_load
+    joint = made("revolute", transmission=transmission)
+    reference = ji.trapezoids([20.0, 60.0], 800.0, 20.0, 1e-3, duration=2.0)
+    ours = simulated(joint, LAW, reference, values)
+    there = torque_of(joint, values, LAW, reference, "load", TURNED_SCREW.motor_per_load)
+    assert apart(there, ours) < 1e-6
+
+
+def test_what_was_identified_stands_in_it_and_a_hostile_name_does_not_break_it() -> None:
+    name = 'axis"; end axis;\nmodel evil // */'
+    record = 'run\u2028"7"\nend x; \\'
+    text = ji.export(model(ji.FlexibleJoint(), TABLE_2, name, record), "modelica").text
+    assert text.startswith("model axis_end_axis_model_evil ")
+    plant = ModelicaModel(text, "axis_end_axis_model_evil")
+    for parameter, value in TABLE_2.items():
+        assert plant.values[parameter] == value
+    assert all(line.startswith("  //") for line in text.splitlines() if "run" in line)
+    assert ModelicaModel(ji.export(model(ji.FlexibleJoint(), TABLE_2, "model"), "modelica").text, "joint_model")

@@ -1,0 +1,169 @@
+"""The state space, read by SciPy, python-control and a reader of MATLAB's matrices, against our own simulation."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import dlsim, lsim
+
+import jointid as ji
+from jointid.models.joints import Joint
+from jointid.output.export.joint_model import joint_model
+from jointid.paper.twin import CONTROLLERS, TABLE_2
+from jointid.records.record import Timing
+from jointid.simulation.open_loop import simulate_open_loop
+from tests.output.export.models import answer, apart, model, servo, simulated
+
+T = 1e-3
+VISCOUS = TABLE_2 | {"motor_coulomb": 0.0, "load_coulomb": 0.0, "offset": 0.0}
+JOINT = ji.FlexibleJoint()
+TORQUE = 50.0 * np.random.default_rng(4).standard_normal(4000)
+
+
+def ours(joint: Joint, values: Mapping[str, float], delay: float = 0.0) -> np.ndarray:
+    """The motor's position of our own simulation under TORQUE, held, that acts so much after its sample."""
+    held = ji.Channel(TORQUE, "N", T, Timing.HELD)
+    around = {"initial_position": 0.0, "initial_velocity": 0.0, "log_delay": -delay}
+    return simulate_open_loop(joint, held, {**values, **around}).position
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.4e-3, 1e-3, 2.75e-3])
+def test_sampled_it_is_our_simulation_whatever_the_delay(delay: float) -> None:
+    silent = TORQUE.copy()
+    silent[:4] = 0.0  # before its first sample ours acts, the state space's does not
+    system = ji.state_space(model(JOINT, VISCOUS)).sampled(T, delay)
+    _, found, _ = dlsim(system.scipy(), silent)
+    held = ji.Channel(silent, "N", T, Timing.HELD)
+    around = {"initial_position": 0.0, "initial_velocity": 0.0, "log_delay": -delay}
+    assert apart(found[:, 0], simulate_open_loop(JOINT, held, {**VISCOUS, **around}).position) < 1e-9
+    assert system.states[4:] == tuple(f"torque_{i + 1}" for i in range({0.4e-3: 1, 1e-3: 1, 2.75e-3: 3}.get(delay, 0)))
+
+
+def test_continuous_scipy_gives_the_same_motion() -> None:
+    system = ji.state_space(model(JOINT, VISCOUS))
+    times = np.arange(TORQUE.size) * T
+    _, found, _ = lsim(system.scipy(), TORQUE, times, interp=False)
+    assert apart(found[:, 0], ours(JOINT, VISCOUS)) < 1e-9
+
+
+@pytest.mark.parametrize("made", ["from the file", "from the object"])
+def test_python_control_closes_the_loop_with_our_torque(made: str) -> None:
+    control = pytest.importorskip("control")
+    told = model(JOINT, VISCOUS)
+    if made == "from the object":
+        system = ji.state_space(told).sampled(T).control()
+        assert system.state_labels[:2] == ["motor_position", "motor_velocity"]
+        assert system.input_labels == ["torque"]
+    else:
+        sampled = json.loads(ji.export(told, "state-space").text)["sampled"]
+        system = control.ss(*(sampled[letter] for letter in "ABCD"), sampled["period"])
+    law, reference = CONTROLLERS["L19"], ji.trapezoids((0.042, 0.125), 0.83, 0.1, T, duration=3.0)
+    state = np.array([reference[0], 0.0, reference[0], 0.0])
+
+    def plant(torque: float) -> float:
+        nonlocal state
+        state = np.asarray(system.dynamics(0.0, state, np.array([torque])))
+        return float(system.output(0.0, state, np.array([torque]))[0])
+
+    assert apart(servo(law, reference, T, plant), simulated(JOINT, law, reference, VISCOUS)) < 1e-9
+
+
+def test_its_poles_are_the_joint_s() -> None:
+    free = ji.frequencies(TABLE_2)
+    poles = np.linalg.eigvals(ji.state_space(model(JOINT, TABLE_2)).A)
+    assert max(abs(poles)) / (2 * np.pi) == pytest.approx(free["free_free"], rel=1e-3)
+
+
+def matrices(text: str, name: str) -> dict[str, np.ndarray]:
+    """Read the matrices of a structure from a MATLAB script: rows are ended by ;, numbers by blanks."""
+    found = re.findall(rf"^{name}\.([ABCD]) = \[(.*)\];$", text, re.MULTILINE)
+    return {key: np.array([[float(n) for n in row.split()] for row in rows.split(";")]) for key, rows in found}
+
+
+def test_a_matlab_script_has_the_same_numbers_and_only_comments_beside() -> None:
+    told = model(JOINT, TABLE_2, "Achse 3 (links)", "a\n!rm -rf\n%{\nsystem('x') ...")
+    text = ji.export(told, ji.Matlab(period=2e-3, delay=1e-3)).text
+    continuous, sampled = ji.state_space(told), ji.state_space(told).sampled(2e-3, 1e-3)
+    for name, system in (("Achse_3_links", continuous), ("Achse_3_links_sampled", sampled)):
+        found = matrices(text, name)
+        assert set(found) == set("ABCD")
+        for letter, matrix in found.items():
+            np.testing.assert_array_equal(matrix, getattr(system, letter))
+        assert f"{name}.sys = ss({name}.A, {name}.B, {name}.C, {name}.D" in text
+    lines = [line for line in text.splitlines() if line]
+    assert all(line.startswith(("% ", "Achse_3_links")) for line in lines)
+    assert "0.002, 'StateName'" in text
+
+
+def test_on_the_other_side_of_a_transmission_the_motion_is_the_same() -> None:
+    gear = ji.Transmission(load="revolute", ratio=80.0, sign=-1)
+    joint = ji.FlexibleJoint("revolute", transmission=gear)
+    told = model(joint, VISCOUS)
+    load, motor = (ji.state_space(told, side=side).sampled(T) for side in ("load", "motor"))
+    _, there, _ = dlsim(motor.scipy(), TORQUE)
+    _, here, _ = dlsim(load.scipy(), -80.0 * TORQUE)
+    assert apart(-80.0 * here[:, 0], there[:, 0]) < 1e-9
+    document = json.loads(ji.export(told, "state-space").text)
+    assert (document["side"], document["motor_torque_to_input"]) == ("load", -80.0)
+    with pytest.raises(ji.MethodError, match="no numbers of the motor side"):
+        ji.state_space(model(JOINT, VISCOUS), side="motor")
+
+
+def test_the_file_says_what_is_lost_and_where_its_numbers_come_from() -> None:
+    document = json.loads(ji.export(model(JOINT, TABLE_2), "state-space").text)
+    assert document["schema"] == "jointid.state-space/1"
+    assert document["source"]["records"] == [{"name": "run 7", "torque_sha256": "5f1c"}]
+    assert document["parameters"]["stiffness"]["value"] == TABLE_2["stiffness"]
+    lost = " ".join(document["lost"])
+    for words in ("Coulomb friction of the motor, 10.000 N", "of the load, 10.400 N", "a constant force of -3.1600 N"):
+        assert words in lost
+    assert document["units"]["torque"] == "N"
+    held = ji.Gravity("constant", ji.Counterbalance(rate=50.0))
+    weighing = ji.RigidJoint(gravity=held)
+    values = {"inertia": 2.0, "viscous": 3.0, "coulomb": 0.0, "offset": 0.0}
+    values |= {"gravity_constant": 9.0, "counterbalance_rate": 50.0}
+    system = ji.state_space(model(weighing, values))
+    assert system.A[1, 0] == 25.0  # what carries more the further it goes pushes away
+    flexible = TABLE_2 | {"offset": 0.0, "gravity_constant": 9.0, "counterbalance_rate": 50.0}
+    both = ji.state_space(model(ji.FlexibleJoint(gravity=held), flexible))
+    assert both.A[3, 2] == -(TABLE_2["stiffness"] - 50.0) / TABLE_2["load_inertia"]
+    assert any("constant load" in one for one in ji.export(model(weighing, values), "state-space").lost)
+
+
+def test_the_delay_is_that_of_the_estimate_unless_another_is_asked_for() -> None:
+    told = joint_model(answer(JOINT, VISCOUS) | {"delay": 1.5e-3}, JOINT)
+    for exporter, delay in ((ji.StateSpaceJson(), 1.5e-3), (ji.StateSpaceJson(delay=0.0), 0.0)):
+        found = json.loads(ji.export(told, exporter).text)["sampled"]
+        assert found["delay"] == delay
+        np.testing.assert_array_equal(found["A"], ji.state_space(told).sampled(T, delay).A)
+
+
+def test_what_cannot_be_sampled_is_refused() -> None:
+    system = ji.state_space(model(JOINT, VISCOUS))
+    for period, delay in ((0.0, 0.0), (float("inf"), 0.0), (T, -T), (T, 2.0), (float("nan"), 0.0)):
+        with pytest.raises(ji.MethodError, match="positive period"):
+            system.sampled(period, delay)
+    with pytest.raises(ji.MethodError, match="sampled already"):
+        system.sampled(T).sampled(T)
+    with pytest.raises(ji.MethodError, match="A period is a positive number"):
+        ji.StateSpaceJson(period=-1.0)
+    several: dict[str, Any] = answer(JOINT, TABLE_2) | {
+        "schema": "jointid.together/1",
+        "records": [{"name": n, "sample_time": t, "torque_sha256": ""} for n, t in (("a", 1e-3), ("b", 2e-3))],
+    }
+    told = joint_model(several, JOINT)
+    with pytest.raises(ji.MethodError, match="give the period"):
+        ji.export(told, "state-space")
+    assert json.loads(ji.export(told, ji.StateSpaceJson(period=T)).text)["sampled"]["period"] == T
+
+
+def test_without_python_control_its_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "control", None)
+    with pytest.raises(ji.ExtraError, match=r"jointid\[models\]"):
+        ji.state_space(model(JOINT, VISCOUS)).control()

@@ -1,0 +1,236 @@
+"""Bad records are told apart and named; good ones, the real ones among them, pass."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jointid.common.errors import RecordError
+from jointid.records.checks import (
+    check_record,
+    clock_faults,
+    finite_faults,
+    limit_faults,
+    scale_faults,
+    still_faults,
+)
+from jointid.records.columns import Column
+from jointid.records.reading import read
+from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap
+
+RATE = 1e-3
+TIME = np.arange(2000) * RATE
+POSITION = 0.1 * np.sin(6 * TIME)
+TORQUE = 5.0 * np.cos(6 * TIME)
+ONE_SENTENCE = r"^[^\n]+\.$"
+
+
+def channel(values: np.ndarray, unit: str = "m", sample_time: float = RATE) -> Channel:
+    return Channel(values, unit, sample_time)
+
+
+def good(**changes: Channel | Injection | Tap | None) -> Record:
+    parts = {
+        "torque": channel(TORQUE, "N"),
+        "reference": channel(POSITION),
+        "motor_position": channel(np.roll(POSITION, 2)),
+        "reference_velocity": channel(np.gradient(POSITION, RATE), "m/s"),
+    }
+    return Record(**{**parts, **changes})  # type: ignore[arg-type]
+
+
+def only(faults: list[str]) -> str:
+    assert len(faults) == 1, faults
+    assert faults[0].endswith(".")
+    assert "\n" not in faults[0]
+    return faults[0]
+
+
+def test_a_good_record_has_no_fault() -> None:
+    check_record(good(), limit=10.0)
+
+
+def test_all_faults_are_raised_together() -> None:
+    with pytest.raises(RecordError) as error:
+        check_record(good(torque=channel(np.full(2000, 12.0), "N"), motor_position=channel(-POSITION)), limit=10.0)
+    assert [fault.split()[1] for fault in error.value.faults] == ["runs", "torque", "torque"]
+
+
+def test_values_that_are_not_finite_come_first() -> None:
+    values = TORQUE.copy()
+    values[[30, 31]] = np.nan
+    with pytest.raises(RecordError) as error:
+        check_record(good(torque=channel(values, "N")), limit=1.0)
+    (fault,) = error.value.faults
+    assert fault.startswith("torque has 2 samples without a finite number, the first nan at sample 30 (t = 0.03 s)")
+
+
+def test_an_early_end_is_told_from_gaps() -> None:
+    values = np.array([0.0, np.nan, 1.0, np.inf, 2.0, np.nan, np.nan])
+    early, gaps = finite_faults("q", values)
+    assert early.startswith("q ends early: after 5 of 7 samples it is empty (NaN)")
+    assert gaps.startswith("q has 2 samples without a finite number, the first nan at sample 1; ")
+    assert "no finite number in its 3 samples" in only(finite_faults("q", np.full(3, np.nan)))
+    assert finite_faults("q", np.zeros(3)) == []
+
+
+@pytest.mark.parametrize(
+    ("stamps", "part"),
+    [
+        (np.delete(TIME, [100, 101, 102]), "jumps 1 time: after sample 99 (t = 0.099 s) it leaves out 3 samples"),
+        (np.insert(TIME, 100, TIME[100]), "after sample 100 (t = 0.1 s) it repeats its stamp"),
+        (np.append(TIME[:100], TIME), "after sample 99 (t = 0.099 s) it runs backward (a step of -0.099 s"),
+        (np.delete(TIME, [5, 50]), "jumps 2 times: after sample 4 "),
+        (np.append(TIME[:9], TIME[:9] + 0.0083), "it steps early (a step of 0.0003 s, expected 0.001 s)"),
+        (TIME[::-1], "does not run forward (its median step is -0.001 s)"),
+        (np.zeros(9), "does not run forward"),
+        (TIME[:1], "a single stamp"),
+        (np.append(TIME, np.nan), "time ends early"),
+    ],
+)
+def test_jumps_of_the_clock_are_named(stamps: np.ndarray, part: str) -> None:
+    assert part in only(clock_faults(stamps))
+
+
+def test_jitter_is_told_from_jumps() -> None:
+    stamps = TIME.copy()
+    stamps[700] += 0.08 * RATE
+    fault = only(clock_faults(stamps))
+    assert "jitters by up to 8.0% of the sample time of 0.001 s (0.3% rms)" in fault
+    assert "first beyond 5.0% after sample 699 (t = 0.699 s)" in fault
+    assert clock_faults(stamps, tolerance=0.1) == []
+    jump, jitter = clock_faults(np.delete(stamps, 900))
+    assert "leaves out 1 sample" in jump
+    assert "jitters by up to 8.0%" in jitter
+
+
+@given(
+    sample_time=st.floats(1e-5, 1e-1),
+    start=st.floats(-1e3, 1e3),
+    jitter=st.lists(st.floats(-0.02, 0.02), min_size=3, max_size=50),
+)
+def test_a_clock_within_tolerance_has_no_fault(sample_time: float, start: float, jitter: list[float]) -> None:
+    stamps = start + (np.arange(len(jitter)) + np.array(jitter)) * sample_time
+    assert clock_faults(stamps, tolerance=0.1) == []
+
+
+def test_stillness_is_named() -> None:
+    still = channel(np.full(2000, 0.25))
+    assert "torque is 3 N in every sample" in only(still_faults(good(torque=channel(np.full(2000, 3.0), "N"))))
+    assert "reference stays at 0.25 m" in only(still_faults(good(reference=still)))
+    pulses = Injection(channel(TORQUE, "N"))
+    assert still_faults(good(reference=still, injected=pulses)) == []
+    assert still_faults(Record(motor_position=still)) == []
+
+
+def test_a_torque_at_its_limit_is_named() -> None:
+    held = np.clip(TORQUE, -4.0, 4.0)
+    fault = only(limit_faults(good(torque=channel(held, "N")), 4.0))
+    share = np.mean(np.abs(held) >= 0.999 * 4.0)
+    assert f"at its limit of 4 N in {share:.1%} of the samples (at most 1.0% expected)" in fault
+    assert limit_faults(good(torque=channel(held, "N")), 4.0, limit_share=0.5) == []
+    assert limit_faults(good(), 5.1) == []
+    assert limit_faults(Record(reference=channel(POSITION)), 5.1) == []
+    assert "positive number; got -1" in only(limit_faults(good(), -1.0))
+
+
+def test_a_command_beyond_its_limit_is_named_but_not_a_measured_torque() -> None:
+    assert "reaches 5 N, beyond the controller's limit of 4.9 N" in only(limit_faults(good(), 4.9))
+    assert "at its limit" in only(limit_faults(good(tap=Tap.MEASURED), 4.9))
+
+
+def test_what_is_added_after_the_limit_does_not_count() -> None:
+    pulses = channel(np.where(np.arange(2000) % 500 < 100, 3.0, 0.0), "N")
+    torque = channel(TORQUE + pulses.values, "N")
+    assert limit_faults(good(torque=torque, injected=Injection(pulses)), 5.5) == []
+    before = Injection(pulses, InjectionPoint.BEFORE_LIMIT)
+    assert "beyond" in only(limit_faults(good(torque=torque, injected=before), 5.5))
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit", "part"),
+    [
+        (1e3, "m", "as if motor_position were in mm and read as m; check both units"),
+        (1e-3, "m", "as if reference were in mm and read as m"),
+        (100.0, "m", "were in cm"),
+        (180 / np.pi, "rad", "as if motor_position were in deg and read as rad"),
+        (1 / (2 * np.pi), "rad", "as if motor_position were in rev and read as rad"),
+        (np.pi / 180, "rad", "as if reference were in deg and read as rad"),
+        (20.0, "rad", "motor_position is 20 times reference, and should equal it; check both units, and give the gain"),
+    ],
+)
+def test_a_wrong_unit_is_named(factor: float, unit: str, part: str) -> None:
+    record = Record(reference=channel(POSITION, unit), motor_position=channel(factor * np.roll(POSITION, 3), unit))
+    assert part in only([fault for fault in scale_faults(record) if "times" in fault])
+
+
+def test_opposite_signs_are_named() -> None:
+    fault = only(scale_faults(good(motor_position=channel(0.3 - POSITION))))
+    assert fault == "motor_position runs against reference; give one of them sign = -1."
+    two = scale_faults(good(motor_position=channel(-1e3 * POSITION)))
+    assert len([fault for fault in two if "runs against" in fault or "1000 times" in fault]) == 2
+
+
+def test_a_velocity_in_another_unit_is_named() -> None:
+    velocity = channel(6e4 * 0.6 * np.cos(6 * TIME), "m/s")
+    assert "as if reference_velocity were in mm/min" in only(scale_faults(good(reference_velocity=velocity)))
+
+
+@pytest.mark.parametrize(
+    ("position", "unit", "sample_time", "part"),
+    [
+        (1e3 * POSITION, "m", RATE, "reference moves at 600 m/s (at most 50 expected): it is not in m"),
+        (2e4 * POSITION, "m", 1.0, "reference travels 4e+03 m (at most 1000 expected): it is not in m"),
+        (1e6 * POSITION, "rad", RATE, "reference moves at 6e+05 rad/s (at most 100000 expected)"),
+    ],
+)
+def test_a_motion_that_no_joint_makes_is_named(position: np.ndarray, unit: str, sample_time: float, part: str) -> None:
+    assert part in only(scale_faults(Record(reference=channel(position, unit, sample_time))))
+
+
+def test_what_a_joint_does_raises_no_alarm() -> None:
+    step = np.where(TIME < 1, 0.0, 0.1)  # 100 m/s between two samples
+    lagging = np.where(TIME < 1, 0.0, 0.1 * (1 - np.exp(-20 * (TIME - 1))))
+    assert scale_faults(Record(reference=channel(step), motor_position=channel(lagging))) == []
+    turns = channel(300 * TIME, "rad")  # a revolute joint may turn for ever
+    assert scale_faults(Record(reference=turns, motor_position=turns)) == []
+    unrelated = np.random.default_rng(1).normal(size=2000)
+    assert scale_faults(Record(reference=channel(POSITION), motor_position=channel(1e-3 * unrelated))) == []
+    stands = Record(reference=channel(np.full(7, 0.1)), motor_position=channel(np.full(7, -0.3)))
+    assert scale_faults(stands) == []
+    half = channel(POSITION[::2], sample_time=2 * RATE)
+    assert scale_faults(good(motor_position=half)) == []
+    assert scale_faults(Record(reference=channel(np.zeros(1)), motor_position=channel(np.ones(1)))) == []
+
+
+def test_the_largest_numbers_do_no_harm() -> None:
+    huge = np.where(np.arange(2000) % 2, 1e308, -1e308)
+    assert isinstance(scale_faults(good(motor_position=channel(huge))), list)
+    assert isinstance(clock_faults(huge), list)
+
+
+def test_the_real_records_have_no_fault(data_dir: Path) -> None:
+    emps = {"torque": Column("vir", unit="V"), "reference": "qg", "motor_position": "qm"}
+    check_record(read(data_dir / "emps" / "DATA_EMPS.mat", emps), limit=10.0)
+    pulses = emps | {"injected": Column("pulses_N", gain=5.07 / 5, at=InjectionPoint.BEFORE_LIMIT)}
+    check_record(read(data_dir / "emps" / "DATA_EMPS_PULSES.mat", pulses), limit=10.0)
+    for axis in range(6):
+        columns = {
+            "torque": f"rec.act_torque_rel_nm[{axis}]",
+            "reference": Column(f"rec.ref_pos_deg[{axis}]", unit="deg"),
+            "motor_position": Column(f"rec.act_pos_mot_deg[{axis}]", unit="deg"),
+        }
+        check_record(read(data_dir / "kr300" / "rec_A.mat", columns, time="rec.time_cont", kind="revolute"))
+
+
+def test_the_unit_of_a_real_record_is_noticed(emps_path: Path) -> None:
+    columns = {"torque": Column("vir", unit="V"), "reference": Column("qg", gain=1e3), "motor_position": "qm"}
+    with pytest.raises(RecordError) as error:
+        read(emps_path, columns)
+    speed, ratio = error.value.faults
+    assert "reference moves at" in speed
+    assert "as if reference were in mm and read as m" in ratio

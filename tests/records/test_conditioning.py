@@ -1,0 +1,191 @@
+"""What logging does to a signal, undone or refused: wraps, slow refreshes, rounding."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import jointid as ji
+from jointid.common.errors import RecordError
+from jointid.records.columns import Column
+from jointid.records.drives.drive import Drive
+from jointid.records.formats import Table, write_table
+from jointid.records.reading import read
+from jointid.records.record import Record, Timing, record_of
+from jointid.records.record_warnings import record_notes
+from jointid.records.unwrap import changing_every, quantum, unwrapped, wrap_faults
+
+T = 1e-3
+TIME = np.arange(1000) * T
+MOTION = 3000.0 * np.sin(5 * TIME) + 40_000 * TIME
+TORQUE = np.cos(7 * TIME) + 0.3 * np.sin(31 * TIME)
+
+
+def saved(path: Path, **columns: np.ndarray) -> Path:
+    write_table(path, Table({"t": TIME, **columns}))
+    return path
+
+
+@given(st.integers(200, 100_000), st.integers(-10_000, 10_000))
+def test_a_position_that_wraps_is_the_one_that_does_not(wrap: int, start: int) -> None:
+    whole = np.round(MOTION) + start
+    again = unwrapped(np.mod(whole, wrap), wrap)
+    assert wrap_faults("q", np.mod(whole, wrap), wrap) == []
+    np.testing.assert_array_equal(again - again[0], whole - whole[0])
+
+
+def test_a_wrapping_column_is_unwrapped_when_it_is_read(tmp_path: Path) -> None:
+    degrees = 500 * np.sin(3 * TIME)
+    path = saved(tmp_path / "run.csv", q=np.mod(degrees, 360.0))
+    record = read(path, {"motor_position": Column("q", unit="deg", wrap=360.0)}, kind="revolute")
+    assert record.motor_position is not None
+    np.testing.assert_allclose(record.motor_position.values, np.radians(degrees), atol=1e-9)
+
+
+def test_what_cannot_be_unwrapped_is_refused(tmp_path: Path) -> None:
+    fast = np.mod(45.0 * np.arange(1000), 100.0)
+    assert "moves by 0.45 of its wrap of 100 after sample 0 (at most 0.4" in wrap_faults("q", fast, 100.0)[0]
+    assert "spans 999, more than its wrap of 100" in wrap_faults("q", np.arange(1000.0), 100.0)[0]
+    path = saved(tmp_path / "run.csv", q=fast)
+    with pytest.raises(RecordError, match=r"moves by 0\.45"):
+        read(path, {"motor_position": Column("q", wrap=100.0)})
+    with pytest.raises(RecordError, match="torque has a wrap of 100, which is for a position"):
+        read(path, {"torque": Column("q", wrap=100.0)})
+    with pytest.raises(RecordError, match="wrap of column"):
+        Column("q", wrap=-1.0)
+
+
+def slow(every: int, phase: int) -> np.ndarray:
+    """Return the torque as a log shows it that is refreshed at samples phase, phase + every, ..."""
+    index = (np.arange(TIME.size) - phase) // every * every + phase
+    return np.cos(7 * index * T) + 0.3 * np.sin(31 * index * T)
+
+
+@pytest.mark.parametrize("phase", [0, 1, 3])
+def test_a_slow_column_is_picked_at_its_refreshes(tmp_path: Path, phase: int) -> None:
+    path = saved(tmp_path / "run.csv", i=slow(4, phase), q=MOTION)
+    record = read(path, {"torque": Column("i", update_time=4 * T), "motor_position": Column("q", unit="um")})
+    assert record.torque is not None
+    assert record.motor_position is not None
+    assert (record.torque.sample_time, record.torque.timing) == (4 * T, Timing.HELD)
+    assert record.motor_position.sample_time == T
+    np.testing.assert_allclose(record.torque.values, TORQUE[phase::4])
+    assert record.begin == pytest.approx(phase * T)
+    np.testing.assert_allclose(record.motor_position.values, MOTION[phase:] * 1e-6)
+
+
+def test_two_slow_columns_begin_together(tmp_path: Path) -> None:
+    path = saved(tmp_path / "run.csv", i=slow(4, 3), r=slow(2, 1))
+    record = read(path, {"torque": Column("i", update_time=4 * T), "reference": Column("r", update_time=2 * T)})
+    assert record.torque is not None
+    assert record.reference is not None
+    np.testing.assert_allclose(record.torque.values, TORQUE[3::4])
+    np.testing.assert_allclose(record.reference.values, TORQUE[3::2])
+    assert record.begin == pytest.approx(3 * T)
+    path = saved(tmp_path / "run.csv", i=slow(4, 3), r=slow(2, 0))
+    with pytest.raises(RecordError, match="never refreshed at one instant"):
+        read(path, {"torque": Column("i", update_time=4 * T), "reference": Column("r", update_time=2 * T)})
+
+
+@pytest.mark.parametrize(
+    ("every", "update_time", "part"),
+    [
+        (3, 4 * T, "said to be refreshed every 4 samples, but"),
+        (8, 4 * T, "but changes only every 8; set update_time = 0.008"),
+        (4, 2.5 * T, "which is 2.5 of its samples of 0.001 s; expected a whole number"),
+        (4, -1.0, "The update time of column"),
+    ],
+)
+def test_a_rhythm_that_is_not_there_is_refused(tmp_path: Path, every: int, update_time: float, part: str) -> None:
+    path = saved(tmp_path / "run.csv", i=slow(every, 0))
+    with pytest.raises(RecordError, match=part):
+        read(path, {"torque": Column("i", update_time=update_time)})
+
+
+def test_a_rhythm_and_a_rounding_are_found() -> None:
+    assert changing_every(slow(4, 1)) == 4
+    assert changing_every(TORQUE) == 1
+    assert changing_every(np.zeros(100)) == 1
+    assert quantum(np.round(MOTION / 37) * 37 * 1e-6) == pytest.approx(37e-6)
+    assert quantum(np.round(TORQUE, 1)) == pytest.approx(0.1)
+    assert quantum(TORQUE) is None
+    assert quantum(np.ones(5)) is None
+
+
+def notes(**values: np.ndarray) -> tuple[str, ...]:
+    record: Record = record_of(T, unit="N m", position_unit="rad", **values)
+    return record_notes(record, record.channels)
+
+
+def test_what_rounding_and_refreshing_do_is_said() -> None:
+    assert notes(torque=TORQUE, motor_position=MOTION) == ()
+    assert notes(torque=np.round(TORQUE, 2)) == ()
+    (rounded,) = notes(torque=np.round(TORQUE, 1))
+    assert "steps of 0.1 N m, 13.1% of its rms about its mean: rounding alone leaves 3.8% of it" in rounded
+    (late,) = notes(torque=slow(4, 0))
+    assert "changes only every 4 samples" in late
+    assert "update_time = 0.004" in late
+    (coarse,) = notes(motor_position=np.round(MOTION / 10) * 10)
+    assert "steps of 10 rad, of which it passes" in coarse
+    assert notes(motor_position=np.round(MOTION)) == ()
+
+
+def test_an_encoder_that_is_late_is_found() -> None:
+    smooth = np.sin(5 * TIME) + 0.3 * np.sin(13 * TIME)
+    late = np.interp(TIME - 3e-3, TIME, smooth)
+    (said,) = notes(motor_position=smooth, load_position=late)
+    assert "99% of the difference" in said
+    assert "as if load_position were 3 ms later than motor_position" in said
+    (said,) = notes(motor_position=late, load_position=smooth)
+    assert "motor_position were 3 ms later" in said
+    spring = smooth - 1e-3 * np.gradient(np.gradient(smooth, T), T)
+    assert notes(motor_position=smooth, load_position=spring) == ()
+
+
+def test_the_load_encoder_of_the_kr300_is_late(data_dir: Path) -> None:
+    for name in ("rec_A", "rec_B"):
+        for axis in (1, 2, 3):
+            record = read(data_dir / "kr300" / f"{name}.mat", drive=Drive("kuka", axis=axis), kind="revolute")
+            (said,) = record_notes(record, record.channels)
+            share, lag = (float(text) for text in re.findall(r"(\d+)%.* were ([\d.]+) ms later", said)[0])
+            assert share >= 94
+            assert 2.7 <= lag <= 3.2
+
+
+def test_a_joint_is_identified_from_a_slow_torque(tmp_path: Path) -> None:
+    """The log has a sample each period of the loop, and shows every fourth torque four times, from its second on."""
+    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(kp=100.0, kv=2000.0, period=T))
+    reference = ji.trapezoids(speeds=(0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=T)
+    truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+    made = ji.simulated_record(loop, reference, truth, sample_time=T)
+    assert made.torque is not None
+    assert made.reference is not None
+    torque = made.torque.values
+    shown = torque[np.maximum((np.arange(torque.size) - 1) // 4 * 4 + 1, 0)]
+    write_table(tmp_path / "run.mat", Table({"r": made.reference.values, "i": shown}))
+    columns = {"torque": Column("i", update_time=4 * T), "reference": Column("r")}
+    record = read(tmp_path / "run.mat", columns, sample_time=T)
+    estimate = ji.identify(record, loop, filtering=ji.Filtering(cutoff=20.0))
+    assert estimate["inertia"].value == pytest.approx(30.0, rel=1e-4)
+    assert estimate["coulomb"].value == pytest.approx(15.0, rel=1e-3)
+
+
+def test_idim_picks_the_position_at_a_slow_torque(tmp_path: Path) -> None:
+    position = 0.3 * np.sin(5 * TIME) + 0.1 * np.sin(17 * TIME)
+    torque = 2.0 * np.gradient(np.gradient(position, T), T) + 3.0 * np.gradient(position, T)
+    path = saved(tmp_path / "run.mat", i=torque[np.maximum((np.arange(TIME.size) - 1) // 4 * 4 + 1, 0)], q=position)
+    columns = {
+        "torque": Column("i", update_time=4 * T, timing=Timing.SAMPLED),
+        "motor_position": Column("q"),
+    }
+    record = read(path, columns, kind="revolute")
+    fixed = {"coulomb": ji.RigidJoint().parameters[2].fixed(0.0)}
+    filtering = ji.Filtering(position_cutoff=60.0, cutoff=10.0, borders=(20, 20))
+    estimate = ji.identify(record, ji.RigidJoint("revolute"), filtering=filtering, parameters=fixed)
+    assert estimate["inertia"].value == pytest.approx(2.0, rel=2e-3)
+    assert estimate["viscous"].value == pytest.approx(3.0, rel=5e-3)

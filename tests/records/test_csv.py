@@ -1,0 +1,304 @@
+"""Delimited text: exact round trips, awkward files, one sentence for each file that cannot be read."""
+
+from __future__ import annotations
+
+import itertools
+import random
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jointid.common.errors import JointidError, RecordError
+from jointid.records.formats import Table, read_table, write_table
+
+NAN = float("nan")
+Read = Callable[..., Table]
+
+names = st.text(st.characters(codec="utf-8"), min_size=1, max_size=8)
+values = st.floats(allow_nan=True, allow_infinity=True)
+
+
+@st.composite
+def tables(draw: st.DrawFn, names: st.SearchStrategy[str] = names) -> Table:
+    headings = draw(st.lists(names, min_size=1, max_size=4, unique=True))
+    rows = draw(st.integers(1, 6))
+    column = st.lists(values, min_size=rows, max_size=rows)
+    return Table({heading: np.array(draw(column)) for heading in headings})
+
+
+@pytest.fixture(scope="module")
+def read(tmp_path_factory: pytest.TempPathFactory) -> Read:
+    folder = tmp_path_factory.mktemp("csv")
+
+    def read_text(content: str | bytes, **options: object) -> Table:
+        path = folder / "run.csv"
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return read_table(path, **options)
+
+    return read_text
+
+
+def assert_same(table: Table, columns: dict[str, list[float]]) -> None:
+    assert list(table.columns) == list(columns)
+    for name, expected in columns.items():
+        np.testing.assert_array_equal(table.columns[name], expected)
+
+
+AWKWARD: dict[str, tuple[str | bytes, dict[str, list[float]]]] = {
+    "plain": ("t,q\n0,1.5\n0.1,2.5\n", {"t": [0, 0.1], "q": [1.5, 2.5]}),
+    "German spreadsheet": ("sep=;\r\nt;q\r\n0;1,5\r\n0,1;-2,5e3\r\n", {"t": [0, 0.1], "q": [1.5, -2500]}),
+    "decimal comma without names": ("1,5;2,5\n3,5;4,5\n", {"1": [1.5, 3.5], "2": [2.5, 4.5]}),
+    "decimal comma and blanks": ("a b\n1,5 2,5\n", {"a": [1.5], "b": [2.5]}),
+    "four whole numbers": ("1,5,2,5\n1,6,2,6\n", {"1": [1, 1], "2": [5, 6], "3": [2, 2], "4": [5, 6]}),
+    "one column, decimal comma": ("torque\n1,5\n2,5\n3\n", {"torque": [1.5, 2.5, 3]}),
+    "two columns of whole numbers": ("a,b\n1,5\n2,5\n", {"a": [1, 2], "b": [5, 5]}),
+    "whole numbers at the end": (
+        "a;b\n0,5;1\n" + "0;0\n" * 300,
+        {"a": [0.5] + [0] * 300, "b": [1] + [0] * 300},
+    ),
+    "quoted decimal commas": ('"a","b"\n"1,5","2,5"\n', {"a": [1.5], "b": [2.5]}),
+    "quoted names": ('"Motor pos, [mm]";"i ""q"""\n1;2\n', {"Motor pos, [mm]": [1], 'i "q"': [2]}),
+    "quoted names, blanks between": (
+        '"motor position" torque\n1 2\n',
+        {"motor position": [1], "torque": [2]},
+    ),
+    "names with blanks": ("Motor pos [mm]\tTorque\n1\t2\n", {"Motor pos [mm]": [1], "Torque": [2]}),
+    "aligned with blanks": ("   t    q\n   0  1.5\n  10   -2\n", {"t": [0, 10], "q": [1.5, -2]}),
+    "pipes": ("t | q\n0 | 1\n", {"t": [0], "q": [1]}),
+    "savetxt": ("# t,q\n0.0,1e-3\n1.0,+2E3\n", {"t": [0, 1], "q": [1e-3, 2000]}),
+    "comments": ("% run 7\n// drive 3\nt,q\n# s, m\n0,1\n\n# late\n1,2\n", {"t": [0, 1], "q": [1, 2]}),
+    "preamble": ("Scope export\nDate: 1.2.2024, 12:30\nRate;1000\n\nt;q\n0;1\n", {"t": [0], "q": [1]}),
+    "spreadsheet without names": ("sep=;\n0;1\n", {"1": [0], "2": [1]}),
+    "preamble without names": ("Scope export\n0;1\n1;2\n", {"1": [0, 1], "2": [1, 2]}),
+    "line of units": ("t;i q;n\n[s];A;\n0;1;2\n", {"t [s]": [0], "i q [A]": [1], "n": [2]}),
+    "units in the names": ("t [s],q (mm)\n0,1\n", {"t [s]": [0], "q (mm)": [1]}),
+    "closed rows": ("t,q,\n0,1,\n1,2,\n", {"t": [0, 1], "q": [1, 2]}),
+    "closed rows only": ("t,q\n0,1,\n1,2,\n", {"t": [0, 1], "q": [1, 2]}),
+    "closed rows, no names": ("0;1;\n1;2;\n", {"1": [0, 1], "2": [1, 2]}),
+    "empty last column": ("t,q,x\n0,1,\n1,2,\n", {"t": [0, 1], "q": [1, 2], "x": [NAN, NAN]}),
+    "empty cells": ("t,q\n0,\n1, \n2,nan\n3,4\n", {"t": [0, 1, 2, 3], "q": [NAN, NAN, NAN, 4]}),
+    "empty cells between tabs": ("t\tq\tx\n0\t\t1\n", {"t": [0], "q": [NAN], "x": [1]}),
+    "nameless first column": (",t,q\n0,1,2\n", {"1": [0], "t": [1], "q": [2]}),
+    "byte order mark": (b"\xef\xbb\xbft,q\n0,1\n", {"t": [0], "q": [1]}),
+    "Latin-1": ("Drehmoment für q;µ\n0;1\n".encode("latin-1"), {"Drehmoment für q": [0], "µ": [1]}),
+    "UTF-16": ("t\tq\r\n0\t1\r\n".encode("utf-16"), {"t": [0], "q": [1]}),
+    "no last line end": ("t,q\n0,1\n1,2", {"t": [0, 1], "q": [1, 2]}),
+    "carriage returns": ("t,q\r0,1\r1,2\r", {"t": [0, 1], "q": [1, 2]}),
+    "infinity": ("q\ninf\n-Infinity\n", {"q": [np.inf, -np.inf]}),
+}
+
+
+@pytest.mark.parametrize("name", AWKWARD)
+def test_an_awkward_file_gives_the_right_table(name: str, read: Read) -> None:
+    content, columns = AWKWARD[name]
+    assert_same(read(content), columns)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".txt", ".TSV", ".dat"])
+def test_the_suffix_does_not_tell_the_delimiter(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"run{suffix}"
+    path.write_text("t;q\n0;1\n")
+    assert_same(read_table(path), {"t": [0], "q": [1]})
+
+
+def test_what_is_ambiguous_is_refused_and_settled_by_an_option(read: Read) -> None:
+    with pytest.raises(RecordError, match=r'two ways: "1,5" .* give decimal = "," or delimiter = ","\.'):
+        read("1,5\n2,5\n")
+    assert_same(read("1,5\n2,5\n", decimal=","), {"1": [1.5, 2.5]})
+    assert_same(read("1,5\n2,5\n", delimiter=","), {"1": [1, 2], "2": [5, 5]})
+
+
+def test_options_override_what_would_be_found(read: Read) -> None:
+    assert_same(read("a:b\n1:2\n", delimiter=":"), {"a": [1], "b": [2]})
+    assert_same(read("t,q\n1,2\n", header=False), {"1": [1], "2": [2]})
+    assert_same(read("t,7\n1,2\n", header=True), {"t": [1], "7": [2]})
+
+
+REFUSED: dict[str, tuple[str | bytes, list[str]]] = {
+    "text in a cell": ("t,q\n0,1\n1,abc\n2,3\n", ["run.csv: line 3", 'column "q"', '"abc"', "not a number"]),
+    "text in the first row": ("t,q\n0,abc\n1,2\n", ["line 2", '"0,abc"', "mend it"]),
+    "underscore": ("q\n1\n1_0\n", ["line 3", '"1_0"']),
+    "thousands separators": ("a;b\n1.000,5;2.000,5\n", ["no row of numbers", "thousands"]),
+    "one thousands separator": ("a;b\n1,5;2\n1.000,5;2\n", ["line 3", '"1.000,5"']),
+    "a whole thousands separator": ("a;b\n1,5;2\n1,6;2\n1.000;2\n", ["line 4", '"1.000"']),
+    "cut off": ("t,q,x\n0,1,2\n1,2,3\n2,3\n", ["line 4, the last,", "2 cells for 3 columns", "cut off"]),
+    "a short row": ("t,q\n0,1\n1\n2,3\n", ["line 3 has 1 cell for 2 columns"]),
+    "a long row": ("t,q\n0,1\n1,2,3\n2,3\n", ["line 3 has 3 cells for 2 columns"]),
+    "a closing remark": ("t,q\n0,1\n1,2\nend of file\n", ["line 4, the last,", "ends in a remark"]),
+    "decimal and delimiting comma": ("t,q\n0,1,5,2\n1,1,5,3\n", ["2 names for 4 columns", "decimal point"]),
+    "too few names": ("t;q\n0;1;2\n", ["line 1 has 2 names for 3 columns", "header = false"]),
+    "a short row of two": ("0,1\n1,2\n1\n", ["two ways"]),
+    "the same name twice": ("q,q\n0,1\n", ['more than one column called "q"', "header = false"]),
+    "names only": ("t,q\n", ["no row of numbers"]),
+    "prose": ("Dear reader,\nno numbers here.\n", ["no row of numbers"]),
+    "comments only": ("# t,q\n# 1,2\n", ["no row of numbers"]),
+    "empty lines only": ("\n\n", ["no row of numbers"]),
+    "bytes": (b"\x00\x01\x02\x03", ["no text", "UTF-8"]),
+    "nothing": ("", ["empty (0 bytes)"]),
+    "an endless quoted cell": ('"' + "x" * 200_000, ["cannot be split into cells"]),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_file_that_cannot_be_read_is_one_sentence(name: str, read: Read) -> None:
+    content, parts = REFUSED[name]
+    with pytest.raises(RecordError) as error:
+        read(content)
+    assert len(error.value.faults) == 1
+    message = str(error.value)
+    assert all(part in message for part in parts), message
+    assert message.startswith("run.csv")
+    assert message.endswith((".", "?"))
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        ({"delimiter": ";;"}, "one character"),
+        ({"delimiter": "e"}, "one character"),
+        ({"delimiter": 5}, "one character"),
+        ({"decimal": ";"}, 'is "." or ","'),
+        ({"header": "yes"}, "true or false"),
+        ({"skip": 3}, "no option skip; it has: delimiter, decimal, header"),
+        ({"header": True}, "no line above"),
+    ],
+)
+def test_an_option_that_cannot_be_is_one_sentence(options: dict[str, object], part: str, read: Read) -> None:
+    with pytest.raises(RecordError, match=part):
+        read("0;1\n", **options)
+
+
+@given(table=tables())
+def test_what_is_written_is_read_to_the_last_bit(table: Table, tmp_path_factory: pytest.TempPathFactory) -> None:
+    path = tmp_path_factory.getbasetemp() / "round-trip.csv"
+    try:
+        write_table(path, table)
+    except RecordError as error:
+        assert "would not be read back" in str(error) or "know a formula" in str(error)
+        return
+    again = read_table(path)
+    assert list(again.columns) == list(table.columns)
+    for name, values in table.columns.items():
+        np.testing.assert_array_equal(again.columns[name], values)
+        numbers = ~np.isnan(values)  # the sign of a NaN means nothing
+        assert again.columns[name][numbers].tobytes() == values[numbers].tobytes()
+
+
+@given(table=tables(st.from_regex(r"[A-Za-z]\w{0,5}( \[\w\])?", fullmatch=True)))
+def test_common_names_are_never_refused(table: Table, tmp_path_factory: pytest.TempPathFactory) -> None:
+    path = tmp_path_factory.getbasetemp() / "common.csv"
+    if not any(name.lower() in ("nan", "inf", "infinity") for name in table.columns):
+        write_table(path, table)
+        assert list(read_table(path).columns) == list(table.columns)
+
+
+MARKS = [p for p in itertools.product(";\t|, ", ".,") if p != (",", ",")]
+
+
+@given(
+    table=tables(st.from_regex(r"[a-hj-m][a-z]{0,4}", fullmatch=True)),
+    marks=st.sampled_from(MARKS),
+    header=st.booleans(),
+    newline=st.sampled_from(["\n", "\r\n"]),
+    encoding=st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "latin-1"]),
+    preamble=st.sampled_from(["", "Export\n", "# made by a drive\n\n"]),
+)
+def test_every_dialect_is_found(
+    table: Table,
+    marks: tuple[str, str],
+    header: bool,
+    newline: str,
+    encoding: str,
+    preamble: str,
+    read: Read,
+) -> None:
+    delimiter, decimal = marks
+    rows = zip(*(values.tolist() for values in table.columns.values()), strict=True)
+    lines = [delimiter.join(table.columns)] if header or (preamble and len(table.columns) == 1) else []
+    lines += [delimiter.join(repr(cell).replace(".", decimal) for cell in row) for row in rows]
+    text = preamble + "\n".join(lines) + "\n"
+    try:
+        again = read(text.replace("\n", newline).encode(encoding))
+    except RecordError as error:  # a single column of "1,5" without a name
+        assert "two ways" in str(error)
+        assert len(table.columns) == 1
+        assert decimal == ","
+        again = read(text.encode(encoding), decimal=",")
+    if len(lines) > len(next(iter(table.columns.values()))):
+        assert list(again.columns) == list(table.columns)
+    for read_values, values in zip(again.columns.values(), table.columns.values(), strict=True):
+        np.testing.assert_array_equal(read_values, values)
+
+
+def test_columns_called_by_their_numbers_are_written_without_names(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    write_table(path, Table({"1": np.array([1.0, 2.0]), "2": np.array([0.5, NAN])}))
+    assert path.read_text() == "1.0,0.5\n2.0,nan\n"
+    assert list(read_table(path).columns) == ["1", "2"]
+
+
+@pytest.mark.parametrize(
+    ("table", "part"),
+    [
+        (Table({"a": np.zeros(2), "b": np.zeros(3)}), "one length; got a 2, b 3"),
+        (Table({"a": np.zeros(2)}, {"kp": 1.0}), "scalars kp; write a .mat"),
+        (Table({"2": np.zeros(2)}), "'2' would not be read back"),
+        (Table({"a\nb": np.zeros(2)}), "would not be read back"),
+        (Table({}), "got no column"),
+    ],
+)
+def test_what_text_cannot_hold_is_refused(table: Table, part: str, tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match=part):
+        write_table(tmp_path / "run.csv", table)
+    assert not (tmp_path / "run.csv").exists()
+
+
+def test_names_of_files_that_cannot_be_used(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match=r'run\.xlsx has the suffix "\.xlsx".*CSV: \.csv, .*MAT: \.mat'):
+        read_table(tmp_path / "run.xlsx")
+    with pytest.raises(RecordError, match=r"run\.csv cannot be opened \(no such file or directory\)"):
+        read_table(tmp_path / "run.csv")
+    (tmp_path / "folder.csv").mkdir()
+    with pytest.raises(RecordError, match="is a folder"):
+        read_table(tmp_path / "folder.csv")
+    with pytest.raises(RecordError, match="cannot be written"):
+        write_table(tmp_path / "none" / "run.csv", Table({"a": np.zeros(2)}))
+
+
+def test_a_table_is_read_only_and_one_dimensional() -> None:
+    table = Table({"a": np.zeros(2)})
+    with pytest.raises(ValueError, match="read-only"):
+        table.columns["a"][0] = 1
+    with pytest.raises(RecordError, match=r'"a" has shape \(2, 2\)'):
+        Table({"a": np.zeros((2, 2))})
+    with pytest.raises(RecordError, match=r"shape \(0,\)"):
+        Table({"a": np.zeros(0)})
+
+
+@given(
+    base=st.sampled_from([content for content, _ in AWKWARD.values()]),
+    spoils=st.lists(st.tuples(st.integers(0, 400), st.integers(0, 255)), max_size=8),
+    keep=st.integers(0, 400),
+)
+def test_spoiled_bytes_give_a_table_or_a_sentence(
+    base: str | bytes, spoils: list[tuple[int, int]], keep: int, read: Read
+) -> None:
+    content = bytearray(base.encode() if isinstance(base, str) else base)
+    for place, byte in spoils:
+        content[place % len(content)] = byte
+    try:
+        assert isinstance(read(bytes(content[: keep or None])), Table)
+    except JointidError as error:
+        assert str(error)
+
+
+def test_a_long_file_keeps_every_number(read: Read) -> None:
+    source = random.Random(1)
+    rows = [[source.uniform(-1, 1) for _ in range(6)] for _ in range(2000)]
+    table = read("\n".join(",".join(map(repr, row)) for row in rows))
+    np.testing.assert_array_equal(np.stack(list(table.columns.values()), axis=1), rows)

@@ -1,0 +1,335 @@
+"""Drives' own units and names: counts, per mille, ampere; the profiles of traces; what is missing or in doubt."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.common.errors import JointFileError, RecordError
+from jointid.common.units import COUNTS, SHARE, unit
+from jointid.config import load, loads
+from jointid.models.transmission import Transmission
+from jointid.records.columns import Column, known_units
+from jointid.records.drives.drive import Drive
+from jointid.records.drives.profiles import profile_named, profile_names
+from jointid.records.reading import read
+from jointid.records.record import CHANNELS, Record, Tap, Timing
+
+ROOT = Path(__file__).resolve().parents[2]
+T = 1e-3
+TIME = np.arange(400) * T
+ANGLE = 0.5 * np.sin(8 * TIME)  # rad
+TORQUE = 0.8 * np.cos(8 * TIME)  # N m
+COUNTS_PER_TURN, RATED = 8192, 1.27
+COUNTED = np.round(ANGLE / (2 * math.pi) * COUNTS_PER_TURN)
+PER_MILLE = np.round(TORQUE / RATED * 1e3)
+
+
+def trace(tmp_path: Path, name: str = "trace.csv", **columns: np.ndarray) -> Path:
+    """Write a trace; a name with a word that Python has no letters for is given in a dictionary."""
+    path = tmp_path / name
+    rows = zip(*columns.values(), strict=True)
+    lines = [";".join(columns), *(";".join(f"{float(value)!r}" for value in row) for row in rows)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def fault(path: Path, drive: Drive, kind: str = "revolute", **columns: Column) -> str:
+    with pytest.raises(RecordError) as error:
+        read(path, columns, drive=drive, kind=kind)
+    (said,) = error.value.faults
+    assert said.endswith(".")
+    return said
+
+
+def test_a_cia402_trace_needs_two_numbers(tmp_path: Path) -> None:
+    path = trace(tmp_path, t=TIME, **{"0x6077": PER_MILLE, "0x6062": COUNTED, "0x6064": COUNTED})
+    record = read(path, drive=Drive("cia402", rated_torque=RATED, counts_per_turn=COUNTS_PER_TURN), kind="revolute")
+    assert record.channels == ("torque", "reference", "motor_position")
+    assert record.torque is not None
+    assert record.motor_position is not None
+    assert (record.torque.unit, record.torque.timing, record.tap) == ("N m", Timing.SAMPLED, Tap.MEASURED)
+    np.testing.assert_allclose(record.torque.values, TORQUE, atol=RATED / 2e3 * 1.001)
+    np.testing.assert_allclose(record.motor_position.values, ANGLE, atol=math.pi / COUNTS_PER_TURN * 1.001)
+
+
+@pytest.mark.parametrize(
+    "name", ["Torque actual value", "torque_actual_value", "TorqueActualValue", "Axis 3.6077h", "6077:00"]
+)
+def test_case_and_punctuation_of_a_name_do_not_matter(tmp_path: Path, name: str) -> None:
+    path = trace(tmp_path, t=TIME, **{name: PER_MILLE})
+    record = read(path, drive=Drive("cia402", rated_torque=RATED), kind="revolute")
+    assert record.channels == ("torque",)
+
+
+def test_what_is_declared_wins(tmp_path: Path) -> None:
+    path = trace(tmp_path, t=TIME, **{"0x6077": PER_MILLE, "0x6074": PER_MILLE, "enc": COUNTED})
+    declared = {
+        "torque": Column("0x6077", timing=Timing.AVERAGED, sign=-1),
+        "motor_position": Column("enc", unit="mrad"),
+    }
+    record = read(path, declared, drive=Drive("cia402", rated_torque=RATED), kind="revolute")
+    assert record.torque is not None
+    assert record.motor_position is not None
+    assert (record.torque.timing, record.tap) == (Timing.AVERAGED, Tap.MEASURED)
+    np.testing.assert_allclose(record.torque.values, -PER_MILLE / 1e3 * RATED)
+    np.testing.assert_allclose(record.motor_position.values, COUNTED * 1e-3)
+
+
+LOAD_COUNTS = 20_000
+
+
+@pytest.mark.parametrize("ratio", [1.0, 50.0])
+def test_two_encoders_have_their_own_counts(tmp_path: Path, ratio: float) -> None:
+    """Behind a gear the counts of the motor's turn say nothing of the load's encoder: without its own it is refused."""
+    gear = Transmission(load="revolute", ratio=ratio)
+    turned = np.round(ANGLE / ratio / (2 * math.pi) * LOAD_COUNTS)
+    path = trace(tmp_path, t=TIME, motor=COUNTED, load=turned)
+    columns = {"motor_position": Column("motor", unit="counts"), "load_position": Column("load", unit="counts")}
+    one, two = (Drive(counts_per_turn=COUNTS_PER_TURN, load_counts_per_turn=own) for own in (None, LOAD_COUNTS))
+    record = read(path, columns, drive=two, kind="revolute", transmission=gear)
+    for channel, step in ((record.motor_position, ratio * COUNTS_PER_TURN), (record.load_position, LOAD_COUNTS)):
+        assert channel is not None
+        np.testing.assert_allclose(channel.values, ANGLE / ratio, atol=1.001 * math.pi / step)
+    if ratio == 1.0:  # two encoders of one kind
+        assert read(path, columns, drive=one, kind="revolute", transmission=gear).load_position is not None
+        return
+    sentence = (
+        "needs the drive's load_counts_per_turn, of the load's own encoder (counts_per_turn is the motor's): give it, "
+        "or gain and another unit."
+    )
+    with pytest.raises(RecordError, match=re.escape(sentence)):
+        read(path, columns, drive=one, kind="revolute", transmission=gear)
+    text = """[joint]
+kind = "revolute"
+[transmission]
+ratio = 50
+[drive]
+counts_per_turn = 8192
+[record.channels]
+torque = { column = "i [A]" }
+motor_position = { column = "motor", unit = "counts" }
+load_position = { column = "load", unit = "counts" }
+[method]
+name = "idim"
+"""
+    with pytest.raises(
+        JointFileError, match=re.escape(f'load_position is in "counts", which behind a transmission {sentence}')
+    ):
+        loads(text)
+    assert loads(text.replace("8192", "8192\nload_counts_per_turn = 20000")).drive == two
+
+
+def test_the_unit_in_a_name_wins_over_the_profiles(tmp_path: Path) -> None:
+    path = trace(tmp_path, t=TIME, **{"r80 [%]": TORQUE / RATED * 100})
+    record = read(path, drive=Drive("sinamics", rated_torque=RATED), kind="revolute")
+    assert record.torque is not None
+    np.testing.assert_allclose(record.torque.values, TORQUE)
+
+
+def test_a_torque_constant_takes_ampere_to_newton_metres(tmp_path: Path) -> None:
+    path = trace(tmp_path, t=TIME, i=TORQUE, q=ANGLE)
+    columns = {"torque": Column("i", unit="mA")}
+    record = read(path, columns, drive=Drive(torque_constant=0.5), kind="revolute")
+    assert record.torque is not None
+    assert record.torque.unit == "N m"
+    np.testing.assert_allclose(record.torque.values, TORQUE * 0.5e-3)
+    plain = read(path, columns, kind="revolute").torque
+    assert plain is not None
+    assert plain.unit == "A"
+
+
+def test_every_unit_of_a_drive_comes_out_in_si() -> None:
+    drive = Drive(rated_current=2.0, torque_constant=0.6, counts_per_turn=4096, counts_per_metre=1e6)
+    assert drive.resolved(unit("counts"), "revolute").factor == pytest.approx(2 * math.pi / 4096)
+    assert drive.resolved(unit("counts"), "prismatic").factor == pytest.approx(1e-6)
+    assert drive.resolved(unit("permille"), "revolute").factor == pytest.approx(1.2e-3)
+    assert drive.resolved(unit("%"), "prismatic").factor == pytest.approx(1.2e-2)
+    assert drive.resolved(unit("%"), "prismatic").si == "N"
+    assert drive.resolved(unit("deg"), "revolute") == unit("deg")
+    for kind in ("prismatic", "revolute"):
+        own = [name for channel in CHANNELS for name in known_units(channel, kind)]
+        for name in own:
+            assert drive.resolved(unit(name), kind).dimension not in (COUNTS, SHARE)
+
+
+def test_a_missing_number_is_one_sentence(tmp_path: Path) -> None:
+    torque = trace(tmp_path, t=TIME, **{"6077h": PER_MILLE})
+    assert fault(torque, Drive("cia402")) == (
+        'torque (column "6077h") is in "permille", a share of the rated torque, which needs the drive\'s rated_torque '
+        "(object 6076h, there in mN m (mN)): give it, or rated_current and torque_constant."
+    )
+    position = trace(tmp_path, t=TIME, **{"6064h": COUNTED})
+    assert fault(position, Drive("cia402")) == (
+        'motor_position (column "6064h") is in "counts", which needs the drive\'s counts_per_turn (the increments of '
+        "one turn, object 608Fh): give it, or gain and another unit."
+    )
+    assert "needs the drive's counts_per_metre: give it" in fault(
+        position, Drive("cia402", counts_per_turn=9), "prismatic"
+    )
+    current = trace(tmp_path, t=TIME, iq=TORQUE)
+    assert "give the drive's torque_constant" in fault(current, Drive("generic"))
+    per_ampere = read(current, {"torque": Column(unit="A")}, drive=Drive("generic"), kind="revolute").torque
+    assert per_ampere is not None
+    assert per_ampere.unit == "A"
+
+
+def test_two_columns_that_fit_are_a_fault_that_names_both(tmp_path: Path) -> None:
+    path = trace(tmp_path, t=TIME, **{"6074h": PER_MILLE, "6077h": PER_MILLE})
+    assert fault(path, Drive("cia402", rated_torque=RATED)) == (
+        'trace.csv has "6074h" and "6077h", and profile "cia402" knows each as torque; name the one that is meant as '
+        "the torque's column."
+    )
+
+
+def test_what_no_profile_finds_is_a_fault_that_says_what_there_is(tmp_path: Path) -> None:
+    path = trace(tmp_path, t=TIME, a=ANGLE)
+    assert 'no column that profile "cia402" knows (it has "t", "a")' in fault(path, Drive("cia402"))
+    assert "without the number of the axis" in fault(path, Drive("kuka"))
+    assert 'knows as torque ("6077h", "6074h")' in fault(path, Drive("cia402"), torque=Column())
+    assert "torque has no column; name it, or give the drive a profile." in fault(path, Drive(), torque=Column())
+
+
+def test_an_axis_of_several_is_found_by_its_number(tmp_path: Path) -> None:
+    path = trace(tmp_path, t=TIME, **{f"AIPos.A{k}": np.degrees(k * ANGLE) for k in (1, 2, 3)})
+    record = read(path, drive=Drive("kuka", axis=2), kind="revolute")
+    assert record.motor_position is not None
+    np.testing.assert_allclose(record.motor_position.values, 2 * ANGLE)
+    with pytest.raises(RecordError, match="without the number of the axis"):
+        read(path, drive=Drive("kuka"), kind="revolute")
+
+
+def test_a_drive_that_cannot_be_is_refused() -> None:
+    for wrong, part in (
+        ({"rated_torque": -1.0}, "rated_torque is a positive number; got -1"),
+        ({"axis": 0}, "axis is a whole number from 1 on; got 0"),
+        ({"profile": "abc"}, 'No drive profile is called "abc"; there are cia402, generic,'),
+        ({"rated_torque": 1.0, "rated_current": 2.0, "torque_constant": 0.707}, "1.41 times as much"),
+    ):
+        with pytest.raises(RecordError, match=re.escape(part)):
+            Drive(**wrong)  # type: ignore[arg-type]
+    assert Drive(rated_torque=1.0, rated_current=2.0, torque_constant=0.51).rated_torque == 1.0
+
+
+# The profiles as data
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_a_profile_is_whole(name: str) -> None:
+    profile = profile_named(name)
+    assert profile.title
+    assert all(profile.sources)
+    assert all(text.endswith((".", '".')) for text in profile.assumed)
+    drive = Drive(name, 2, 1.0, torque_constant=1.0, counts_per_turn=1000.0, counts_per_metre=1000.0)
+    for channel, signals in profile.channels.items():
+        assert channel in CHANNELS
+        for signal in signals:
+            known = known_units(channel, "revolute")
+            assert signal.unit is None or drive.resolved(unit(signal.unit), "revolute").si == unit(known[0]).si
+            assert signal.tap is None or channel == "torque"
+            for called in signal.called(2):
+                # No name of one channel may be another's, or its own twice.
+                others = [c for c in profile.channels if profile.signals(c, called, 2)]
+                assert (others, len(profile.signals(channel, called, 2))) == ([channel], 1), called
+
+
+def test_every_profile_is_on_the_page() -> None:
+    """The page's table is the data's: one row to a signal, in its order."""
+    rows = []
+    for name in profile_names():
+        for channel, signals in profile_named(name).channels.items():
+            for signal in signals:
+                names = ", ".join(f"`{called}`" for called in signal.names)
+                timing, tap = signal.timing or "", signal.tap or ""
+                side = signal.side or ""
+                rows.append(f"| {name} | {channel} | {names} | {signal.unit or ''} | {side} | {timing} | {tap} |")
+    page = (ROOT / "docs" / "drives.md").read_text(encoding="utf-8")
+    written = [line for line in page.splitlines() if line.startswith("| ") and line.split(" | ")[1] in CHANNELS]
+    assert written == rows
+    for name in profile_names():
+        for text in (*profile_named(name).sources, *profile_named(name).assumed):
+            assert f"- {text}" in page
+
+
+# Joint files
+
+
+def test_a_joint_file_with_a_profile_needs_no_channels(tmp_path: Path) -> None:
+    path = trace(tmp_path, t=TIME, **{"6077h": PER_MILLE, "6062h": COUNTED, "6064h": COUNTED})
+    text = """
+        [joint]
+        kind = "revolute"
+        [drive]
+        profile = "cia402"
+        rated_torque = 1.27
+        counts_per_turn = 8192
+        """
+    file = loads(text, tmp_path)
+    assert file.joint.torque_unit is None
+    assert file.record(path).channels == ("torque", "reference", "motor_position")
+    alone = loads(text + '[method]\nname = "drive_side"\n', tmp_path)
+    only_torque = trace(tmp_path, "other.csv", t=TIME, **{"6077h": PER_MILLE})
+    with pytest.raises(RecordError, match='knows as motor_position \\("6064h"\\)'):
+        alone.record(only_torque)
+
+
+def record_of_axis(data_dir: Path, name: str, axis: int) -> Record:
+    return read(data_dir / "kr300" / f"{name}.mat", drive=Drive("kuka", axis=axis), kind="revolute")
+
+
+@pytest.mark.parametrize("name", ["rec_A", "rec_B"])
+def test_the_channels_of_the_kr300(data_dir: Path, name: str) -> None:
+    for axis in range(1, 7):
+        record = record_of_axis(data_dir, name, axis)
+        assert record.channels == ("torque", "reference", "motor_position", *(("load_position",) if axis <= 3 else ()))
+        assert (record.tap, record.torque.sample_time, len(record.torque)) == (Tap.MEASURED, 0.004, 2501)  # type: ignore[union-attr, arg-type]
+        assert list(record.other_axes) == [f"rec.act_pos_mot_deg[{k}]" for k in range(6) if k != axis - 1]
+
+
+def test_the_joint_files_of_the_kr300_are_right(data_dir: Path) -> None:
+    file = load(ROOT / "examples" / "kr300" / "axis2.toml")
+    record = file.record(data_dir / "kr300" / "rec_A.mat")
+    assert record.channels == ("torque", "reference", "motor_position", "load_position")
+    assert len(record.other_axes) == 5
+
+
+def test_a_joint_is_identified_from_a_trace_and_a_few_numbers(tmp_path: Path) -> None:
+    """A drive with a 17-bit encoder counted by 16 bits, and the torque in per mille: what CiA 402 traces hold."""
+    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), ji.Cascade(kp=80.0, kv=0.5))
+    reference = ji.trapezoids(speeds=(10.0, 20.0), acceleration=300.0, travel=6.0, rest=0.1, sample_time=5e-4)
+    truth = {"inertia": 2e-3, "viscous": 4e-3, "coulomb": 0.12, "offset": 0.02}
+    made = ji.simulated_record(loop, reference, truth, sample_time=5e-4)
+    assert made.torque is not None
+    path = trace(
+        tmp_path,
+        t=np.arange(reference.size) * 5e-4,
+        **{
+            "Position demand value": np.mod(np.round(reference / (2 * math.pi) * 131072), 65536),
+            "Torque demand value": np.round(made.torque.values / RATED * 1e3),
+        },
+    )
+    file = loads("""
+        [joint]
+        kind = "revolute"
+        [record.channels]
+        reference = { wrap = 65536 }
+        [drive]
+        profile = "cia402"
+        rated_torque = 1.27
+        counts_per_turn = 131072
+        [controller]
+        law = "cascade"
+        kp = 80.0
+        kv = 0.5
+        """)
+    record = file.record(path)
+    assert record.tap is Tap.COMMAND
+    assert file.loop is not None
+    estimate = ji.identify(record, file.loop, file.method)
+    for name, value in truth.items():
+        assert estimate[name].value == pytest.approx(value, rel=1e-2), name

@@ -1,0 +1,245 @@
+"""Every format: what its own library writes is read, what is written comes back, what is spoiled is one sentence."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jointid.common.errors import ExtraError, RecordError
+from jointid.records.chunks import Log
+from jointid.records.columns import Column
+from jointid.records.formats import FORMATS, Holds, Table, format_of, read_blocks, read_table, read_tables, write_table
+from jointid.records.reading import read
+from jointid.records.time_base.resampling import Resampling
+from tests.records.logged import LOGGED, POSITION, ROWS, TIME, TORQUE, Logged
+from tests.records.spoiled import spoiled
+
+BINARY = [name for name in LOGGED if name not in ("csv", "npy", "mat")]
+PACKAGES = {"hdf5": "h5py", "mat73": "h5py", "parquet": "pyarrow", "tdms": "nptdms"}
+
+
+def made(name: str, folder: Path) -> Path:
+    path = folder / f"run{LOGGED[name].suffix}"
+    LOGGED[name].write(path)
+    return path
+
+
+@pytest.mark.parametrize("name", LOGGED)
+def test_what_the_formats_own_library_writes_is_read(name: str, tmp_path: Path) -> None:
+    path = made(name, tmp_path)
+    table = read_table(path)
+    time, position, torque = (table.columns[column] for column in LOGGED[name].names)
+    np.testing.assert_allclose(time, TIME, rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(position, POSITION)
+    np.testing.assert_array_equal(torque, TORQUE)
+    assert table.source == path.name
+
+
+@pytest.mark.parametrize("name", LOGGED)
+def test_a_record_is_made_of_any_of_them(name: str, tmp_path: Path) -> None:
+    time, position, torque = LOGGED[name].names
+    own_clock = name in ("mcap", "db3", "tdms")
+    columns = {"torque": Column(torque, unit="N m"), "reference": Column(position, unit="rad")}
+    record = read(made(name, tmp_path), columns, time=None if own_clock else time, kind="revolute")
+    assert record.torque is not None and record.reference is not None
+    np.testing.assert_array_equal(record.torque.values, TORQUE)
+    assert record.reference.sample_time == pytest.approx(1e-3, abs=1e-15)
+
+
+@pytest.mark.parametrize("name", ["csv", "npy", "hdf5", "mat73", "parquet", "tdms"])
+@pytest.mark.parametrize("rows", [1, 64, 99, 100, ROWS, 10_000])
+def test_pieces_are_the_whole(name: str, rows: int, tmp_path: Path) -> None:
+    path = made(name, tmp_path)
+    tables = [block.table() for block in read_blocks(path, rows)]
+    assert [max(v.size for v in t.columns.values()) for t in tables[:-1]] == [rows] * (len(tables) - 1)
+    for column, values in read_table(path).columns.items():
+        pieces = np.concatenate([table.columns[column] for table in tables])
+        np.testing.assert_allclose(pieces, values, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("name", ["hdf5", "mat73", "parquet", "tdms"])
+def test_a_long_record_is_read_in_pieces(name: str, tmp_path: Path) -> None:
+    time, position, torque = LOGGED[name].names
+    columns = {"torque": Column(torque, unit="N m"), "reference": Column(position, unit="rad")}
+    log = Log(made(name, tmp_path), columns, {"time": time, "kind": "revolute"})
+    pieces = list(log.pieces(80, 20))
+    assert [len(piece.record.torque) for piece in pieces if piece.record.torque] == [100, 100, 100, 60]
+    joined = [piece.record.torque.values[:80] for piece in pieces if piece.record.torque]
+    np.testing.assert_array_equal(np.concatenate(joined), TORQUE)
+
+
+@pytest.mark.parametrize("name", ["mat", "mcap", "db3"])
+def test_what_has_no_rows_one_after_the_other_is_read_whole(name: str, tmp_path: Path) -> None:
+    path = made(name, tmp_path)
+    with pytest.raises(RecordError, match="cannot be read in pieces"):
+        next(iter(read_blocks(path, 10)))
+    (table,) = read_tables(path, 10)
+    assert table.columns.keys() == read_table(path).columns.keys()
+
+
+def test_topics_of_different_clocks_make_one_record_where_it_is_asked_for(tmp_path: Path) -> None:
+    columns = {"torque": Column("/joint_states/elbow/effort", unit="N m"), "reference": Column("/goal", unit="rad")}
+    path = made("mcap", tmp_path)
+    with pytest.raises(RecordError, match=r"reference begins 0\.0005 s after torque"):
+        read(path, columns, kind="revolute")
+    record = read(path, columns, kind="revolute", resample=Resampling(1e-3, "linear"))
+    assert record.torque is not None and record.reference is not None
+    assert record.torque.sample_time == record.reference.sample_time == 1e-3
+    np.testing.assert_allclose(np.diff(record.reference.values), 1.0, atol=1e-6)  # 10 in ten samples
+
+
+# What is written comes back
+# --------------------------
+
+WRITTEN = [(".h5", {}), (".mat", {}), (".mat", {"version": "7.3"}), (".parquet", {}), (".tdms", {}), (".mcap", {}),
+           (".db3", {}), (".npy", {}), (".csv", {})]  # fmt: skip
+values = st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=2, max_size=5)
+
+
+@pytest.mark.parametrize(("suffix", "options"), WRITTEN)
+@settings(max_examples=30)
+@given(data=st.data())
+def test_what_is_written_is_read_to_the_last_bit(
+    suffix: str, options: dict[str, Any], data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.getbasetemp() / f"round{suffix}"
+    writer = format_of(path)
+    size = data.draw(st.integers(2, 5))
+    exact = st.lists(st.floats(allow_nan=True), min_size=size, max_size=size)
+    names = data.draw(st.lists(st.sampled_from(["t", "q", "tau", "x_1"]), min_size=1, max_size=3, unique=True))
+    columns = {name: np.array(data.draw(values if Holds.LENGTHS in writer.holds else exact)) for name in names}
+    scalars = {"kp": data.draw(st.floats())} if Holds.SCALARS in writer.holds else {}
+    units = {names[0]: "mm"} if Holds.UNITS in writer.holds else {}
+    if suffix in (".mcap", ".db3"):  # what is NaN throughout is no column of a bag
+        columns = {name: np.where(np.isnan(column).all(), 0.0, column) for name, column in columns.items()}
+    write_table(path, Table(columns, scalars, units=units), **options)
+    again = read_table(path)
+    for name, column in columns.items():
+        assert column.tobytes() == again.columns[name].tobytes() or np.isnan(column).any()
+        np.testing.assert_array_equal(again.columns[name], column)
+    for name, value in scalars.items():
+        np.testing.assert_array_equal(again.scalars[name], value)
+    assert dict(again.units) == units or suffix in (".mcap", ".db3")
+
+
+@pytest.mark.parametrize(
+    ("name", "table", "part"),
+    [
+        ("x.h5", Table({"a//b": np.ones(2)}), "cannot name a dataset of HDF5"),
+        ("x.h5", Table({"a": np.ones(2), "a/b": np.ones(2)}), "no other name begins with it"),
+        ("x.h5", Table({"a": np.ones(2)}, {"a": 1.0}), "one dataset per name"),
+        ("x.parquet", Table({"a": np.ones(2), "b": np.ones(3)}), "Parquet has columns of one length; got a 2, b 3"),
+        ("x.tdms", Table({"Untitled/a": np.ones(2)}), "cannot name a channel of TDMS"),
+        ("x.tdms", Table({"a": np.ones(2)}, {"a/b": 1.0}), "cannot name a property"),
+        ("x.mcap", Table({"a": np.ones(2)}, {"kp": 1.0}), "no place for the scalars kp"),
+        ("x.mcap", Table({"a": np.ones(2), "a/time": np.array([0.0, np.nan])}), "cannot be the clock"),
+    ],
+)
+def test_what_a_format_cannot_hold_is_refused(name: str, table: Table, part: str, tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match=part):
+        write_table(tmp_path / name, table)
+
+
+# Spoiled files, missing packages
+# -------------------------------
+
+
+@pytest.mark.parametrize("name", LOGGED)
+def test_a_spoiled_file_is_one_sentence_or_a_table(name: str, tmp_path: Path) -> None:
+    """Over all formats these are 369 files; what carries a checksum is never read as other numbers."""
+    (tmp_path / "whole").mkdir()
+    path = made(name, tmp_path / "whole")
+    others = sorted({logged.suffix for logged in LOGGED.values()} - {path.suffix})
+    count = refused = 0
+    for file in spoiled(path, tmp_path, others):
+        count += 1
+        try:
+            table = read_table(file)
+        except RecordError as error:
+            refused += 1
+            assert len(error.faults) == 1 and "\n" not in str(error)
+            assert str(error).startswith(file.name) and str(error).endswith(".")
+        else:
+            assert all(values.size <= ROWS + 1 for values in table.columns.values())
+    assert count >= 40
+    assert refused >= 12
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_a_missing_package_is_named_with_its_extra(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = made(name, tmp_path)
+    for module in [m for m in sys.modules if m.partition(".")[0] == PACKAGES[name]]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, PACKAGES[name], None)
+    with pytest.raises(ExtraError, match=rf'needs the package {PACKAGES[name]}.*pip install "jointid\[logs\]"'):
+        read_table(path)
+    with pytest.raises(ExtraError, match=rf"Writing .* needs the package {PACKAGES[name]}"):
+        write_table(path, Table({"q": np.ones(2)}), **({"version": "7.3"} if name == "mat73" else {}))
+
+
+def test_a_bag_is_read_without_the_library_and_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = made("mcap", tmp_path)
+    for module in [m for m in sys.modules if m.partition(".")[0] == "rosbags"]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    assert "/joint_states/elbow/position" in read_table(path).columns
+    with pytest.raises(ExtraError, match=r"Writing ROS 2 bags needs the package rosbags"):
+        write_table(tmp_path / "out.mcap", Table({"q": np.ones(2)}))
+
+
+def test_every_format_says_what_it_is() -> None:
+    suffixes = [suffix for entry in FORMATS for suffix in entry.suffixes]
+    assert len(suffixes) == len(set(suffixes))
+    for entry in FORMATS:
+        assert entry.allowed("torque_1") == "torque_1"
+
+
+# Units that a file states
+# ------------------------
+
+
+def recorded(path: Path, logged: Logged, **how: Any) -> Any:
+    time, position, torque = logged.names
+    return read(path, {"torque": torque, "reference": position}, time=time, kind="revolute", **how)
+
+
+def test_the_unit_of_the_file_counts_where_none_is_stated(tmp_path: Path) -> None:
+    path, logged = made("hdf5", tmp_path), LOGGED["hdf5"]
+    import h5py
+
+    with h5py.File(path, "r+") as file:
+        file["axis/q"].attrs["units"] = "°"
+        file["t"].attrs["units"] = "ms"
+        file["t"][...] = TIME * 1000
+    record = recorded(path, logged)
+    np.testing.assert_allclose(record.reference.values, POSITION * np.pi / 180)
+    np.testing.assert_array_equal(record.torque.values, TORQUE)
+    assert record.torque.sample_time == pytest.approx(1e-3)
+    stated = {"torque": "axis/tau", "reference": Column("axis/q", unit="rad")}
+    said = read(path, stated, time="t", kind="revolute")
+    assert said.reference is not None
+    np.testing.assert_array_equal(said.reference.values, POSITION)
+
+
+@pytest.mark.parametrize(
+    ("unit", "part"),
+    [
+        ("furlong", r'torque \(column "axis/tau"\) is in "furlong"; expected one of N m'),
+        ("A", r'torque \(column "axis/tau"\) is in A by the file; give the drive\'s torque_constant'),
+        ("%", "a share of the rated torque, which needs the drive's rated_torque"),
+    ],
+)
+def test_a_unit_of_the_file_that_cannot_be_is_refused(unit: str, part: str, tmp_path: Path) -> None:
+    path, logged = made("hdf5", tmp_path), LOGGED["hdf5"]
+    import h5py
+
+    with h5py.File(path, "r+") as file:
+        file["axis/tau"].attrs["unit"] = unit
+    with pytest.raises(RecordError, match=part):
+        recorded(path, logged)

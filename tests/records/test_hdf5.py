@@ -1,0 +1,200 @@
+"""HDF5 and MAT 7.3: paths, matrices and records; MATLAB's layout; and what leads out of the file or is too large."""
+
+from __future__ import annotations
+
+import tracemalloc
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from jointid.common.errors import RecordError
+from jointid.records.formats import Table, h5, read_blocks, read_table, write_table
+from tests.records.logged import matlab_dataset, matlab_header
+from tests.records.spoiled import spoiled
+
+
+def test_matrices_and_records_give_a_column_for_each_part(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    rows = np.zeros(4, dtype=[("q", "<f8"), ("n", ">i4"), ("text", "S3")])
+    rows["q"], rows["n"] = np.arange(4) / 3, range(4)
+    with h5py.File(path, "w") as file:
+        file["a/tall"] = np.arange(6.0).reshape(3, 2)
+        file["a/wide"] = np.arange(6.0).reshape(2, 3)
+        file["a/one"] = np.arange(3)[:, None]
+        file["a/b/log"] = rows
+        file["a/on"] = np.array([True, False])
+        file["half"] = np.arange(3, dtype="f2")
+    table = read_table(path)
+    assert set(table.columns) == {
+        "a/tall[0]", "a/tall[1]", "a/wide[0]", "a/wide[1]", "a/one", "a/b/log.q", "a/b/log.n", "a/on", "half",
+    }  # fmt: skip
+    np.testing.assert_array_equal(table.columns["a/tall[1]"], [1, 3, 5])
+    np.testing.assert_array_equal(table.columns["a/wide[1]"], [3, 4, 5])
+    np.testing.assert_array_equal(table.columns["a/b/log.n"], range(4))
+    np.testing.assert_array_equal(table.columns["a/on"], [1, 0])
+    pieces = [block.table() for block in read_blocks(path, 2)]
+    np.testing.assert_array_equal(np.concatenate([t.columns["a/wide[0]"] for t in pieces if "a/wide[0]" in t.columns]),
+                                  [0, 1, 2])  # fmt: skip
+    assert "a/tall[0]" in pieces[1].columns and "a/on" not in pieces[1].columns
+
+
+def test_what_is_no_number_is_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        file["q"] = np.arange(3.0)
+        file["text"] = ["a", "b"]
+        file["phasor"] = np.array([1j, 2j])
+        file["none"] = h5py.Empty("f8")
+        file["empty"] = np.zeros((0, 2))
+        file["cube"] = np.zeros((2, 2, 2))
+        file["picture"] = np.zeros((1200, 1100), dtype="u1")
+    table = read_table(path)
+    assert list(table.columns) == ["q"]
+    assert set(table.passed) == {"empty", "cube", "picture"}
+    with pytest.raises(RecordError, match=r'no column "cube" \(it has 3 dimensions\); it has "q"'):
+        table.take(["cube"])
+
+
+def test_nothing_outside_the_file_is_read(tmp_path: Path) -> None:
+    secret = tmp_path / "secret.h5"
+    with h5py.File(secret, "w") as file:
+        file["key"] = np.arange(5.0)
+    np.arange(5.0).tofile(tmp_path / "raw.bin")
+    path = tmp_path / "run.h5"
+    layout = h5py.VirtualLayout(shape=(5,), dtype="f8")
+    layout[:] = h5py.VirtualSource(secret, "key", shape=(5,))
+    with h5py.File(path, "w") as file:
+        file["q"] = np.arange(3.0)
+        file["linked"] = h5py.ExternalLink(secret.name, "/key")
+        file["soft"] = h5py.SoftLink("/linked")
+        file["loop"] = file["/"]
+        file.create_virtual_dataset("virtual", layout)
+        file.create_dataset("stored", (5,), "f8", external=[(str(tmp_path / "raw.bin"), 0, h5py.h5f.UNLIMITED)])
+    table = read_table(path)
+    assert list(table.columns) == ["q"]
+    assert set(table.passed) == {"linked", "soft", "virtual", "stored"}
+    with h5py.File(path, "r+") as file:
+        del file["q"]
+    with pytest.raises(RecordError, match=r"run\.h5 holds no numbers \('linked': a link to another file"):
+        read_table(path)
+
+
+def test_a_terabyte_that_is_only_declared_is_refused_before_there_is_memory_for_it(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("bomb", shape=(2**37,), dtype="f8", chunks=(2**16,), compression="gzip")
+    assert path.stat().st_size < 10_000
+    tracemalloc.start()
+    with pytest.raises(RecordError, match=r"run\.h5 declares 1 TiB of numbers, and at most 4 GiB are read; choose"):
+        read_table(path)
+    assert tracemalloc.get_traced_memory()[1] < 2**22
+    tracemalloc.stop()
+    with h5py.File(path, "w") as file:
+        file.create_dataset("bomb", shape=(2**40,), dtype="f8", chunks=(2**16,), compression="gzip")
+    with pytest.raises(RecordError, match=r"at most 1 TiB are read; cut it into shorter files"):
+        next(iter(read_blocks(path, 10)))
+
+
+def test_a_chunk_of_gigabytes_is_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        file["q"] = np.arange(3.0)
+        file.create_dataset("bomb", shape=(2**28,), dtype="f8", chunks=(2**28,), compression="gzip")
+    assert read_table(path).passed == {"bomb": "its chunks are declared as 2 GiB each"}
+
+
+def test_pieces_of_a_long_file_need_little_memory(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        for name in ("t", "q", "tau"):
+            file.create_dataset(
+                name, shape=(4_000_000,), dtype="f8", chunks=(16384,), compression="gzip", compression_opts=1
+            )
+    tracemalloc.start()
+    rows = sum(block.table().columns["q"].size for block in read_blocks(path, 50_000))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert rows == 4_000_000
+    assert peak < 8 * 2**20  # all of them are 96 MB
+
+
+@pytest.mark.parametrize(
+    ("suffix", "options"), [(".h5", {}), (".mat", {"version": "7.3"}), (".mat", {}), (".parquet", {})]
+)
+def test_what_is_written_carries_checksums(suffix: str, options: dict[str, str], tmp_path: Path) -> None:
+    """A bit that is turned is noticed: the numbers are the same, or there are none."""
+    (tmp_path / "whole").mkdir()
+    path = tmp_path / "whole" / f"run{suffix}"
+    good = {"t": np.arange(300) / 1000, "q": np.sin(np.arange(300.0))}
+    write_table(path, Table(good), **options)
+    for file in spoiled(path, tmp_path, (), flips=60):
+        try:
+            found = read_table(file).columns
+        except RecordError:
+            continue
+        for name in good.keys() & found.keys():
+            np.testing.assert_array_equal(found[name], good[name])
+
+
+def test_a_text_over_which_the_library_does_not_come_to_an_end_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        file["q"] = np.arange(3.0)
+        file["q"].attrs["units"] = "rad"
+    assert read_table(path).units == {"q": "rad"}
+    monkeypatch.setattr(h5, "_TEXTS", "while True: pass")
+    monkeypatch.setattr(h5, "_PATIENCE", 0.3)
+    with pytest.raises(RecordError, match=r"run\.h5 cannot be read as HDF5: it is damaged"):
+        read_table(path)
+
+
+# MATLAB's layout
+# ---------------
+
+
+def test_matlabs_own_layout_is_read_as_version_7_is(tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    matrix = np.arange(12.0).reshape(6, 2)
+    square = np.arange(4.0).reshape(2, 2)
+    with h5py.File(path, "w", userblock_size=512) as file:
+        matlab_dataset(file, "q", matrix)
+        matlab_dataset(file, "square", square)
+        matlab_dataset(file, "kp", np.array([[160.18]]), "single")
+        matlab_dataset(file, "on", np.array([[True], [False]]).astype("u1"), "logical").attrs["MATLAB_int_decode"] = 1
+        matlab_dataset(file, "remark", np.array([[114, 117, 110]], dtype="u2"), "char")
+        matlab_dataset(file, "none", np.array([0, 3], dtype="u8")).attrs["MATLAB_empty"] = 1
+        file.create_dataset("phasor", data=np.zeros((1, 3), dtype=[("real", "f8"), ("imag", "f8")]))
+        file["phasor"].attrs["MATLAB_class"] = np.bytes_("double")
+        hidden = file.create_group("#refs#")
+        for index in range(2):
+            matlab_dataset(hidden, f"q{index}", np.arange(3.0 + index)[:, None])
+        axis = file.create_group("axis")
+        axis.attrs["MATLAB_class"] = np.bytes_("struct")
+        axis.create_dataset("q", data=np.array([[hidden["q0"].ref], [hidden["q1"].ref]], dtype=h5py.ref_dtype))
+        cell = file.create_dataset("cell", data=np.array([[hidden["q0"].ref]], dtype=h5py.ref_dtype))
+        cell.attrs["MATLAB_class"] = np.bytes_("cell")
+        sparse = file.create_group("sparse")
+        sparse.attrs["MATLAB_class"], sparse.attrs["MATLAB_sparse"] = np.bytes_("double"), 3
+        sparse["data"] = np.ones(3)
+    matlab_header(path)
+    table = read_table(path)
+    assert set(table.columns) == {"q[0]", "q[1]", "square[0]", "square[1]", "on", "axis[0].q", "axis[1].q"}
+    np.testing.assert_array_equal(table.columns["q[1]"], matrix[:, 1])
+    np.testing.assert_array_equal(table.columns["square[1]"], square[:, 1])
+    np.testing.assert_array_equal(table.columns["axis[1].q"], range(4))
+    assert dict(table.scalars) == {"kp": 160.18}
+    assert not table.passed
+
+
+def test_what_is_written_has_matlabs_header_and_classes(tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    write_table(path, Table({"q": np.arange(3.0)}, {"kp": 2.0}), version="7.3")
+    raw = path.read_bytes()
+    assert raw.startswith(b"MATLAB 7.3 MAT-file") and raw[124:128] == b"\x00\x02IM" and raw[512:516] == b"\x89HDF"
+    with h5py.File(path) as file:
+        assert file["q"].shape == (1, 3) and file["q"].attrs["MATLAB_class"] == b"double"
+        assert file["kp"].shape == (1, 1)

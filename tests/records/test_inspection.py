@@ -1,0 +1,110 @@
+"""What is in a file: the same outline whole or in pieces, its clocks, its picture, and names that steer a terminal."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jointid.common.errors import RecordError
+from jointid.output.figures.channels import channels_figure
+from jointid.output.figures.figures import save
+from jointid.output.json import dumps, inspection_answer
+from jointid.records.formats import Table, write_table
+from jointid.records.inspection import inspect, picture
+from jointid.records.outline import Outlining
+from tests.records.logged import LOGGED, ROWS
+
+numbers = st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=1, max_size=3000)
+
+
+@given(values=numbers, cuts=st.lists(st.integers(1, 2999), max_size=3))
+def test_an_outline_in_parts_is_that_of_the_whole(values: list[float], cuts: list[int]) -> None:
+    signal = np.array(values)
+    made = Outlining()
+    for part in np.split(signal, sorted({cut for cut in cuts if cut < signal.size})):
+        made.take(part)
+    outline = made.outline()
+    assert (outline.rows, outline.missing) == (signal.size, np.isnan(signal).sum())
+    if not np.isnan(signal).all():
+        assert (outline.minimum, outline.maximum) == (np.nanmin(signal), np.nanmax(signal))
+    rises = all(b > a for a, b in pairwise(values))
+    assert outline.rises == rises
+    for index, (low, high) in enumerate(zip(outline.low, outline.high, strict=True)):
+        stretch = signal[index * outline.length : (index + 1) * outline.length]
+        there = stretch[~np.isnan(stretch)]
+        expected = (there.min(), there.max()) if there.size else (np.nan, np.nan)
+        np.testing.assert_array_equal((low, high), expected)
+
+
+@pytest.mark.parametrize("name", LOGGED)
+def test_every_format_is_inspected(name: str, tmp_path: Path) -> None:
+    path = tmp_path / f"run{LOGGED[name].suffix}"
+    LOGGED[name].write(path)
+    inspection = inspect(path)
+    channels = {channel.name: channel for channel in inspection.channels}
+    time, position, torque = (channels[column] for column in LOGGED[name].names)
+    assert time.is_time and position.time == torque.time == time.name
+    assert position.sample_time == pytest.approx(1e-3)
+    assert position.outline.rows == ROWS
+    assert position.outline.maximum == pytest.approx(1.0, abs=1e-4)
+    text = str(inspection)
+    assert "a sample every 0.001 s" in text
+    assert ("rad" in text) == (name in ("hdf5", "parquet", "tdms"))
+    assert f'"{time.name}"' in dumps(inspection_answer(inspection))
+
+
+def test_the_picture_shows_where_a_signal_is() -> None:
+    made = Outlining()
+    made.take(np.repeat([0.0, 1.0, 0.5, np.nan], 6))
+    assert picture(made.outline()) == "▁▁▁▁▁▁██████▅▅▅▅▅▅      "
+    flat = Outlining()
+    flat.take(np.full(5, 3.0))
+    assert picture(flat.outline()) == "▁▁▁▁▁"
+
+
+def test_clocks_of_different_lengths_are_told_apart(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    columns = {"a/time": np.arange(9) / 10, "a/q": np.ones(9), "b/time [ms]": np.arange(5.0), "b/q": np.ones(5),
+               "c/time": np.array([0.0, 1.0, 0.5]), "c/q": np.ones(3)}  # fmt: skip
+    write_table(path, Table(columns, {"kp": 2.0}))
+    inspection = inspect(path)
+    found = {channel.name: (channel.time, channel.sample_time) for channel in inspection.channels}
+    assert found["a/q"] == ("a/time", pytest.approx(0.1))
+    assert found["b/q"] == ("b/time [ms]", pytest.approx(1e-3))
+    assert found["c/q"] == (None, None)  # its clock runs back
+    assert "single numbers: kp 2" in str(inspection)
+
+
+def test_hostile_names_are_shown_escaped(tmp_path: Path) -> None:
+    path = tmp_path / "run.npy"
+    hostile = "\x1b[2J\x07q\n\u202ex$^_{$"
+    write_table(path, Table({hostile: np.arange(3.0), "<script>": np.ones(3)}))
+    inspection = inspect(path)
+    text = str(inspection)
+    assert all(character.isprintable() or character == "\n" for character in text)
+    assert "\\x1b[2J\\x07q\\n\\u202ex" in text
+    assert save(channels_figure(inspection), tmp_path / "all.png").stat().st_size > 5000
+    with pytest.raises(RecordError) as error:
+        Table({hostile: np.ones(2)}, source="run").take(["q"])
+    assert str(error.value).isprintable()
+
+
+def test_the_picture_of_many_channels_says_what_it_leaves_out(tmp_path: Path) -> None:
+    path = tmp_path / "run.npy"
+    write_table(path, Table({f"q{i}": np.arange(3.0) for i in range(95)}))
+    figure = channels_figure(inspect(path))
+    assert figure.get_suptitle() == "run.npy: 90 of 95 channels"
+
+
+def test_a_channel_without_numbers_is_shown(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t,q\n0,\n1,\n2,\n", encoding="utf-8")
+    inspection = inspect(path)
+    assert inspection.channels[1].outline.minimum is None
+    assert channels_figure(inspection) is not None
+    assert '"minimum": null' in dumps(inspection_answer(inspection))

@@ -1,0 +1,206 @@
+"""MAT files: exact round trips, what MATLAB stores in them, and files that are damaged or of another kind."""
+
+from __future__ import annotations
+
+import io
+import keyword
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.io import savemat
+
+from jointid.common.errors import JointidError, RecordError
+from jointid.records.formats import Table, read_table, write_table
+
+names = st.from_regex(r"[A-Za-z][A-Za-z0-9_]{0,62}", fullmatch=True)
+numbers = st.floats(allow_nan=True, allow_infinity=True)
+
+
+def read_variables(path: Path, variables: dict[str, Any], **how: Any) -> Table:
+    savemat(path, variables, **how)
+    return read_table(path)
+
+
+@given(
+    columns=st.dictionaries(names, st.lists(numbers, min_size=2, max_size=6), min_size=1, max_size=4),
+    scalars=st.dictionaries(names, numbers, max_size=2),
+)
+def test_what_is_written_is_read_to_the_last_bit(
+    columns: dict[str, list[float]], scalars: dict[str, float], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "round-trip.mat"
+    alone = {name: value for name, value in scalars.items() if name not in columns}
+    table = Table({name: np.array(values) for name, values in columns.items()}, alone)
+    try:
+        write_table(path, table)
+    except RecordError as error:
+        assert "no keyword" in str(error)
+        assert any(name in str(error) for name in ("if", "for", "end", "try", "case", *keyword.kwlist))
+        return
+    again = read_table(path)
+    assert set(again.columns) == set(columns)
+    assert set(again.scalars) == set(alone)
+    for name, values in table.columns.items():
+        np.testing.assert_array_equal(again.columns[name], values)
+    for name, value in alone.items():
+        np.testing.assert_array_equal(again.scalars[name], value)
+
+
+def test_vectors_are_columns_and_single_numbers_scalars(tmp_path: Path) -> None:
+    table = read_variables(
+        tmp_path / "run.mat",
+        {"t": np.arange(3.0)[:, None], "q": np.arange(4)[None, :], "kp": 160.18, "on": np.array([[True]])},
+    )
+    np.testing.assert_array_equal(table.columns["t"], [0, 1, 2])
+    np.testing.assert_array_equal(table.columns["q"], [0, 1, 2, 3])
+    assert table.columns["q"].dtype == np.float64
+    assert dict(table.scalars) == {"kp": 160.18, "on": 1.0}
+    assert table.source == "run.mat"
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_samples_of_a_matrix_run_along_its_longer_side(turned: bool, tmp_path: Path) -> None:
+    matrix = np.arange(12.0).reshape(6, 2)
+    table = read_variables(tmp_path / "run.mat", {"q": matrix.T if turned else matrix})
+    assert list(table.columns) == ["q[0]", "q[1]"]
+    np.testing.assert_array_equal(table.columns["q[1]"], matrix[:, 1])
+
+
+def test_fields_of_structures_are_found_by_their_path(tmp_path: Path) -> None:
+    axes = np.array([(np.arange(2.0), 1), (np.arange(3.0), 2)], dtype=[("q", object), ("n", object)])
+    table = read_variables(tmp_path / "run.mat", {"rec": {"motor": {"q": np.arange(3.0)}, "dt": 0.004}, "axis": axes})
+    assert list(table.columns) == ["rec.motor.q", "axis[0].q", "axis[1].q"]
+    assert dict(table.scalars) == {"rec.dt": 0.004, "axis[0].n": 1.0, "axis[1].n": 2.0}
+    np.testing.assert_array_equal(table.columns["axis[1].q"], [0, 1, 2])
+
+
+def test_what_is_no_real_number_is_passed_over(tmp_path: Path) -> None:
+    others = {
+        "text": "a remark",
+        "cell": np.array([np.arange(3.0), "x"], dtype=object),
+        "phasor": np.array([1j, 2j]),
+        "none": np.zeros((0, 3)),
+        "cube": np.zeros((2, 2, 2)),
+    }
+    table = read_variables(tmp_path / "run.mat", {"q": np.arange(3.0), **others})
+    assert list(table.columns) == ["q"]
+    with pytest.raises(RecordError, match=r"run\.mat holds no array of real numbers"):
+        read_variables(tmp_path / "run.mat", others)
+
+
+def test_version_4_is_read(tmp_path: Path) -> None:
+    table = read_variables(tmp_path / "run.mat", {"q": np.arange(3.0)}, format="4")
+    np.testing.assert_array_equal(table.columns["q"], [0, 1, 2])
+
+
+@pytest.mark.parametrize("kind", ["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32"])
+def test_every_type_of_number_becomes_a_float(kind: str, tmp_path: Path) -> None:
+    values = np.arange(100, 105).astype(kind)
+    table = read_variables(tmp_path / "run.mat", {"q": values})
+    np.testing.assert_array_equal(table.columns["q"], values.astype(float))
+
+
+def test_the_other_byte_order_is_read(tmp_path: Path) -> None:
+    values = np.array([0.5, -1.0, 3.0], dtype=">f8").tobytes()
+    path = tmp_path / "run.mat"
+    path.write_bytes(struct.pack(">5i", 1000, 3, 1, 0, 2) + b"q\0" + values)
+    np.testing.assert_array_equal(read_table(path).columns["q"], [0.5, -1, 3])
+
+    flags, shape = struct.pack(">4I", 6, 8, 6, 0), struct.pack(">2I2i", 5, 8, 3, 1)
+    array = flags + shape + struct.pack(">2H", 1, 1) + b"q\0\0\0" + struct.pack(">2I", 9, 24) + values
+    header = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x01\x00MI"
+    path.write_bytes(header + struct.pack(">2I", 14, len(array)) + array)
+    np.testing.assert_array_equal(read_table(path).columns["q"], [0.5, -1, 3])
+
+
+@pytest.mark.parametrize("offset", [0, 512])
+def test_version_7_3_is_told_by_the_first_bytes(offset: int, tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    path.write_bytes(b" " * offset + b"\x89HDF\r\n\x1a\n" + bytes(64))
+    with pytest.raises(RecordError, match=r"run\.mat cannot be read as a MAT file of version 7\.3: it is damaged"):
+        read_table(path)
+
+
+@pytest.mark.parametrize("content", [b"t,q\n0,1\n", b"\x00" * 200, b"MATLAB 5.0 MAT-file" + b" " * 120, b"\xff" * 300])
+def test_another_kind_of_file_is_one_sentence(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    path.write_bytes(content)
+    with pytest.raises(RecordError) as error:
+        read_table(path)
+    assert len(error.value.faults) == 1
+    assert str(error.value).startswith("run.mat")
+
+
+@pytest.mark.parametrize(
+    ("table", "part"),
+    [
+        (Table({"t [s]": np.zeros(2), "rec.q": np.zeros(2)}), r'"t \[s\]", "rec\.q" cannot name a MATLAB'),
+        (Table({"1": np.zeros(2)}), '"1" cannot name'),
+        (Table({"end": np.zeros(2)}), '"end" cannot name'),
+        (Table({"a" * 64: np.zeros(2)}), "at most 63"),
+        (Table({"a": np.zeros(2)}, {"a": 1.0}), '"a" names a column and a scalar'),
+    ],
+)
+def test_what_a_mat_file_cannot_hold_is_refused(table: Table, part: str, tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match=part):
+        write_table(tmp_path / "run.mat", table)
+    assert not (tmp_path / "run.mat").exists()
+
+
+def test_a_mat_file_has_no_option_but_its_version(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="Reading MAT has no option delimiter; it has: version"):
+        read_table(tmp_path / "run.mat", delimiter=",")
+    with pytest.raises(RecordError, match=r'is written in version "7" or "7\.3"; got 6'):
+        write_table(tmp_path / "run.mat", Table({"q": np.zeros(2)}), version=6)
+
+
+def saved(variables: dict[str, Any], **how: Any) -> bytes:
+    stream = io.BytesIO()
+    savemat(stream, variables, **how)
+    return stream.getvalue()
+
+
+VARIABLES = {"q": np.arange(20.0)[:, None], "n": np.arange(5, dtype=np.uint8), "kp": 1.5}
+WHOLE = [
+    saved(VARIABLES, do_compression=True),
+    saved({**VARIABLES, "rec": {"a": np.zeros((3, 2)), "s": "text"}}),
+    saved(VARIABLES, format="4"),
+]
+
+
+@given(
+    whole=st.sampled_from(WHOLE),
+    spoils=st.lists(st.tuples(st.integers(0, 2000), st.integers(0, 255)), max_size=6),
+    keep=st.integers(0, 2000),
+)
+def test_spoiled_bytes_give_a_table_or_a_sentence(
+    whole: bytes, spoils: list[tuple[int, int]], keep: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    content = bytearray(whole)
+    for place, byte in spoils:
+        content[place % len(content)] = byte
+    path = tmp_path_factory.getbasetemp() / "spoiled.mat"
+    path.write_bytes(content[: keep or None])
+    try:
+        assert isinstance(read_table(path), Table)
+    except JointidError as error:
+        assert str(error)
+
+
+def test_the_emps_record_is_read(emps_path: Path) -> None:
+    table = read_table(emps_path)
+    assert set(table.columns) >= {"qm", "qg", "vir", "t"}
+    assert {values.size for values in table.columns.values()} == {24841}
+    assert table.scalars["kp"] == 160.18
+    assert table.scalars["kv"] == 243.45
+
+
+def test_objects_and_tables_of_rows_are_no_hindrance(data_dir: Path) -> None:
+    table = read_table(data_dir / "kr300" / "rec_A.mat")
+    assert table.columns["rec.act_pos_mot_deg[5]"].size == 2501
+    assert table.scalars["time_data.dt"] == 0.004

@@ -1,0 +1,169 @@
+"""Parquet and TDMS: kinds of columns, nulls, instants, waveforms, and what they declare."""
+
+from __future__ import annotations
+
+import datetime
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from nptdms import ChannelObject, GroupObject, RootObject, TdmsWriter
+
+from jointid.common.errors import RecordError
+from jointid.records.formats import read_blocks, read_table, untrusted
+
+
+def test_every_kind_of_number_is_a_column(tmp_path: Path) -> None:
+    path = tmp_path / "run.parquet"
+    begin = datetime.datetime(2024, 3, 4, tzinfo=datetime.UTC)
+    stamps = [begin + datetime.timedelta(microseconds=1500 * i) for i in range(3)]
+    pq.write_table(
+        pa.table(
+            {
+                "when": pa.array(stamps),
+                "held": pa.array([0, 2_000_000, 3_000_000], pa.duration("us")),
+                "count": pa.array([1, None, 3], pa.int32()),
+                "on": pa.array([True, False, None]),
+                "joint": pa.array([{"q": 1.0, "name": "a"}, {"q": 2.5, "name": "b"}, {"q": None, "name": "c"}]),
+                "wrench": pa.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]], pa.list_(pa.float32(), 2)),
+                "word": pa.array([7, 7, 9]).dictionary_encode(),
+                "text": ["x", "y", "z"],
+                "lists": [[1.0], [1.0, 2.0], []],
+            }
+        ),
+        path,
+    )
+    table = read_table(path)
+    found = {name: values.tolist() for name, values in table.columns.items()}
+    nan = pytest.approx(np.nan, nan_ok=True)
+    assert found == {
+        "when": [0, 0.0015, 0.003], "held": [0, 2, 3], "count": [1, nan, 3], "on": [1, 0, nan],
+        "joint.q": [1, 2.5, nan], "wrench[0]": [1, 3, 5], "wrench[1]": [2, 4, 6], "word": [7, 7, 9],
+    }  # fmt: skip
+    assert dict(table.units) == {"when": "s", "held": "s"}
+    assert table.passed == {"lists": "its rows are lists of any length"}
+    pieces = [block.table().columns["when"] for block in read_blocks(path, 1)]
+    assert np.concatenate(pieces).tolist() == [0, 0.0015, 0.003]
+
+
+def test_a_file_of_texts_or_without_rows_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.parquet"
+    pq.write_table(pa.table({"text": ["x"]}), path)
+    with pytest.raises(RecordError, match=r"run\.parquet holds no (column|row) of numbers"):
+        read_table(path)
+    pq.write_table(pa.table({"q": pa.array([], pa.float64())}), path)
+    with pytest.raises(RecordError, match=r"run\.parquet holds no row of numbers"):
+        read_table(path)
+
+
+def test_two_columns_of_one_name_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.parquet"
+    pq.write_table(pa.Table.from_arrays([pa.array([1.0]), pa.array([2.0])], names=["q", "q"]), path)
+    with pytest.raises(RecordError, match=r"more than one column called 'q'"):
+        read_table(path)
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".tdms"])
+def test_more_than_is_read_at_once_is_refused_by_its_size(
+    suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / f"run{suffix}"
+    if suffix == ".parquet":  # a constant column packs a million rows into a few bytes
+        pq.write_table(pa.table({"q": np.zeros(1_000_000)}), path)
+        assert path.stat().st_size < 30_000
+    else:
+        with TdmsWriter(path) as writer:
+            writer.write_segment([ChannelObject("g", "q", np.zeros(1_000_000))])
+    monkeypatch.setattr(untrusted, "WHOLE", 2**20)
+    monkeypatch.setattr(untrusted.require_size, "__defaults__", (2**20,))
+    with pytest.raises(RecordError, match=r"declares 7\.63 MiB of numbers, and at most 1 MiB are read; choose columns"):
+        read_table(path)
+
+
+def test_a_waveform_gets_the_time_it_has_no_column_for(tmp_path: Path) -> None:
+    path = tmp_path / "run.tdms"
+    fast = {"wf_increment": 0.5, "wf_start_offset": 1.0, "unit_string": "V"}
+    with TdmsWriter(path) as writer:
+        writer.write_segment(
+            [
+                RootObject({"kp": 2.5, "run": 7, "by": "nobody"}),
+                GroupObject("drive", {"ratio": 30.0}),
+                ChannelObject("drive", "q", np.arange(3.0), fast),
+                ChannelObject("drive", "i", np.arange(3, dtype=np.int16), fast),
+                ChannelObject("load", "fast", np.arange(4.0), {"wf_increment": 0.1}),
+                ChannelObject("load", "slow", np.arange(2.0), {"wf_increment": 0.2}),
+                ChannelObject("Untitled", "remark", ["a", "b"]),
+                ChannelObject("Untitled", "when", np.array(["2024-01-01", "2024-01-01T00:00:00.0015"], "M8[us]")),
+            ]
+        )
+    table = read_table(path)
+    found = {name: values.tolist() for name, values in table.columns.items()}
+    assert found["drive/time"] == [1.0, 1.5, 2.0]
+    assert found["load/fast/time"] == pytest.approx([0, 0.1, 0.2, 0.3])
+    assert found["load/slow/time"] == [0, 0.2]
+    assert found["when"] == pytest.approx([0, 0.0015], abs=1e-9)
+    assert found["drive/i"] == [0, 1, 2]
+    assert "remark" not in found and "Untitled/remark" not in found
+    assert dict(table.scalars) == {"kp": 2.5, "run": 7.0, "drive/ratio": 30.0}
+    assert table.units["drive/i"] == "V"
+
+
+def test_a_run_that_was_cut_off_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.tdms"
+    with TdmsWriter(path) as writer:
+        writer.write_segment([ChannelObject("g", "q", np.arange(1000.0))])
+    path.write_bytes(path.read_bytes()[:-1000])
+    with pytest.raises(RecordError, match=r"run\.tdms ends in the middle of its data|run\.tdms cannot be read as TDMS"):
+        read_table(path)
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".tdms"])
+def test_instants_of_several_columns_keep_their_distance(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"run{suffix}"
+    early = np.datetime64("2026-01-01T00:00:00.000000") + np.arange(3) * np.timedelta64(1, "ms")
+    late = early + np.timedelta64(250, "ms")
+    if suffix == ".parquet":
+        pq.write_table(pa.table({"a": pa.array(early), "b": pa.array(late.astype("datetime64[ms]"))}), path)
+    else:
+        with TdmsWriter(path) as writer:
+            writer.write_segment([ChannelObject("", "a", early), ChannelObject("g", "b", late)])
+    found = list(read_table(path).columns.values())
+    np.testing.assert_allclose(found, [[0, 0.001, 0.002], [0.25, 0.251, 0.252]], rtol=1e-12)
+
+
+def test_a_waveform_that_began_later_has_a_later_clock(tmp_path: Path) -> None:
+    path = tmp_path / "run.tdms"
+    begin = np.datetime64("2026-01-01T00:00:00.000000")
+    with TdmsWriter(path) as writer:
+        for name, start in (("trq", begin), ("pos", begin + np.timedelta64(250, "ms"))):
+            properties = {"wf_increment": 1e-3, "wf_start_offset": 0.0, "wf_start_time": start}
+            writer.write_segment([ChannelObject("g", name, np.zeros(3), properties=properties)])
+    table = read_table(path)
+    assert dict(table.clocks) == {"g/trq": "g/trq/time", "g/pos": "g/pos/time"}
+    assert table.columns["g/trq/time"][0] == 0
+    np.testing.assert_allclose(table.columns["g/pos/time"], [0.25, 0.251, 0.252], rtol=1e-12)
+
+
+def test_numbers_in_lists_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "run.parquet"
+    lists = pa.FixedSizeListArray.from_arrays(pa.array(np.zeros(1_000_000)), 1000)
+    pq.write_table(pa.table({"q": lists}), path)
+    monkeypatch.setattr(untrusted.require_size, "__defaults__", (2**20,))
+    with pytest.raises(RecordError, match=r"declares 7\.63 MiB of numbers"):
+        read_table(path)
+
+
+def test_lists_of_any_length_are_not_decoded(tmp_path: Path) -> None:
+    path = tmp_path / "run.parquet"
+    pq.write_table(pa.table({"lists": [[float(i)] * i for i in range(1000)], "q": np.arange(1000.0)}), path)
+    whole = path.read_bytes()
+    at = pq.ParquetFile(path).metadata.row_group(0).column(0)
+    start = at.dictionary_page_offset or at.data_page_offset
+    spoiled = bytearray(whole)
+    spoiled[start : start + at.total_compressed_size] = bytes(at.total_compressed_size)
+    path.write_bytes(bytes(spoiled))
+    table = read_table(path)
+    assert list(table.columns) == ["q"]
+    assert table.passed == {"lists": "its rows are lists of any length"}

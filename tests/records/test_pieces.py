@@ -1,0 +1,209 @@
+"""A record in pieces: the same numbers as at once, whatever the length, and one sentence where a row is bad."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import RecordError
+from jointid.records.chunks import InMemory, Log
+from jointid.records.columns import Column
+from jointid.records.formats import Table, read_blocks, read_table, write_table
+from jointid.records.reading import read
+from jointid.records.record import Record, record_of
+
+CHANNELS = {"torque": "torque", "reference": "reference"}
+ROWS = 97
+
+
+def numbers(rows: int = ROWS) -> dict[str, np.ndarray]:
+    time = np.arange(rows) * 0.01
+    return {"t": time, "torque": np.round(np.sin(7 * time), 6), "reference": np.round(0.01 * np.cos(time), 6)}
+
+
+@pytest.fixture(params=[".csv", ".npy"])
+def path(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    made = tmp_path / f"day{request.param}"
+    write_table(made, Table(numbers()))
+    return made
+
+
+@pytest.mark.parametrize("rows", [1, 10, 96, 97, 500])
+def test_blocks_together_are_the_whole(path: Path, rows: int) -> None:
+    whole, blocks = read_table(path), list(read_blocks(path, rows))
+    assert [block.rows for block in blocks[:-1]] == [rows] * (len(blocks) - 1)
+    for name, values in whole.columns.items():
+        np.testing.assert_array_equal(np.concatenate([b.table().columns[name] for b in blocks]), values)
+        np.testing.assert_array_equal(blocks[0].table(3).columns[name], values[: min(3, rows)])
+
+
+def test_comments_and_empty_lines_are_no_rows(tmp_path: Path) -> None:
+    lines = ["# a drive", "t;pos [mm];", "", *(f"{i};{i},5;" for i in range(20))]
+    lines[9:9] = ["# paused", "", "  "]
+    made = tmp_path / "log.csv"
+    made.write_text("\r\n".join(lines) + "\r\n", encoding="utf-8")
+    whole, blocks = read_table(made), [block.table() for block in read_blocks(made, 7)]
+    assert list(whole.columns) == ["t", "pos [mm]"]
+    assert [b.columns["t"].size for b in blocks] == [7, 7, 6]
+    np.testing.assert_array_equal(np.concatenate([b.columns["pos [mm]"] for b in blocks]), whole.columns["pos [mm]"])
+
+
+@pytest.mark.parametrize(
+    ("line", "bad", "said"),
+    [
+        (52, "0.5,oops,0.1", 'line 52, column "torque" holds "oops", which is not a number; mend it'),
+        (51, "0.5,0.1", "line 51 has 2 cells for 3 columns; mend or delete that line"),
+        (98, "0.96,0.1", "line 98, the last, has 2 cells for 3 columns; the file was cut off"),
+    ],
+)
+def test_a_bad_row_far_down_is_named_by_its_line(tmp_path: Path, line: int, bad: str, said: str) -> None:
+    made = tmp_path / "day.csv"
+    write_table(made, Table(numbers()))
+    lines = made.read_text(encoding="utf-8").splitlines()
+    lines[line - 1] = bad
+    made.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    log = Log(made, CHANNELS)
+    with pytest.raises(RecordError, match=said):  # row 50 is the last of a block of ten, and not of the file
+        list(log.pieces(10, 2))
+
+
+def test_a_row_that_is_no_cells_is_named_by_its_line(tmp_path: Path) -> None:
+    """Beyond the first thousand, which tell how all are written."""
+    made = tmp_path / "day.csv"
+    write_table(made, Table(numbers(2000)))
+    lines = made.read_text(encoding="utf-8").splitlines()
+    lines[1499] = '"' + "1" * 200_000
+    made.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with pytest.raises(RecordError, match=r"line 1500 cannot be split into cells .*; mend or delete that line"):
+        list(Log(made, CHANNELS).pieces(100, 2))
+
+
+def test_a_piece_is_a_cut_of_the_record(path: Path) -> None:
+    whole, log = read(path, CHANNELS), Log(path, CHANNELS)
+    assert log.sample_time == pytest.approx(0.01)
+    assert log.name == "day"
+    pieces, same = list(log.pieces(20, 6)), list(InMemory(whole).pieces(20, 6))
+    assert [p.number for p in pieces] == [p.number for p in same] == [0, 1, 2, 3, 4]
+    assert [p.last for p in pieces] == [p.last for p in same] == [False] * 4 + [True]
+    for piece, cut in zip(pieces, same, strict=True):
+        first = 20 * piece.number
+        assert piece.record.begin == pytest.approx(cut.record.begin) == pytest.approx(0.01 * first)
+        for (_, channel), (_, other), (_, all_of_it) in zip(
+            piece.record.items(), cut.record.items(), whole.items(), strict=True
+        ):
+            np.testing.assert_array_equal(channel.values, all_of_it.values[first : first + 26])
+            np.testing.assert_array_equal(channel.values, other.values)
+            assert channel.sample_time == log.sample_time
+            assert (channel.timing, channel.unit) == (other.timing, other.unit)
+
+
+@pytest.mark.parametrize(("rows", "overlap", "count"), [(81, 6, 4), (85, 6, 4), (86, 6, 5), (81, 0, 5), (5, 6, 1)])
+def test_a_rest_that_is_in_the_piece_before_is_no_piece(tmp_path: Path, rows: int, overlap: int, count: int) -> None:
+    """One row too many, with a single stamp of the clock, must not end a day of them."""
+    made, clock = tmp_path / "day.npy", {"time": "t"} if overlap else {"sample_time": 0.01}
+    write_table(made, Table(numbers(rows)))
+    log = Log(made, CHANNELS, clock)
+    for pieces in (list(log.pieces(20, overlap)), list(InMemory(read(made, CHANNELS)).pieces(20, overlap))):
+        assert [p.last for p in pieces] == [False] * (count - 1) + [True]
+        torque = pieces[-1].record.torque
+        assert torque is not None
+        assert len(torque) == rows - 20 * (count - 1)
+
+
+def test_one_piece_in_so_many_is_read(path: Path) -> None:
+    log = Log(path, CHANNELS)
+    every, some = list(log.pieces(20, 6)), list(log.pieces(20, 6, every=2))
+    assert [p.number for p in some] == [0, 2, 4]
+    for piece in some:
+        there = every[piece.number].record
+        assert there.torque is not None
+        assert piece.record.torque is not None
+        np.testing.assert_array_equal(piece.record.torque.values, there.torque.values)
+
+
+def test_what_is_injected_is_cut_too() -> None:
+    values = np.arange(30.0)
+    record = record_of(0.01, unit="N", position_unit="m", torque=values, reference=values)
+    from jointid.records.record import Channel, Injection
+
+    injected = Injection(Channel(values, "N", 0.01))
+    whole = Record(torque=record.torque, reference=record.reference, injected=injected)
+    (_, second, _) = InMemory(whole).pieces(10, 2)
+    assert second.record.injected is not None
+    np.testing.assert_array_equal(second.record.injected.channel.values, values[10:22])
+    assert second.record.injected.at is injected.at
+
+
+def test_a_jump_of_the_clock_is_found_where_it_is(tmp_path: Path) -> None:
+    columns = numbers(2000)
+    columns["t"] = np.where(np.arange(2000) < 1555, columns["t"], columns["t"] + 3.0)
+    made = tmp_path / "day.npy"
+    write_table(made, Table(columns))
+    with pytest.raises(RecordError, match=r"day.npy, rows from 1501 on: The time jumps 1 time: .*\(t = 15.54 s\)"):
+        list(Log(made, CHANNELS).pieces(100, 4))
+
+
+def test_what_cannot_be_read_in_pieces_says_so(tmp_path: Path) -> None:
+    made = tmp_path / "day.mat"
+    write_table(made, Table(numbers()))
+    with pytest.raises(
+        RecordError,
+        match=r"day\.mat is a MAT file of version 7 or older, which cannot be read in pieces; save it with -v7\.3",
+    ):
+        list(Log(made, CHANNELS).pieces(20, 4))
+    with pytest.raises(RecordError, match="torque has one of its own"):
+        Log(made, {**CHANNELS, "torque": Column("torque", sample_time=0.02)})
+    with pytest.raises(RecordError, match="cannot be opened"):
+        list(Log(tmp_path / "none.csv", CHANNELS).pieces(20, 4))
+
+
+@pytest.mark.parametrize(
+    ("header", "said"),
+    [
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (4, 0), }", r"holds float64 of shape \(4, 0\)"),
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (4, -2), }", "a matrix of numbers in C order"),
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (-4, 2), }", "should hold -4 rows"),
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (2, 1000000000000), }", "a matrix of numbers in C order"),
+        ("{'descr': '<f8, (', 'fortran_order': False, 'shape': (4, 2), }", r"is no \.npy file"),
+        ("{1: 2, 'a': 3}", r"is no \.npy file"),
+        ("(" * 50, r"is no \.npy file"),
+        ("-" * 5000 + "1", r"is no \.npy file"),
+        (" " * 20_000, r"is no \.npy file \([^)]*\)[^)]*\); write it by numpy.save.$"),
+    ],
+)
+def test_a_damaged_head_of_a_numpy_file_is_said_in_a_sentence(tmp_path: Path, header: str, said: str) -> None:
+    made, head = tmp_path / "log.npy", header.encode("latin-1")
+    made.write_bytes(b"\x93NUMPY\x01\0" + len(head).to_bytes(2, "little") + head + bytes(64))
+    with pytest.raises(RecordError, match=said):
+        read_table(made)
+
+
+def test_numpy_files_may_have_names_in_any_letters(tmp_path: Path) -> None:
+    made = tmp_path / "log.npy"
+    with pytest.warns(UserWarning, match="format 3.0"):
+        np.save(made, np.ones(3, dtype=[("Größe", float), ("力", float)]))
+    assert list(read_table(made).columns) == ["Größe", "力"]
+    made.write_bytes(made.read_bytes()[:6] + b"\x09" + made.read_bytes()[7:])
+    with pytest.raises(RecordError, match=r"its version is 9\.0"):
+        read_table(made)
+
+
+def test_numpy_files_hold_numbers_and_nothing_else(tmp_path: Path) -> None:
+    made = tmp_path / "log.npy"
+    matrix = np.arange(12.0, dtype=np.float32).reshape(4, 3)
+    np.save(made, matrix)
+    assert list(read_table(made).columns) == ["1", "2", "3"]
+    np.testing.assert_array_equal(read_table(made).columns["2"], matrix[:, 1])
+    for refused in (np.array([{}, []], dtype=object), np.arange(3.0), np.asfortranarray(matrix), matrix > 1):
+        np.save(made, refused, allow_pickle=True)
+        with pytest.raises(RecordError, match="expected a record array of numbers"):
+            read_table(made)
+    made.write_bytes(b"\x93NUMPY and no more")
+    with pytest.raises(RecordError, match=r"is no \.npy file"):
+        read_table(made)
+    np.save(made, matrix)
+    made.write_bytes(made.read_bytes()[:-5])
+    with pytest.raises(RecordError, match="should hold 4 rows and has 3"):
+        read_table(made)

@@ -1,0 +1,331 @@
+"""From a file to a record: channels, units, the clock, two rates, and all faults in one error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jointid.common.errors import JointidError, RecordError
+from jointid.records.columns import Column
+from jointid.records.formats import Table, read_table, write_table
+from jointid.records.reading import read
+from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
+from jointid.records.writing import write
+
+NAN = float("nan")
+RATE = 1e-3
+TIME = np.arange(200) * RATE
+POSITION = 0.1 * np.sin(30 * TIME)
+TORQUE = 2.0 * np.cos(30 * TIME)
+
+Saved = Callable[..., Path]
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Saved:
+    def save(suffix: str = ".mat", **columns: Any) -> Path:
+        path = tmp_path / f"run{suffix}"
+        write_table(path, Table({name: np.asarray(values, dtype=float) for name, values in columns.items()}))
+        return path
+
+    return save
+
+
+def faults_of(path: Path, *columns: Any, **how: Any) -> tuple[str, ...]:
+    with pytest.raises(RecordError) as error:
+        read(path, *columns, **how)
+    for fault in error.value.faults:
+        assert fault.endswith("."), fault
+        assert "\n" not in fault
+    return error.value.faults
+
+
+def test_a_record_has_its_channels_rate_units_and_sources(saved: Saved) -> None:
+    record = read(saved(t=TIME, i=TORQUE, r=POSITION), {"torque": "i", "reference": "r"})
+    assert record.channels == ("torque", "reference")
+    assert record.name == "run"
+    assert record.tap is Tap.COMMAND
+    torque, reference = record.torque, record.reference
+    assert torque is not None
+    assert reference is not None
+    assert (torque.unit, torque.timing, torque.sample_time) == ("N", Timing.HELD, RATE)
+    assert (reference.unit, reference.timing, reference.source) == ("m", Timing.SAMPLED, "run.mat: r")
+    np.testing.assert_array_equal(torque.values, TORQUE)
+
+
+def test_gain_sign_and_unit_take_a_column_to_si(saved: Saved) -> None:
+    path = saved(i=TORQUE, r=POSITION, v=POSITION)
+    record = read(
+        path,
+        {
+            "torque": Column("i", unit="mNm", gain=3.0, sign=-1, tap=Tap.MEASURED, timing=Timing.AVERAGED),
+            "reference": Column("r", unit="deg"),
+            "load_position": Column("v", unit="mrad", optional=True),
+            "motor_position": Column("absent", optional=True),
+        },
+        sample_time=2e-3,
+        kind="revolute",
+        name="first",
+    )
+    assert record.channels == ("torque", "reference", "load_position")
+    assert record.torque is not None
+    assert record.reference is not None
+    assert (record.name, record.tap, record.torque.timing) == ("first", Tap.MEASURED, Timing.AVERAGED)
+    assert (record.torque.unit, record.reference.unit, record.duration) == ("N m", "rad", 200 * 2e-3)
+    np.testing.assert_allclose(record.torque.values, -3e-3 * TORQUE, rtol=1e-15)
+    np.testing.assert_allclose(record.reference.values, np.deg2rad(POSITION), rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("heading", "how", "unit", "factor"),
+    [
+        ("q [mm]", {}, "m", 1e-3),
+        ("q (um)", {}, "m", 1e-6),
+        ("q (filtered)", {}, "m", 1.0),
+        ("q [mm]", {"unit": "m"}, "m", 1.0),
+        ("q [clicks]", {"gain": 1e-5}, "m", 1e-5),
+        ("q[0]", {}, "m", 1.0),
+    ],
+)
+def test_a_unit_in_the_name_counts_unless_another_is_stated(
+    heading: str, how: dict[str, Any], unit: str, factor: float, saved: Saved
+) -> None:
+    path = saved(".csv", **{"t": TIME, heading: POSITION})
+    channel = read(path, {"reference": Column(heading, **how)}).reference
+    assert channel is not None
+    assert channel.unit == unit
+    np.testing.assert_allclose(channel.values, POSITION * factor, rtol=1e-15)
+
+
+def test_an_unknown_unit_in_the_name_is_not_taken_for_the_default(saved: Saved) -> None:
+    (fault,) = faults_of(saved(".csv", **{"t": TIME, "q [clicks]": POSITION}), {"reference": "q [clicks]"})
+    assert 'reference (column "q [clicks]") is in "clicks"; expected one of m, mm' in fault
+
+
+@pytest.mark.parametrize(
+    ("heading", "values", "how"),
+    [
+        ("t", TIME, {}),
+        ("Time", TIME, {}),
+        ("time [ms]", TIME * 1e3, {}),
+        ("T (us)", TIME * 1e6, {}),
+        ("t", TIME * 1e3, {"time_unit": "ms"}),
+        ("clock", TIME + 17, {"time": "clock"}),
+        ("ticks [ms]", TIME * 1e3, {"time": "ticks [ms]", "sample_time": 1e-3}),
+        ("t", TIME * 7, {"sample_time": 1e-3}),
+    ],
+)
+def test_the_sample_time_comes_from_the_time_column_or_is_given(
+    heading: str, values: np.ndarray, how: dict[str, Any], saved: Saved
+) -> None:
+    record = read(saved(".csv", **{heading: values, "q": POSITION}), {"reference": "q"}, **how)
+    assert record.reference is not None
+    assert record.reference.sample_time == 1e-3
+
+
+@pytest.mark.parametrize(
+    ("columns", "how", "part"),
+    [
+        ({"x": TIME}, {}, 'no column called "t" or "time"; give sample_time'),
+        ({"t": TIME, "Time": TIME}, {}, 'more than one time column ("t", "Time")'),
+        ({"t": TIME}, {"time": "clock"}, 'no time column "clock"; it has "t", "q"'),
+        ({"t": TIME}, {"time": "t", "sample_time": 2e-3}, "given as 0.002 s, and column"),
+        ({"t": TIME}, {"sample_time": 0.0}, "The sample time is a positive number of seconds; got 0."),
+        ({"t": TIME}, {"time": "t", "sample_time": NAN}, "positive number of seconds; got nan"),
+        ({"t": TIME}, {"time_unit": "mm"}, 'time (column "t") is in "mm"; expected one of s, ms'),
+        ({"t": TIME[::-1]}, {}, "does not run forward"),
+        ({"t": np.delete(np.arange(201) * RATE, 50)}, {}, "leaves out 1 sample"),
+        ({"t": TIME[:150]}, {}, 'reference (column "q") has 200 samples, the time 150'),
+    ],
+)
+def test_a_clock_that_cannot_be_is_named(columns: dict[str, Any], how: dict[str, Any], part: str, saved: Saved) -> None:
+    (fault,) = faults_of(saved(**columns, q=POSITION), {"reference": "q"}, **how)
+    assert part in fault
+
+
+def test_two_rates_stand_side_by_side(saved: Saved) -> None:
+    slow = np.append(POSITION[::4], np.full(150, NAN))
+    path = saved(".csv", t=TIME, i=TORQUE, r=slow)
+    record = read(path, {"torque": "i", "reference": Column("r", sample_time=4e-3)})
+    assert record.torque is not None
+    assert record.reference is not None
+    assert (len(record.torque), len(record.reference)) == (200, 50)
+    assert record.reference.sample_time == 4e-3
+    with pytest.raises(RecordError, match=r"one rate; got torque 0\.001 s, reference 0\.004 s"):
+        write(record, path)
+
+
+def test_a_column_that_ends_early_is_said_to(saved: Saved) -> None:
+    path = saved(".csv", t=TIME, i=TORQUE, r=np.append(POSITION[:120], np.full(80, NAN)))
+    (fault,) = faults_of(path, {"torque": "i", "reference": "r"})
+    assert fault.startswith('reference (column "r") ends early: after 120 of 200 samples it is empty')
+
+
+def test_all_faults_are_reported_at_once(saved: Saved) -> None:
+    gap = POSITION.copy()
+    gap[[70, 90]] = NAN
+    faults = faults_of(
+        saved(t=np.append(TIME[:-1], 1.0), q=gap, v=POSITION),
+        {"torque": "i", "reference": Column("q", tap=Tap.FILTERED), "load_position": Column("v", unit="rad")},
+    )
+    expected = [
+        'run.mat has no column "i" (for torque); it has "t", "q", "v".',
+        "The time jumps 1 time: after sample 198",
+        'reference (column "q") has 2 samples without a finite number, the first nan at sample 70',
+        "reference has tap = filtered",
+        'load_position (column "v") is in "rad"; expected one of m, mm',
+    ]
+    assert len(faults) == len(expected)
+    assert all(map(str.startswith, faults, expected)), faults
+
+
+def test_the_time_of_a_gap_is_told(saved: Saved) -> None:
+    gap = POSITION.copy()
+    gap[70] = np.inf
+    (fault,) = faults_of(saved(t=TIME, q=gap), {"reference": "q"})
+    assert "1 sample without a finite number, the first inf at sample 70 (t = 0.07 s); mend" in fault
+
+
+@pytest.mark.parametrize(
+    ("how", "part"),
+    [
+        ({"gain": -2.0}, "got -2: use sign = -1"),
+        ({"gain": 0.0}, "positive number; got 0"),
+        ({"gain": NAN}, "positive number; got nan"),
+        ({"sign": 2}, "sign of column .* is 1 or -1; got 2: use gain"),
+        ({"sample_time": -1.0}, "sample time of column .* positive number of seconds; got -1"),
+    ],
+)
+def test_a_column_that_cannot_be_is_refused(how: dict[str, Any], part: str) -> None:
+    with pytest.raises(RecordError, match=part):
+        Column("q", **how)
+
+
+def test_faults_of_a_column_are_reported_together() -> None:
+    with pytest.raises(RecordError) as error:
+        Column("q", gain=-1.0, sign=0)
+    assert len(error.value.faults) == 2
+
+
+@pytest.mark.parametrize(
+    ("columns", "how", "part"),
+    [
+        ({"speed": "q"}, {}, "No channel is called speed; there are torque, reference"),
+        ({"reference": "q"}, {"kind": "screw"}, 'is "prismatic" or "revolute"; got \'screw\''),
+        ({"reference": Column("q", in_torque=False)}, {}, "at or in_torque"),
+        ({"reference": Column("none", optional=True)}, {}, "needs at least one channel"),
+        ({"injected": Column("q", at=InjectionPoint.BEFORE_LIMIT, in_torque=False)}, {}, "before the limit"),
+    ],
+)
+def test_what_is_asked_for_must_make_sense(
+    columns: dict[str, Any], how: dict[str, Any], part: str, saved: Saved
+) -> None:
+    (fault,) = faults_of(saved(t=TIME, q=POSITION), columns, **how)
+    assert part in fault
+
+
+def test_of_many_columns_the_likeliest_are_listed(saved: Saved) -> None:
+    path = saved(t=TIME, **{f"channel{i}": POSITION for i in range(60)}, torque_axis=TORQUE)
+    (fault,) = faults_of(path, {"torque": "torque_axes"})
+    assert 'it has "torque_axis", ' in fault
+    assert fault.endswith(" and 42 more.")
+
+
+def test_an_injected_signal_is_in_the_unit_of_the_torque(saved: Saved) -> None:
+    path = saved(t=TIME, v=TORQUE, p=POSITION)
+    injected = Column("p", at=InjectionPoint.BEFORE_LIMIT)
+    record = read(path, {"torque": Column("v", unit="mV"), "injected": injected})
+    assert record.injected is not None
+    assert record.injected.at is InjectionPoint.BEFORE_LIMIT
+    assert record.injected.channel.unit == "V"
+    assert record.injected.channel.timing is Timing.HELD
+    np.testing.assert_allclose(record.injected.channel.values, POSITION * 1e-3, rtol=1e-15)
+    (fault,) = faults_of(path, {"torque": Column("v", unit="V"), "injected": Column("p", unit="N")})
+    assert "torque is in V, the injected signal in N" in fault
+
+
+def test_a_wrong_unit_is_noticed_on_reading(saved: Saved) -> None:
+    path = saved(t=TIME, q=POSITION * 1e3, r=POSITION)
+    speed, ratio = faults_of(path, {"motor_position": "q", "reference": "r"})
+    assert "motor_position moves at 3e+03 m/s" in speed
+    assert "motor_position is 1000 times reference, and should equal it, as if motor_position were in mm" in ratio
+    read(path, {"motor_position": Column("q", unit="mm"), "reference": "r"})
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".mat"])
+@given(
+    values=st.lists(st.lists(st.floats(-1e3, 1e3), min_size=6, max_size=6), min_size=2, max_size=8),
+    sample_time=st.floats(1e-6, 10.0),
+)
+def test_what_is_written_is_read_to_the_last_bit(
+    suffix: str, values: list[list[float]], sample_time: float, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.getbasetemp() / f"record{suffix}"
+    rows = np.array(values).T
+    # No position moves: what a joint cannot do is not the subject here.
+    still = [Channel(np.full(rows.shape[1], row[0]), "m", sample_time) for row in rows]
+    held = [Channel(row, "N", sample_time, Timing.HELD) for row in rows]
+    velocity = Channel(rows[2], "m/s", sample_time)
+    record = Record(held[0], Tap.COMMAND, still[1], velocity, still[3], still[4], Injection(held[5]), name="record")
+    write(record, path)
+    again = read(path, {name: name for name in record.channels})
+    assert again.channels == record.channels
+    assert again.name == record.name
+    for (_, old), (_, new) in zip(record.items(), again.items(), strict=True):
+        assert new.values.tobytes() == old.values.tobytes()
+        assert (new.unit, new.sample_time, new.timing) == (old.unit, old.sample_time, old.timing)
+
+
+def test_a_record_of_one_sample_is_not_written(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="one sample"):
+        write(Record(torque=Channel(np.ones(1), "N", 1.0)), tmp_path / "run.csv")
+
+
+@given(spoils=st.lists(st.tuples(st.integers(0, 2000), st.integers(0, 255)), max_size=6))
+def test_a_spoiled_file_gives_a_record_or_a_sentence(
+    spoils: list[tuple[int, int]], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "spoiled.csv"
+    write_table(path, Table({"t": TIME[:40], "i": TORQUE[:40], "r": POSITION[:40]}))
+    content = bytearray(path.read_bytes())
+    for place, byte in spoils:
+        content[place % len(content)] = byte
+    path.write_bytes(content)
+    try:
+        assert isinstance(read(path, {"torque": "i", "reference": "r", "motor_position": "r"}), Record)
+    except JointidError as error:
+        assert str(error)
+
+
+def test_the_emps_record_is_read(emps_path: Path) -> None:
+    columns = {"torque": Column("vir", unit="V"), "reference": "qg", "motor_position": "qm"}
+    record = read(emps_path, columns)
+    assert record.channels == ("torque", "reference", "motor_position")
+    assert record.torque is not None
+    assert (record.torque.unit, record.torque.sample_time, len(record.torque)) == ("V", 1e-3, 24841)
+    np.testing.assert_array_equal(record.torque.values, read_table(emps_path).columns["vir"])
+    agreed = read(emps_path, columns, time="t", sample_time=1e-3)
+    assert agreed.duration == record.duration
+
+
+def test_the_motor_bench_record_is_read(data_dir: Path) -> None:
+    record = read(
+        data_dir / "motorbench" / "MultisineTypeA.mat",
+        {
+            "torque": Column("iq_refx", unit="A"),
+            "motor_position": "theta_mx",
+            "load_position": Column("theta_my", sign=-1),
+        },
+        time="time",
+        time_unit="us",
+        kind="revolute",
+    )
+    assert record.torque is not None
+    assert record.torque.sample_time == 4e-4
+    assert record.duration == pytest.approx(20)

@@ -1,0 +1,292 @@
+"""Clocks that are not uniform: told in numbers, resampled only when asked, exactly as far as the method is exact."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import jointid as ji
+from jointid.common.errors import JointFileError, RecordError
+from jointid.config import dumps, loads
+from jointid.records.formats import Table, write_table
+from jointid.records.record import Timing
+from jointid.records.time_base.uniformity import irregularity
+
+T = 1e-3
+LATE = T * 0.3 * np.random.default_rng(3).random(400)
+STAMPS = np.arange(400) * T + LATE
+
+Saved = Callable[..., Path]
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Saved:
+    def save(**columns: Any) -> Path:
+        path = tmp_path / "run.mat"
+        write_table(path, Table({name: np.asarray(values, dtype=float) for name, values in columns.items()}))
+        return path
+
+    return save
+
+
+def read(path: Path, how: ji.Resampling | None, **channels: Any) -> ji.Record:
+    return ji.read(path, channels or {"motor_position": "q"}, resample=how)
+
+
+def values(record: ji.Record, name: str = "motor_position") -> np.ndarray:
+    return dict(record.items())[name].values
+
+
+def refused(path: Path, how: ji.Resampling | None, **channels: Any) -> str:
+    with pytest.raises(RecordError) as error:
+        read(path, how, **channels)
+    (said,) = error.value.faults
+    assert said.endswith(".")
+    return said
+
+
+# What the stamps are
+
+
+def test_the_deviations_are_those_from_the_line_of_least_squares() -> None:
+    clock = irregularity(STAMPS)
+    line = np.polynomial.Polynomial.fit(np.arange(400), STAMPS, 1)
+    off = STAMPS - line(np.arange(400))
+    assert clock.largest == pytest.approx(np.abs(off).max(), rel=1e-9)
+    assert clock.rms == pytest.approx(np.sqrt(np.mean(off**2)), rel=1e-9)
+    assert clock.sample_time == pytest.approx(line.convert().coef[1], rel=1e-9)
+    assert (clock.gaps, clock.repeats, clock.backward) == (0, 0, 0)
+
+
+def test_gaps_repeats_and_steps_back_are_counted() -> None:
+    stamps = np.arange(100) * T
+    stamps = np.delete(stamps, [20, 21, 22, 50])
+    stamps[80], stamps[90] = stamps[79], stamps[88]
+    clock = irregularity(stamps)
+    assert (clock.gaps, clock.longest_gap, clock.repeats, clock.backward) == (4, 3, 1, 1)  # one after each of the last
+    assert str(clock).endswith("4 gaps of up to 3 samples, 1 repeated stamp, 1 step back")
+
+
+def test_a_uniform_clock_has_no_deviation() -> None:
+    clock = irregularity(1e9 + np.arange(1000) * T)
+    assert clock.largest < 2e-7  # the last digit of seconds since 1970
+    assert clock.sample_time == pytest.approx(T, rel=1e-9)
+
+
+# What the methods are
+
+
+@pytest.mark.parametrize(("method", "degree"), [("hold", 0), ("linear", 1), ("cubic", 3)])
+def test_a_method_is_exact_for_its_degree_and_for_no_higher(saved: Saved, method: Any, degree: int) -> None:
+    for power in range(5):
+        record = read(saved(t=STAMPS, q=(5 * STAMPS - 1) ** power), ji.Resampling(T, method))
+        grid = record.begin + np.arange(len(values(record))) * T + STAMPS[0]
+        error = np.abs(values(record) - (5 * grid - 1) ** power).max()
+        assert (error < 1e-14) == (power <= degree), (method, power, error)
+
+
+def test_a_held_channel_gives_each_of_its_values_once(saved: Saved) -> None:
+    """Stamps that are late by up to 0.3 of a sample: an instant at 0.3 has its own sample behind it, not the next."""
+    steps = np.random.default_rng(1).standard_normal(400)
+    record = read(saved(t=STAMPS, i=steps), ji.Resampling(T, "cubic"), torque="i")
+    np.testing.assert_array_equal(values(record, "torque"), steps[: len(values(record, "torque"))])
+    assert len(values(record, "torque")) >= 399
+
+
+def test_a_held_torque_is_interpolated_only_when_that_is_asked(saved: Saved) -> None:
+    path = saved(t=STAMPS, i=100 * STAMPS)
+    held = read(path, ji.Resampling(T, "linear"), torque="i")
+    asked = read(path, ji.Resampling(T, "linear", held="linear"), torque="i")
+    assert np.ptp(np.diff(values(held, "torque"))) > 1e-2
+    assert np.ptp(np.diff(values(asked, "torque"))) < 1e-12
+    assert held.resampled is not None
+    assert asked.resampled is not None
+    assert held.torque is not None
+    assert asked.torque is not None
+    assert (held.torque.timing, asked.torque.timing) == (ji.Timing.HELD, ji.Timing.SAMPLED)
+    assert (held.resampled.methods, asked.resampled.methods) == ({"torque": "hold"}, {"torque": "linear"})
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.5, 1.0, 1.7, 4.0]))
+def test_the_means_of_an_average_add_up(seed: int, ratio: float) -> None:
+    """The integral over the new periods is that over the old ones, at any rate."""
+    from jointid.records.record import Channel
+    from jointid.records.time_base.resampling import Stamped, resampled_together
+
+    rng = np.random.default_rng(seed)
+    stamps = np.arange(60) * T + 0.3 * T * rng.random(60)
+    means = rng.standard_normal(60)
+    one = Stamped(Channel(means, "N", T, Timing.AVERAGED), stamps, "t")
+    channels, done, begin, faults = resampled_together({"torque": one}, ji.Resampling(ratio * T, "linear"))
+    assert not faults
+    assert done is not None
+    found = channels["torque"]
+    first = begin + stamps[0] - ratio * T
+    last = first + len(found) * ratio * T
+    edges = np.concatenate([[0.0], np.cumsum(means[1:] * np.diff(stamps))])
+    whole = np.interp(last, stamps, edges) - np.interp(first, stamps, edges)
+    assert found.values.sum() * ratio * T == pytest.approx(whole, abs=1e-12)
+
+
+def test_resampling_uniform_samples_at_their_own_instants_changes_nothing(saved: Saved) -> None:
+    time = np.arange(300) * T
+    path = saved(t=time, q=np.sin(9 * time), i=np.cos(9 * time))
+    for method in ("hold", "linear", "cubic"):
+        record = read(path, ji.Resampling(T, method), torque="i", motor_position="q")
+        np.testing.assert_allclose(values(record), np.sin(9 * time), atol=1e-12)
+        np.testing.assert_array_equal(values(record, "torque"), np.cos(9 * time))
+
+
+# What is asked for, and what is refused
+
+
+def test_without_being_asked_a_jittering_clock_is_refused_with_both_remedies(saved: Saved) -> None:
+    said = refused(saved(t=STAMPS, q=STAMPS), None)
+    assert "The time jitters by up to" in said
+    assert "give resample = { sample_time, method }, or sample_time without time if only the stamps jitter" in said
+
+
+REFUSED: dict[str, tuple[np.ndarray, dict[str, Any], str]] = {
+    "a long gap": (np.delete(STAMPS, range(100, 104)), {}, "leaves out 4 samples in a row (at most 3 are bridged)"),
+    "a step back": (STAMPS[[*range(50), 48, *range(51, 400)]], {}, "runs backward 1 time, so that the order"),
+    "a lower rate": (STAMPS, {"sample_time": 2e-3}, "resampled to 0.002 s what is fast in it would alias"),
+    "a repeat": (STAMPS[[*range(50), 49, *range(51, 400)]], {}, "has several values at one stamp"),
+    "too many samples": (STAMPS, {"sample_time": 1e-12}, "expected 2 to 100000000"),
+    "no number": (np.where(np.arange(400) == 7, np.nan, STAMPS), {}, "without a finite number, the first nan"),
+    "standing still": (np.zeros(400), {}, "does not run forward"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_made_up_is_refused(saved: Saved, name: str) -> None:
+    stamps, how, expected = REFUSED[name]
+    said = refused(
+        saved(t=stamps, q=np.arange(stamps.size)), ji.Resampling(**{"sample_time": T, "method": "cubic", **how})
+    )
+    assert expected in said
+
+
+def test_a_sample_that_was_logged_twice_is_left_out(saved: Saved) -> None:
+    twice = np.repeat(STAMPS, np.where(np.arange(400) % 7 == 0, 2, 1))
+    once, again = (read(saved(t=t, q=t**2), ji.Resampling(T, "cubic")) for t in (STAMPS, twice))
+    np.testing.assert_array_equal(values(once), values(again))
+    assert again.resampled is not None
+    assert again.resampled.clocks["t"].repeats == 58
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"sample_time": 0.0}, "is a positive number of seconds; got 0"),
+        ({"method": "spline"}, 'has method = "spline"; expected one of "hold", "linear", "cubic"'),
+        ({"held": "none"}, 'has held = "none"'),
+        ({"longest_gap": -1}, "counts samples, 0 or more"),
+    ],
+)
+def test_settings_that_do_not_exist_are_refused(wrong: dict[str, Any], said: str) -> None:
+    with pytest.raises(RecordError, match=said):
+        ji.Resampling(**{"sample_time": T, "method": "linear", **wrong})
+
+
+def test_a_channel_without_stamps_and_one_that_is_picked_cannot_be_resampled(saved: Saved) -> None:
+    path = saved(t=STAMPS, q=STAMPS, i=STAMPS)
+    how = ji.Resampling(T, "linear")
+    assert "no time stamps to be resampled by" in refused(path, how, motor_position=ji.Column("q", sample_time=T))
+    assert "has an update_time" in refused(path, how, motor_position=ji.Column("q", update_time=4e-3))
+
+
+# Channels with clocks of their own
+
+
+def test_channels_of_two_clocks_keep_their_rates_until_they_are_brought_to_one(saved: Saved) -> None:
+    slow, fast = np.arange(101) * 4e-3, np.arange(401) * 1e-3
+    path = saved(ts=slow, tf=fast, i=np.cos(slow), q=fast**3)
+    columns = {"torque": ji.Column("i", time="ts"), "motor_position": ji.Column("q", time="tf")}
+    apart, one = read(path, None, **columns), read(path, ji.Resampling(T, "cubic"), **columns)
+    assert apart.resampled is None
+    assert [c.sample_time for _, c in apart.items()] == [4e-3, 1e-3]
+    assert {c.sample_time for _, c in one.items()} == {T}
+    np.testing.assert_array_equal(values(one, "torque"), np.cos(slow)[np.arange(401) // 4])
+    np.testing.assert_allclose(values(one), fast**3, atol=1e-12)
+
+
+def test_clocks_that_begin_apart_are_refused_and_resampled_to_what_both_cover(saved: Saved) -> None:
+    one, other = np.arange(300) * T, 0.0125 + np.arange(300) * T
+    path = saved(ta=one, tb=other, i=np.cos(one), q=other)
+    columns = {"torque": ji.Column("i", time="ta"), "motor_position": ji.Column("q", time="tb")}
+    assert "motor_position begins 0.0125 s after torque" in refused(path, None, **columns)
+    record = read(path, ji.Resampling(T, "linear"), **columns)
+    assert record.begin == pytest.approx(0.013)
+    np.testing.assert_allclose(values(record)[0], 0.013)
+    assert len(values(record)) == 287  # to the end of the one that ends first: nothing is extrapolated
+
+
+# Joint file and answers
+
+FILE = """
+[joint]
+kind = "prismatic"
+[record]
+resample = { sample_time = 0.001, method = "cubic", longest_gap = 5 }
+[record.channels]
+torque = { column = "i", time = "t" }
+motor_position = { column = "q" }
+"""
+
+
+def test_a_joint_file_says_it_and_is_written_back() -> None:
+    file = loads(FILE)
+    assert file.source.resample == ji.Resampling(T, "cubic", longest_gap=5)
+    assert file.columns["torque"].time == "t"
+    assert loads(dumps(file)) == file
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('method = "cubic"', 'method = "spline"', 'record.resample.method is "spline"'),
+        ('method = "cubic", ', "", "record.resample.method is missing"),
+        ('time = "t"', 'time = "t", sample_time = 0.1', 'record.channels.torque.time is "t" beside sample_time = 0.1'),
+    ],
+)
+def test_faults_of_a_joint_file(old: str, new: str, said: str) -> None:
+    with pytest.raises(JointFileError) as error:
+        loads(FILE.replace(old, new))
+    assert any(fault.startswith(said) for fault in error.value.faults), error.value.faults
+
+
+def test_a_record_in_pieces_is_not_resampled() -> None:
+    with pytest.raises(RecordError, match="in pieces is not resampled"):
+        loads(FILE.replace(', time = "t"', "")).log("day.csv")
+
+
+def test_every_answer_says_that_its_record_was_resampled(saved: Saved) -> None:
+    """A rigid axis that is logged late by up to 0.3 of a sample, and identified from what was resampled."""
+    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(kp=100.0, kv=2000.0, period=T))
+    fine = 20
+    reference = np.repeat(ji.trapezoids((0.1, 0.2), 2.0, 0.1, T, duration=2.0), fine)
+    truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+    made = ji.simulated_record(loop, reference, truth, sample_time=T / fine)
+    late = 0.3 * np.random.default_rng(1).random(1900)
+    at = np.floor((np.arange(1900) + late) * fine).astype(int)
+    path = saved(t=at * T / fine, **{name: channel.values[at] for name, channel in made.items()})
+    columns: dict[str, Any] = {"torque": "torque", "reference": ji.Column("reference", timing=Timing.HELD)}
+    record = ji.read(path, columns, resample=ji.Resampling(T, "cubic"))
+    estimate = ji.identify(record, loop)
+    for name, value in truth.items():
+        assert estimate[name].value == pytest.approx(value, rel=1e-3), name
+    assert 'resampled: to 1 ms (torque hold, reference hold); stamps of "t" 1 ms, off by up to 0.1' in str(estimate)
+    check = ji.validate(estimate, record)
+    assert "resampled: to 1 ms" in str(check)
+    for answer in (ji.estimate_answer(estimate)["record"], ji.validation_answer(check)):
+        told = json.loads(json.dumps(answer))["resampled"]
+        assert told["sample_time"] == T
+        assert told["channels"]["torque"] == {"method": "hold", "time": "t"}
+        assert 0.1 * T < told["clocks"]["t"]["largest"] < 0.2 * T

@@ -1,0 +1,204 @@
+"""Signals: filters without phase, decimation that keeps both sides alike, torque at the right instants."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import cheby1, sosfiltfilt
+
+from jointid.common.errors import MethodError, RecordError
+from jointid.records.excitation import pulses, trapezoids
+from jointid.records.record import Channel, Timing
+from jointid.records.signals import (
+    Filtering,
+    decimate,
+    decimate_all,
+    derivative,
+    differences,
+    lowpass,
+    windowed,
+    windowed_torque,
+)
+
+T = 1e-3
+
+
+def test_a_lowpass_has_no_phase_and_squares_the_attenuation() -> None:
+    time = np.arange(4000) * T
+    slow, edge = np.sin(2 * np.pi * 3.0 * time), np.sin(2 * np.pi * 50.0 * time)
+    assert np.max(np.abs(lowpass(slow, 50.0, T) - slow)[200:-200]) < 1e-4
+    at_edge = lowpass(edge, 50.0, T)[500:-500]
+    assert np.max(np.abs(at_edge - 0.5 * edge[500:-500])) < 2e-3  # 3 dB twice
+
+
+def test_a_filter_passes_a_straight_line_with_small_ends() -> None:
+    line = 2.0 + 3.0 * np.arange(500) * T
+    error = np.abs(lowpass(line, 80.0, T) - line)
+    assert np.max(error[60:-60]) < 1e-7
+    assert np.max(error) < 0.01
+
+
+def test_derivatives_are_central_inside_and_one_sided_at_the_ends() -> None:
+    parabola = (np.arange(50) * T) ** 2
+    found = derivative(parabola, T)
+    assert np.allclose(found[1:-1], 2 * np.arange(1, 49) * T, atol=1e-12)
+    assert found[0] == pytest.approx(T)
+    assert found[-1] == pytest.approx(2 * 49 * T - T)
+
+
+def test_decimation_passes_a_constant_at_its_ripple_and_keeps_the_last_sample() -> None:
+    filtering = Filtering(cutoff=40.0, decimation=10).resolved(T)
+    constant = decimate(np.ones(3001), filtering, T)
+    assert np.allclose(constant, 10 ** (-0.05 / 10), rtol=1e-6)  # 0.05 dB, twice
+    ramp = decimate(np.arange(3001.0), filtering, T)
+    assert ramp.size == 301
+    assert np.allclose(np.diff(ramp[50:-50]), 10 * 0.98855, rtol=2e-3)
+
+
+@pytest.mark.parametrize("columns", [1, 7, 16, 17, 33])
+@pytest.mark.parametrize("cutoff", [5.0, 60.0, 200.0])
+def test_the_compiled_filter_is_scipy_s(columns: int, cutoff: float) -> None:
+    """On a random walk, whose ends are far apart, with columns of very different sizes."""
+    filtering = Filtering(cutoff=cutoff).resolved(T)
+    assert filtering.cutoff is not None
+    rng = np.random.default_rng(3)
+    values = np.cumsum(rng.standard_normal((3001, columns)), axis=0) * 10.0 ** rng.uniform(-9, 9, columns)
+    sections = cheby1(8, 0.05, 2 * filtering.cutoff * T, output="sos")
+    expected = sosfiltfilt(sections, values, axis=0, padlen=24)[:: -(filtering.decimation or 1)][::-1]
+    for found in (decimate(values, filtering, T), *decimate_all([values], filtering, T)):
+        assert found.shape == expected.shape
+        assert np.max(np.abs(found - expected) / np.max(np.abs(expected), axis=0)) < 1e-11
+    turned, alone = decimate_all([np.asfortranarray(values), values[..., -1]], filtering, T)
+    (whole,) = decimate_all([values], filtering, T)
+    size = np.max(np.abs(whole), axis=0)
+    assert np.max(np.abs(turned - whole) / size) < 1e-13
+    assert np.max(np.abs(alone - whole[:, -1])) < 1e-13 * size[-1]
+
+
+@pytest.mark.parametrize(("samples", "keep"), [(25, 1), (26, 2), (31, 3), (64, 30), (5131, 10)])
+def test_the_compiled_filter_is_scipy_s_at_any_length(samples: int, keep: int) -> None:
+    """Just longer than what is padded; more of it before the first that is kept; and a block and one more."""
+    filtering = Filtering(cutoff=0.3 * 500.0 / keep, decimation=keep).resolved(T)
+    values = np.random.default_rng(4).standard_normal((samples, 3))
+    (found,) = decimate_all([values], filtering, T)
+    np.testing.assert_allclose(found, decimate(values, filtering, T), atol=1e-10)
+
+
+def test_columns_are_decimated_like_the_torque() -> None:
+    columns = np.random.default_rng(0).normal(size=(2000, 3))
+    filtering = Filtering().resolved(T)
+    both = decimate(columns, filtering, T)
+    for i in range(3):
+        assert np.array_equal(both[:, i], decimate(columns[:, i], filtering, T))
+
+
+def test_the_default_decimation_leaves_the_cutoff_inside() -> None:
+    assert Filtering(cutoff=60.0).resolved(T).decimation == 6  # not the paper's 12
+    assert Filtering().resolved(T) == Filtering(100.0, 40.0, 10, (50, 50))
+    assert Filtering().resolved(T / 8).cutoff == 320.0
+
+
+def test_the_published_preset() -> None:
+    preset = Filtering.published().resolved(T)
+    assert (preset.position_cutoff, preset.cutoff, preset.decimation, preset.borders) == (100.0, 40.0, 10, (49, 0))
+    assert preset.timing == "as_sampled"
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"cutoff": -1.0}, "positive numbers of Hz"),
+        ({"decimation": 0}, "1 or more; received 0"),
+        ({"borders": (-1, 0)}, "0 or more"),
+        ({"timing": "guessed"}, 'received "guessed"'),
+    ],
+)
+def test_wrong_settings_are_refused(settings: dict[str, object], sentence: str) -> None:
+    with pytest.raises(MethodError, match=sentence):
+        Filtering(**settings)  # type: ignore[arg-type]
+
+
+def test_a_record_too_short_to_filter_is_refused() -> None:
+    with pytest.raises(RecordError, match="20 samples is too short to filter: more than 24"):
+        decimate(np.zeros(20), Filtering().resolved(T), T)
+
+
+def test_a_held_torque_is_windowed_exactly() -> None:
+    """Held: weights 1, 3, 3, 1 over 8, later samples first. Averaged: one sample later. Sampled: between the two."""
+    values = np.arange(12.0) ** 3
+    held = windowed_torque(Channel(values, "N", T, Timing.HELD))
+    assert held[2:-1] == pytest.approx((values[:-3] + 3 * values[1:-2] + 3 * values[2:-1] + values[3:]) / 8)
+    averaged = windowed_torque(Channel(values, "N", T, Timing.AVERAGED))
+    assert averaged[1:-2] == pytest.approx(held[2:-1])
+
+
+def test_columns_go_through_the_torque_s_window() -> None:
+    """A smooth signal held on a fine clock and windowed over a coarse one is the same signal, windowed by Simpson."""
+    time = np.arange(400) * T
+    smooth = np.sin(2 * np.pi * 40.0 * time)
+    fine = np.sin(2 * np.pi * 40.0 * (np.arange(-20_000, 60_000) * T / 100))
+    window = np.convolve(np.ones(200) / 200, np.ones(200) / 200)
+    exact = np.convolve(fine, window, "same")[20_000::100][:400]
+    assert np.max(np.abs(windowed(smooth) - exact)[5:-5]) < 1e-4
+    assert np.max(np.abs(smooth - exact)[5:-5]) > 1e-2
+
+
+def test_five_point_differences_are_of_fourth_order() -> None:
+    errors = []
+    for period in (2e-3, 1e-3):
+        time = np.arange(int(0.5 / period)) * period
+        first, second = differences(np.sin(40.0 * time), period)
+        inside = slice(4, -4)
+        errors.append(np.max(np.abs(first - 40.0 * np.cos(40.0 * time))[inside]))
+        assert np.max(np.abs(second + 1600.0 * np.sin(40.0 * time))[inside]) < 1e-3 * 1600.0
+    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.05)
+
+
+@pytest.mark.parametrize("timing", list(Timing))
+def test_a_delayed_torque_acts_later(timing: Timing) -> None:
+    """On a smooth torque every timing, with a fractional delay, gives the torque that acted at the instant."""
+    period, delay = 1e-4, 3.7e-4
+    time = np.arange(2000) * period
+
+    def torque(t: np.ndarray) -> np.ndarray:
+        return np.asarray(np.sin(2 * np.pi * 5.0 * t))
+
+    stamped = {
+        Timing.SAMPLED: torque(time),
+        Timing.HELD: torque(time + period / 2),  # the middle of what it is held for
+        Timing.AVERAGED: torque(time - period / 2),
+    }[timing]
+    found = windowed_torque(Channel(stamped, "N", period, timing), delay)
+    assert np.max(np.abs(found - torque(time - delay))[20:-20]) < 1e-5
+
+
+def test_trapezoids_move_as_they_say() -> None:
+    motion = trapezoids((0.1, 0.3), 2.0, 0.2, T, rest=0.25)
+    speed = np.diff(motion) / T
+    assert motion[0] == 0.0
+    assert np.max(motion) == pytest.approx(0.2)
+    assert np.max(np.abs(np.diff(speed) / T)) == pytest.approx(2.0, rel=1e-2)
+    assert np.max(speed) == pytest.approx(0.3, rel=1e-2)
+    assert np.sum(np.isclose(speed, 0.1, rtol=1e-6)) == pytest.approx((0.2 / 0.1 - 0.1 / 2.0) / T, abs=3)
+    assert np.sum(speed == 0.0) == pytest.approx(4 * 250, abs=8)
+    assert trapezoids((0.1,), 2.0, 0.2, T, duration=7.0).size == 7000
+
+
+def test_a_way_too_short_for_its_speed_is_a_triangle() -> None:
+    speed = np.diff(trapezoids((5.0,), 2.0, 0.2, T)) / T
+    assert np.max(speed) == pytest.approx(np.sqrt(2.0 * 0.2), rel=1e-2)
+
+
+def test_pulses_are_seeded_and_as_wide_as_they_say() -> None:
+    signal = pulses(24000, T, 150.0, 0.02, 0.4, seed=5)
+    assert np.array_equal(signal, pulses(24000, T, 150.0, 0.02, 0.4, seed=5))
+    assert not np.array_equal(signal, pulses(24000, T, 150.0, 0.02, 0.4, seed=6))
+    edges = np.flatnonzero(np.diff(np.abs(signal)))
+    assert set(np.diff(edges)[::2]) == {20}
+    assert abs(len(edges) / 2 - 60) < 12
+    assert set(np.unique(signal)) == {-150.0, 0.0, 150.0}
+
+
+def test_an_impossible_excitation_is_refused() -> None:
+    with pytest.raises(MethodError, match="positive speeds"):
+        trapezoids((0.1, -0.1), 1.0, 0.1, T)

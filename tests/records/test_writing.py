@@ -1,0 +1,131 @@
+"""What is written is read back by the same columns, units, signs, clock and profile; what would not be is refused."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import RecordError
+from jointid.models.transmission import Transmission
+from jointid.records.columns import Column
+from jointid.records.drives.drive import Drive
+from jointid.records.drives.profiles import profile_names
+from jointid.records.formats import read_table
+from jointid.records.reading import read
+from jointid.records.record import Channel, Injection, Record, Tap, Timing
+from jointid.records.writing import write
+
+T = 1e-3
+TIME = np.arange(500) * T
+GEAR = Transmission(load="revolute", ratio=30.0, sign=-1)
+NUMBERS: dict[str, Any] = {"rated_torque": 1.27, "counts_per_turn": 2**20, "load_counts_per_turn": 2**17}
+
+
+def made(tap: Tap = Tap.COMMAND) -> Record:
+    position = Channel(3.0 + np.sin(8 * TIME), "rad", T, source="made")
+    return Record(
+        torque=Channel(np.cos(8 * TIME), "N m", T, Timing.HELD),
+        tap=tap,
+        reference=position,
+        motor_position=Channel(position.values + 1e-3 * np.cos(50 * TIME), "rad", T),
+        load_position=Channel(position.values - 2e-3 * np.cos(50 * TIME), "rad", T),
+        injected=Injection(Channel(0.1 * np.sign(np.sin(30 * TIME)), "N m", T, Timing.HELD)),
+    )
+
+
+def same(one: Record, other: Record, names: tuple[str, ...]) -> None:
+    for name in names:
+        expected, found = dict(one.items())[name], dict(other.items())[name]
+        assert (found.unit, found.sample_time) == (expected.unit, pytest.approx(T, rel=1e-12))
+        np.testing.assert_allclose(found.values, expected.values, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("transmission", [None, GEAR], ids=["direct", "geared"])
+@pytest.mark.parametrize("tap", [Tap.COMMAND, Tap.MEASURED])
+@pytest.mark.parametrize("profile", profile_names())
+def test_a_profile_reads_back_what_is_written_for_it(
+    profile: str, tap: Tap, transmission: Transmission | None, tmp_path: Path
+) -> None:
+    """Each channel that it knows, under a name, in a unit and on a side that it finds; the torque's tap as well."""
+    drive = Drive(profile, axis=2, **NUMBERS)
+    record = made(tap)
+    record = record if tap is Tap.COMMAND else record.without("injected")
+    said: dict[str, Any] = {"drive": drive, "kind": "revolute", "transmission": transmission}
+    in_ampere = (profile == "generic" and tap is Tap.MEASURED) or profile == "ur-rtde"
+    columns = {"torque": Column(unit="N m")} if in_ampere else {}
+    write(record, tmp_path / "run.csv", columns, **said)
+    found = read(tmp_path / "run.csv", columns, **said)
+    known = tuple(name for name in record.channels if drive.traces is not None and name in drive.traces.channels)
+    assert {"torque", "reference", "motor_position"} <= set(known) <= set(found.channels)
+    same(record, found, known)
+    if profile != "kuka":  # which knows a measured torque alone
+        assert found.tap is tap
+
+
+@pytest.mark.parametrize(
+    ("said", "line"),
+    [
+        ({}, "t,tau [mN m],r,q,p,f"),
+        ({"time": "stamp [ms]"}, "stamp [ms],tau [mN m],r,q,p,f"),
+        ({"time": "ticks", "time_unit": "us", "delimiter": ";"}, "ticks;tau [mN m];r;q;p;f"),
+        ({"sample_time": T, "decimal": ","}, "tau [mN m];r;q;p;f"),
+        ({"sample_time": T, "delimiter": " "}, '"tau [mN m]" r q p f'),
+    ],
+)
+def test_columns_units_signs_and_the_clock_are_those_declared(said: dict[str, Any], line: str, tmp_path: Path) -> None:
+    columns: dict[str, str | Column] = {
+        "torque": Column("tau [mN m]", sign=-1),
+        "reference": Column("r", unit="deg", side="load"),
+        "motor_position": Column("q", unit="counts", wrap=4096),
+        "load_position": Column("p", unit="deg", gain=0.1, wrap=3600.0),
+        "injected": Column("f", unit="N m", side="load"),
+    }
+    drive = Drive(counts_per_turn=4096)
+    said = {"drive": drive, "kind": "revolute", "transmission": GEAR, **said}
+    record = made()
+    write(record, tmp_path / "run.csv", columns, **said)
+    found = read(tmp_path / "run.csv", columns, **said)
+    same(record, found, record.channels)
+    text = (tmp_path / "run.csv").read_text(encoding="utf-8")
+    assert text.splitlines()[0] == line
+    options = {key: said[key] for key in ("delimiter", "decimal") if key in said}
+    assert np.ptp(read_table(tmp_path / "run.csv", **options).columns["q"]) <= 4096 < 4096 * 30 * 2 / (2 * math.pi)
+
+
+def test_numbered_columns_are_written_in_their_order(tmp_path: Path) -> None:
+    record = made().without("load_position", "injected", "motor_position")
+    columns = {"torque": "3", "reference": "2"}
+    said: dict[str, Any] = {"time": "1", "kind": "revolute", "header": False}
+    write(record, tmp_path / "run.csv", columns, **said)
+    same(record, read(tmp_path / "run.csv", columns, **said), record.channels)
+
+
+@pytest.mark.parametrize(
+    ("columns", "said", "sentence"),
+    [
+        ({"reference": "x", "motor_position": "x"}, {}, 'reference and motor_position would share the column "x"'),
+        (
+            {"reference": "t"},
+            {},
+            'reference would share the column "t" with something else; give each',
+        ),
+        ({}, {"sample_time": 2e-3}, "a sample every 0.001 s, and would be read at the sample_time of 0.002 s"),
+        ({"torque": Column("i", unit="A")}, {}, 'torque is in N m, and its column "i" in A; correct one of them.'),
+        (
+            {"torque": "i"},
+            {"delimiter": ",", "decimal": ","},
+            "A comma cannot be both delimiter and decimal mark",
+        ),
+    ],
+)
+def test_what_would_not_come_back_is_refused(
+    columns: dict[str, str | Column], said: dict[str, Any], sentence: str, tmp_path: Path
+) -> None:
+    with pytest.raises(RecordError, match=re.escape(sentence)):
+        write(made(), tmp_path / "run.csv", columns, kind="revolute", **said)
+    assert list(tmp_path.iterdir()) == []
