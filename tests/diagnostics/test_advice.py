@@ -152,7 +152,7 @@ def test_pulses_do_what_is_predicted_of_them(disturbed: tuple[Twin, Estimate], a
     )  # fmt: skip
     after = identify(record.without("motor_position", "load_position"), axis.loop)
     for name in ("motor_inertia", "motor_viscous", "stiffness", "damping", "load_inertia"):
-        std = after[name].std
+        std = after[name].stderr
         assert std is not None
         assert std / advice.std[name] == pytest.approx(advice.ratio("more pulses", name), rel=0.25), name
 
@@ -224,7 +224,7 @@ def refused() -> tuple[Record, Estimate]:
     force = 30.0 * np.random.default_rng(1).standard_normal(reference.size)
     record = simulated_record(loop, reference, truth, sample_time=SAMPLE_TIME, disturbance=force, encoder_step=1e-6)
     estimate = identify(record.without("motor_position", "load_position"), loop)
-    assert estimate.bounds
+    assert estimate.checks.bounds
     return record, estimate
 
 
@@ -252,7 +252,7 @@ def test_what_was_kept_fixed_is_no_reason_not_to_answer(refused: tuple[Record, E
     loop = ClosedLoop(FlexibleJoint(), CONTROLLERS["L19"])
     stiffness = next(p for p in loop.joint.parameters if p.name == "stiffness")
     estimate = identify(record, loop, parameters={"stiffness": stiffness.fixed(1e9)})
-    assert estimate.bounds
+    assert estimate.checks.bounds
     assert "would" in what_would_tell_more(estimate, record)
 
 

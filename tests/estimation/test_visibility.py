@@ -24,7 +24,7 @@ LOOP = ClosedLoop(FlexibleJoint(), CONTROLLER)
 
 
 def stiffness_verdict(estimate: Estimate) -> tuple[bool | None, str]:
-    (found,) = (verdict for verdict in estimate.verdicts if verdict.subject == "stiffness")
+    (found,) = (verdict for verdict in estimate.checks.verdicts if verdict.subject == "stiffness")
     return found.good, found.said
 
 
@@ -35,14 +35,14 @@ def require_refused(estimate: Estimate) -> None:
     assert "not identifiable from this record" in said
     for name in ("motor_inertia", "load_inertia", "stiffness", "damping"):
         assert estimate[name].value is None, name
-    bounds = {bound.share: bound.stiffness for bound in estimate.bounds}
+    bounds = {bound.share: bound.stiffness for bound in estimate.checks.bounds}
     assert 0.6e6 <= (bounds[0.05] or 0.0) <= 4e6
     assert (bounds[0.5] or 0.0) >= 3e6
     assert (bounds[0.33] or 0.0) <= 1e8
     found = [bound or 0.0 for bound in bounds.values()]
     assert found == sorted(found)
-    assert estimate.known is not None
-    whole = {known.combination.name: known for known in estimate.known.physical}
+    assert estimate.checks.known is not None
+    whole = {known.combination.name: known for known in estimate.checks.known.physical}
     assert whole["total inertia"].value == pytest.approx(95.0, abs=1.5)
 
 
@@ -80,5 +80,5 @@ def test_the_twin_shows_its_spring(loop: str, noise: str) -> None:
     axis = twin(loop, noise=noise, seed=3)  # type: ignore[arg-type]
     estimate = identify(axis.record.without("motor_position", "load_position"), axis.loop)
     assert stiffness_verdict(estimate)[0] is True
-    assert not estimate.bounds
+    assert not estimate.checks.bounds
     assert estimate.values["stiffness"] == pytest.approx(8e5, rel=0.02)

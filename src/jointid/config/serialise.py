@@ -11,7 +11,7 @@ import numpy as np
 from jointid.common.errors import JointFileError
 from jointid.config.filters import FILTERS
 from jointid.config.schema import CLOSINGS, DIDIMS, FILTERINGS
-from jointid.estimation.identify import Method
+from jointid.estimation.identify_record import Method
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import PD, PID, Cascade, Controller, DigitalFilter, StateSpaceController
 from jointid.models.disturbances import Drift, Effect, PositionHarmonics

@@ -40,7 +40,7 @@ def advise(
     check_outputs(None, json)
     file = load(joint).overridden(method="didim")
     logged, estimate = identified(file, record, listener)
-    if estimate.bounds:
+    if estimate.checks.bounds:
         found = revealing(estimate, logged, encoder_step=encoder_step, noise=noise, progress=listener)
         show(found)
         answer = answers.revealing_answer(found)

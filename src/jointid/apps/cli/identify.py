@@ -76,7 +76,7 @@ def identify(
         from jointid.output.figures.figures import save, torque_figure
 
         save(torque_figure(estimate), figure)
-    if estimate.bounds:
+    if estimate.checks.bounds:
         from jointid.diagnostics.stiffness_test_design import what_would_tell_more
 
         show(f"\n{what_would_tell_more(estimate, logged)}")

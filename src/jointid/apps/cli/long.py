@@ -31,7 +31,8 @@ def long(
     from jointid.apps.cli.console import check_outputs, progress, ready, show
     from jointid.common.errors import MethodError
     from jointid.config import load
-    from jointid.estimation.streaming.identify_long import identify_long
+    from jointid.estimation.identify import identify
+    from jointid.estimation.streaming.settings import Windowing
 
     listener = progress(quiet)
     check_outputs(None, json)
@@ -40,12 +41,11 @@ def long(
         raise MethodError("A long record is identified by simulating its loop; add [controller] to the joint file.")
     log = file.log(record)
     ready(listener)
-    estimate = identify_long(
+    estimate = identify(
         log,
         file.loop,
-        window=window,
-        settling=settling,
-        method=file.method,
+        file.method,
+        windows=Windowing(window, settling),
         filtering=file.filtering,
         parameters=file.parameters,
         progress=listener,
@@ -54,6 +54,6 @@ def long(
     if json is not None:
         from jointid.output import json as answers
 
-        answers.write(answers.long_answer(estimate), json)
-    if estimate.interrupted:
+        answers.write(answers.estimate_answer(estimate), json)
+    if estimate.fit.interrupted:
         raise KeyboardInterrupt

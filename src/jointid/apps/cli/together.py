@@ -27,7 +27,8 @@ def together(
     from jointid.apps.cli.console import check_outputs, progress, ready, show
     from jointid.common.errors import MethodError
     from jointid.config import load
-    from jointid.estimation.several_records.identify_together import identify_together
+    from jointid.estimation.identify import identify
+    from jointid.estimation.several_records.settings import SeveralRecords
 
     listener = progress(quiet)
     check_outputs(None, json)
@@ -40,15 +41,18 @@ def together(
         )
     logged = [one.record() for one in each]
     ready(listener)
-    estimate = identify_together(
-        logged,
-        loops,
+    several = SeveralRecords(
         added_inertia=[more for one in each for more in one.added_inertias],
         own=[run.own for one in each for run in one.runs],
         free=file.free,
-        method=file.method,
-        filtering=file.filtering,
         weighting=file.weighting,
+    )
+    estimate = identify(
+        logged,
+        loops,
+        file.method,
+        several=several,
+        filtering=file.filtering,
         parameters=file.parameters,
         progress=listener,
     )
@@ -56,4 +60,4 @@ def together(
     if json is not None:
         from jointid.output import json as answers
 
-        answers.write(answers.together_answer(estimate), json)
+        answers.write(answers.estimate_answer(estimate), json)
