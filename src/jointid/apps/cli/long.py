@@ -7,12 +7,15 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from jointid.apps.cli.options import Changes
+
 
 def long(
     joint: Path,
     /,
     *,
     record: Path | None = None,
+    changes: Changes = (),
     window: float = 60.0,
     settling: float | None = None,
     json: Path | None = None,
@@ -23,6 +26,7 @@ def long(
     Args:
         joint: the joint file (TOML); its method is didim.
         record: the record, of a format that is read in pieces, instead of the one the joint file names.
+        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         window: seconds that count in a window.
         settling: seconds before and after each window that are simulated and do not count; without it measured.
         json: also write the answer as JSON to this file.
@@ -36,7 +40,7 @@ def long(
 
     listener = progress(quiet)
     check_outputs(None, json)
-    file = load(joint)
+    file = load(joint, changes)
     if file.loop is None:
         raise MethodError("A long record is identified by simulating its loop; add [controller] to the joint file.")
     log = file.log(record)

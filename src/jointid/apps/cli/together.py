@@ -7,12 +7,15 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from jointid.apps.cli.options import Changes
+
 
 def together(
     joint: Path,
     /,
     *,
     record: Annotated[list[Path] | None, Parameter(negative=())] = None,
+    changes: Changes = (),
     json: Path | None = None,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
 ) -> None:
@@ -21,6 +24,7 @@ def together(
     Args:
         joint: the joint file (TOML), with a [[records]] table for each record.
         record: a record, given as often as there are records: instead of those the joint file lists, in their order.
+        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         json: also write the answer as JSON to this file.
         quiet: say nothing of the progress.
     """
@@ -32,7 +36,7 @@ def together(
 
     listener = progress(quiet)
     check_outputs(None, json)
-    file = load(joint)
+    file = load(joint, changes)
     each = file.each(record or ())
     loops = [one.loop for one in each if one.loop is not None]
     if len(loops) < len(each):
