@@ -8,8 +8,8 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+from jointid.common import messages
 from jointid.common.errors import JointFileError
-from jointid.config import messages
 
 _WORD = re.compile(r"\s*[A-Za-z][A-Za-z0-9_-]*\s*")
 _CONSTANTS = ("true", "false", "inf", "nan")
