@@ -68,7 +68,7 @@ def outcome(make: Callable[[int], Case], seed: int, spread: float = 0.0) -> Outc
     return Outcome(seed, cost(case, record, estimate), search_of(estimate))
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 @pytest.mark.parametrize("make", [prismatic, rotary])
 def test_random_plants_are_identified_from_nothing(make: Callable[[int], Case]) -> None:
     """Of 60 of each family 98 % end at the noise floor, whatever their size; a refused stiffness counts as lost."""
@@ -81,7 +81,7 @@ def test_random_plants_are_identified_from_nothing(make: Callable[[int], Case]) 
     assert np.percentile(effort, 95) <= 250
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 @pytest.mark.parametrize("make", [prismatic, rotary])
 def test_starts_within_a_factor_of_ten_lead_there_too(make: Callable[[int], Case]) -> None:
     found = in_threads(lambda seed: outcome(make, seed, spread=10.0), range(24))

@@ -240,7 +240,7 @@ def test_the_real_axis_is_told_what_it_has(emps: Record, emps_pulses: Record) ->
         assert 2 * late.std < 0.13e-3
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_clean_records_raise_no_more_false_alarms_than_allowed() -> None:
     """All tests together, on 400 records of both loops with either noise."""
     alarms = 0
@@ -250,7 +250,7 @@ def test_clean_records_raise_no_more_false_alarms_than_allowed() -> None:
     assert alarms <= 0.05 * 400
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 @pytest.mark.parametrize(("name", "noise"), [("L19", "disturbance"), ("L30", "white")])
 @pytest.mark.parametrize("fault", FAULTS)
 def test_the_fault_that_is_there_is_the_one_named_first(name: Loop, noise: Noise, fault: str) -> None:

@@ -160,6 +160,7 @@ def test_sums_of_one_direction_are_of_the_other_behind_a_gear_that_turns_round()
     assert [k.combination.name for k in there] == ["total viscous forwards", "total viscous backwards"]
 
 
+@pytest.mark.slow
 def test_a_refused_stiffness_is_bounded_on_both_sides() -> None:
     gear = replace(GEAR, side="load")
     law = replace(LAW, ratio=gear.torque("motor"))

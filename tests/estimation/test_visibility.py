@@ -46,6 +46,7 @@ def require_refused(estimate: Estimate) -> None:
     assert whole["total inertia"].value == pytest.approx(95.0, abs=1.5)
 
 
+@pytest.mark.slow
 def test_the_emps_axis_shows_no_spring(emps: Record) -> None:
     estimate = identify(emps.without("motor_position"), LOOP)
     require_refused(estimate)
@@ -55,6 +56,7 @@ def test_the_emps_axis_shows_no_spring(emps: Record) -> None:
         validate(estimate, emps)
 
 
+@pytest.mark.slow
 def test_nor_does_it_with_pulses(emps_pulses: Record) -> None:
     require_refused(identify(emps_pulses.without("motor_position"), LOOP))
 

@@ -57,6 +57,7 @@ def test_every_section_is_there(made: object) -> None:
     assert not re.search(r"\b(nan|None)\b", text)
 
 
+@pytest.mark.slow
 def test_a_refused_stiffness_is_told_in_words_and_bounds(emps_path: Path) -> None:
     told = reports.refused(emps_path)
     text = told.markdown()
@@ -90,6 +91,7 @@ def test_the_three_frequencies_are_marked() -> None:
         ("free-free", expected["free_free"]))] == marks[:3]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_emps_report_is_one_small_file(emps_path: Path, tmp_path: Path) -> None:
     page, answer = tmp_path / "emps.html", tmp_path / "out.json"
     assert run("report", EMPS, "--record", emps_path, "--html", page, "--json", answer, "-q") == 0
@@ -138,12 +140,14 @@ def test_inert_json_is_the_same_json() -> None:
     assert json.loads(text) == given
 
 
+@pytest.mark.slow
 def test_the_same_answer_gives_the_same_bytes(rigid_page: str) -> None:
     assert reports.rigid().html() == rigid_page
     told = reports.rigid()
     assert told.markdown() == told.markdown()
 
 
+@pytest.mark.browser
 def test_the_page_draws_its_plots_and_links_their_zoom(rigid_page: str, tmp_path: Path) -> None:
     path = tmp_path / "page.html"
     path.write_text(rigid_page, encoding="utf-8")
@@ -169,6 +173,7 @@ def test_the_page_draws_its_plots_and_links_their_zoom(rigid_page: str, tmp_path
         assert page.evaluate("document.documentElement.scrollWidth") <= 820
 
 
+@pytest.mark.browser
 def test_without_scripts_and_on_paper_the_figures_are_still(rigid_page: str, tmp_path: Path) -> None:
     path = tmp_path / "page.html"
     path.write_text(rigid_page, encoding="utf-8")
@@ -235,7 +240,7 @@ def test_a_long_record_says_what_is_left_out() -> None:
     assert "residual" not in longer.charts
 
 
-@pytest.mark.slow
+@pytest.mark.docs
 def test_the_program_of_the_documentation_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = (DOCS / "report.md").read_text(encoding="utf-8")
     monkeypatch.chdir(tmp_path)
