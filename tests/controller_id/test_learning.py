@@ -18,6 +18,7 @@ from jointid.controller_id.learn import covariance, learn_loop
 from jointid.controller_id.learned import LearnedLoop
 from jointid.controller_id.loop_record import watched
 from jointid.controller_id.noise import position_error
+from jointid.controller_id.search import Found
 from jointid.controller_id.structure_moves import canonical
 from jointid.controller_id.structures import INTEGRAL, Structure
 from jointid.estimation.identify import identify
@@ -131,6 +132,28 @@ def test_a_coarse_position_does_not_bend_the_gains() -> None:
     learned = learn_loop(made(Cascade(kp=60.0, kv=500.0), step=2e-6))
     assert 0.0 < learned.position_noise < 2e-6
     assert all(abs(learned[n].value - v) <= 3 * learned[n].std for n, v in (("kp", 60.0), ("kv", 500.0)))
+
+
+@pytest.mark.parametrize("number", [600, 601])
+def test_what_is_told_of_a_law_that_a_search_found(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search itself takes long; here it finds the law of a twin at once, or the law of another torque."""
+    twin = loop_twin(number)
+
+    def found(task: Task, *_: object) -> Found:
+        law = fit(task, twin.structure, twin.numbers, task.noise(twin.structure, twin.numbers), steps=12)
+        return Found(law or Fitted(twin.structure, twin.numbers, 0.0, task.noise(twin.structure, twin.numbers)), ())
+
+    monkeypatch.setattr("jointid.controller_id.learn.search", found)
+    learned = learn_loop(twin.record)
+    assert learned.words == twin.structure.words
+    for name in ("kp", "kv"):
+        if name in twin.numbers:
+            assert abs(learned[name].value - twin.numbers[name]) <= 4 * learned[name].std, name
+    assert learned.share < 0.05
+    assert twin.record.torque is not None
+    turned = replace(twin.record, torque=replace(twin.record.torque, values=-twin.record.torque.values))
+    with pytest.raises(MethodError, match="Check units, signs and sides"):
+        learn_loop(turned)
 
 
 def test_one_law_has_one_name() -> None:

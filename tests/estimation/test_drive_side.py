@@ -149,6 +149,18 @@ def test_white_noise_on_the_log_is_no_endogeneity() -> None:
     assert max(probabilities) > 0.2
 
 
+def test_a_disturbance_in_the_loop_is_noticed() -> None:
+    record = twin("L30", seed=1).record
+    problem = problem_of(record, log_delay=-1e-3)
+    bottom = descend(problem, [problem.vector(TABLE_2)], 1e-8, silent)
+    verdict = judged(record, problem, bottom, "tested", silent)
+    assert verdict.x is not None
+    assert "Durbin-Wu-Hausman" in verdict.warnings[0]
+    at = [p.name for p in problem.free].index("stiffness")
+    truth = TABLE_2["stiffness"]
+    assert abs(verdict.x[at] / truth - 1) < abs(bottom.x[at] / truth - 1)
+
+
 @pytest.mark.statistical
 def test_a_disturbance_in_the_loop_is_noticed_and_mended() -> None:
     plain, mended = [], []

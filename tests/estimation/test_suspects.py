@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from jointid.diagnostics.scores import whitener
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import RigidJoint
 from jointid.output.json import LOOP_SCHEMA, dumps, loop_answer
 from jointid.paper.twin import twin
@@ -132,10 +134,10 @@ def test_the_whitener_leaves_no_correlation() -> None:
         assert abs(float(white[lag:] @ white[:-lag]) / float(white @ white)) < 0.08
 
 
-def test_an_answer_is_checked_with_its_record() -> None:
+def test_an_answer_is_checked_with_its_record(identified: Callable[..., Estimate]) -> None:
     axis = twin(noise="white")
     record = axis.record.without("motor_position", "load_position")
-    estimate = identify(record, axis.loop, FlexibleDIDIM(frequency=30.0))
+    estimate = identified("L19", FlexibleDIDIM(frequency=30.0), noise="white")
     assert check_loop(estimate, record).as_declared
     only = check_loop(estimate, record, LoopTests(suspects=("kp", "delay")))
     assert {s.name for s in only.suspects} == {"kp", "delay"}

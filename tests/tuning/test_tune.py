@@ -108,7 +108,6 @@ def test_more_is_asked_and_less_is_given(estimate: Estimate, tuned: Tuned) -> No
     assert calm.gains[1].after < tuned.gains[1].after
 
 
-@pytest.mark.slow
 def test_a_notch_is_proposed_where_the_mode_limits_the_loop() -> None:
     drive = random_drive(0)
     truth = dict(drive.truth) | {"damping": 0.1 * drive.truth["damping"]}

@@ -57,6 +57,17 @@ def test_every_section_is_there(made: object) -> None:
     assert not re.search(r"\b(nan|None)\b", text)
 
 
+def test_a_refused_stiffness_of_a_short_record_is_told_too(stiff_axis: tuple[ji.Record, ji.Estimate]) -> None:
+    record, estimate = stiff_axis
+    told = ji.report_estimate(estimate, record, profiles=[], loop=False)
+    text = told.markdown()
+    assert "the stiffness cannot be told" in text
+    assert "at least" in text.split("## Verdicts")[0]
+    assert "## How soft the spring may be" in text
+    assert "bounds" in told.charts
+    assert "Not here: A frequency response needs every parameter" in text
+
+
 @pytest.mark.slow
 def test_a_refused_stiffness_is_told_in_words_and_bounds(emps_path: Path) -> None:
     told = reports.refused(emps_path)
@@ -91,7 +102,6 @@ def test_the_three_frequencies_are_marked() -> None:
         ("free-free", expected["free_free"]))] == marks[:3]  # fmt: skip
 
 
-@pytest.mark.slow
 def test_the_emps_report_is_one_small_file(emps_path: Path, tmp_path: Path) -> None:
     page, answer = tmp_path / "emps.html", tmp_path / "out.json"
     assert run("report", EMPS, "--record", emps_path, "--html", page, "--json", answer, "-q") == 0
