@@ -95,5 +95,5 @@ def stiff_axis() -> tuple[Record, Estimate]:
     force = 30.0 * np.random.default_rng(1).standard_normal(reference.size)
     record = simulated_record(loop, reference, truth, sample_time=SAMPLE_TIME, disturbance=force, encoder_step=1e-6)
     estimate = identify(record.without("motor_position", "load_position"), loop)
-    assert estimate.bounds
+    assert estimate.checks.bounds
     return record, estimate

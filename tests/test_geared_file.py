@@ -105,15 +105,15 @@ def motor(folder: Path) -> Estimate:
 
 def test_three_files_give_one_answer(folder: Path, motor: Estimate) -> None:
     by_motor, by_load = identified(folder, GEARED, "motor"), identified(folder, BY_THE_LOAD)
-    assert by_load.joint.kind == "prismatic"
+    assert by_load.settings.joint.kind == "prismatic"
     assert by_load["inertia"].value == pytest.approx(2e-4 * R**2, rel=0.01)  # 79 kg
     assert by_load["offset"].value == pytest.approx(-0.02 * R, rel=0.05)  # the screw turns it round
-    for found in (by_motor.parameters, by_load.other_side):
-        for p, q in zip(found, motor.parameters, strict=True):
+    for found in (by_motor.params, by_load.other_side):
+        for p, q in zip(found, motor.params, strict=True):
             assert (p.name, p.unit) == (q.name, q.unit)
-            for value, expected in ((p.value, q.value), (p.std, q.std)):
+            for value, expected in ((p.value, q.value), (p.stderr, q.std)):
                 assert (value or 0.0) == pytest.approx(expected or 0.0, rel=1e-9), p.name
-    assert by_motor.simulations == by_load.simulations == motor.simulations
+    assert by_motor.fit.simulations == by_load.fit.simulations == motor.simulations
 
 
 def test_an_answer_has_both_sides_and_is_read_back(folder: Path, motor: Estimate) -> None:

@@ -147,7 +147,7 @@ def test_pulses_do_what_is_predicted_of_them(disturbed: tuple[Twin, Estimate], a
     )  # fmt: skip
     after = identify(record.without("motor_position", "load_position"), axis.loop)
     for name in ("motor_inertia", "motor_viscous", "stiffness", "damping", "load_inertia"):
-        std = after[name].std
+        std = after[name].stderr
         assert std is not None
         assert std / advice.std[name] == pytest.approx(advice.ratio("more pulses", name), rel=0.25), name
 
@@ -234,7 +234,7 @@ def test_what_was_kept_fixed_is_no_reason_not_to_answer(stiff_axis: tuple[Record
     loop = ClosedLoop(FlexibleJoint(), CONTROLLERS["L19"])
     stiffness = next(p for p in loop.joint.parameters if p.name == "stiffness")
     estimate = identify(record, loop, parameters={"stiffness": stiffness.fixed(1e9)})
-    assert estimate.bounds
+    assert estimate.checks.bounds
     assert "would" in what_would_tell_more(estimate, record)
 
 

@@ -36,8 +36,8 @@ def test_a_record_without_noise_gives_the_truth_from_no_start() -> None:
     for name in PHYSICAL:
         assert estimate[name].value == pytest.approx(made.truth[name], rel=5e-4), name
     assert estimate["log_delay"].value == pytest.approx(0.0, abs=1e-6)
-    assert estimate.converged
-    assert estimate.simulations < 150
+    assert estimate.fit.converged
+    assert estimate.fit.simulations < 150
 
 
 def test_a_delay_before_the_torque_is_found_without_the_controller() -> None:
@@ -100,7 +100,7 @@ def test_a_lag_of_the_current_is_told_from_a_delay(tap: Tap) -> None:
     for name in PHYSICAL:
         assert estimate[name].value == pytest.approx(TABLE_2[name], rel=3e-3), name
     blind = ji.identify(lagged, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=FILTERING)
-    assert blind.filtered_error > 3 * estimate.filtered_error
+    assert blind.fit.filtered_error > 3 * estimate.fit.filtered_error
 
 
 def test_white_noise_on_the_log_leaves_the_truth_in_the_intervals() -> None:
@@ -254,7 +254,7 @@ def test_a_known_motion_is_blind_to_the_half_it_is_used_in() -> None:
 def test_a_record_without_instruments_says_that_it_was_not_tested() -> None:
     record = twin("L19", noise="none").record.without("reference", "injected")
     estimate = ji.identify(record, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=FILTERING)
-    assert any("no reference or injected signal" in warning for warning in estimate.warnings)
+    assert any("no reference or injected signal" in warning for warning in estimate.checks.warnings)
     with pytest.raises(ji.MethodError, match='instruments = "never"'):
         ji.identify(
             record, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0, instruments="always"), filtering=FILTERING
@@ -269,7 +269,7 @@ def test_a_rigid_joint_needs_no_load() -> None:
     estimate = ji.identify(record.without("reference"), ji.DriveSide(joint))
     for name, value in truth.items():
         assert estimate[name].value == pytest.approx(value, rel=2e-3), name
-    assert any("rests in" in warning for warning in estimate.warnings)
+    assert any("rests in" in warning for warning in estimate.checks.warnings)
 
 
 def test_what_is_missing_is_named() -> None:
@@ -319,5 +319,5 @@ def test_instruments_that_leave_every_inertia_at_its_bound_are_too_weak(data_dir
     """A slow motion among others: the instruments' solution has no inertia and no stiffness inside their bounds."""
     record = ji.read(data_dir / "kr300" / "rec_A.mat", drive=ji.Drive("kuka", axis=5), kind="revolute")
     estimate = ji.identify(record, ji.DriveSide(ji.FlexibleJoint("revolute")))
-    assert any("too weak to converge within the bounds" in text for text in estimate.warnings)
-    assert any(text.startswith("other axes moved too") for text in estimate.warnings)
+    assert any("too weak to converge within the bounds" in text for text in estimate.checks.warnings)
+    assert any(text.startswith("other axes moved too") for text in estimate.checks.warnings)

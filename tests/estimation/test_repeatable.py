@@ -151,7 +151,7 @@ def at_rows(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def emps_fit(record: Record) -> tuple[Problem, np.ndarray, np.ndarray, Cells]:
     estimate = identify(record, LOOP)
-    values = {p.name: p.value for p in estimate.parameters}
+    values = {p.name: p.value for p in estimate.params}
     problem = torque_problem(record, LOOP, Filtering(), LOOP.joint.parameters)
     x = problem.vector({name: value or 0.0 for name, value in values.items()})
     residual, J = problem.linearised(x)

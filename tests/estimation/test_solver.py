@@ -35,13 +35,13 @@ class Outcome:
 
 def search_of(estimate: Estimate) -> int:
     """The simulations of the search, up to its last step; the verdicts on its answer take some more."""
-    return estimate.trace[-1].simulations if estimate.trace else estimate.simulations
+    return estimate.fit.trace[-1].simulations if estimate.fit.trace else estimate.fit.simulations
 
 
 def cost(case: Case, record: Record, estimate: Estimate) -> float:
     """The criterion at the end over the criterion at the truth, on the band of the estimate."""
-    problem = torque_problem(record, case.loop, estimate.filtering, case.loop.joint.parameters)
-    found = {p.name: p.value for p in estimate.parameters}
+    problem = torque_problem(record, case.loop, estimate.settings.filtering, case.loop.joint.parameters)
+    found = {p.name: p.value for p in estimate.params}
     if None in found.values():
         return np.inf
     assert record.reference is not None
@@ -116,7 +116,7 @@ def test_any_start_from_15_to_60_hz_ends_at_the_truth(
     estimate = identified(loop, FlexibleDIDIM(frequency=frequency), noise="none")
     for name, value in axis.truth.items():
         assert estimate.values[name] == pytest.approx(value, rel=1e-4), name
-    assert estimate.simulations <= 700
+    assert estimate.fit.simulations <= 700
 
 
 def test_units_of_mass_length_and_time_do_not_matter() -> None:
@@ -143,7 +143,7 @@ def test_units_of_mass_length_and_time_do_not_matter() -> None:
     )
     slow = replace(controller, kp=controller.kp / time, kv=controller.kv * torque * time)
     moved = identify(other, replace(case.loop, controller=slow))
-    assert moved.simulations == plain.simulations
+    assert moved.fit.simulations == plain.fit.simulations
     units = {"inertia": torque * time**2, "viscous": torque * time, "coulomb": torque, "damping": torque * time}
     for name, value in plain.values.items():
         factor = units.get(name.split("_")[-1], torque)

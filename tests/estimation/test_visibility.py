@@ -24,7 +24,7 @@ LOOP = ClosedLoop(FlexibleJoint(), CONTROLLER)
 
 
 def stiffness_verdict(estimate: Estimate) -> tuple[bool | None, str]:
-    (found,) = (verdict for verdict in estimate.verdicts if verdict.subject == "stiffness")
+    (found,) = (verdict for verdict in estimate.checks.verdicts if verdict.subject == "stiffness")
     return found.good, found.said
 
 
@@ -35,14 +35,14 @@ def require_refused(estimate: Estimate) -> None:
     assert "not identifiable from this record" in said
     for name in ("motor_inertia", "load_inertia", "stiffness", "damping"):
         assert estimate[name].value is None, name
-    bounds = {bound.share: bound.stiffness for bound in estimate.bounds}
+    bounds = {bound.share: bound.stiffness for bound in estimate.checks.bounds}
     assert 0.6e6 <= (bounds[0.05] or 0.0) <= 4e6
     assert (bounds[0.5] or 0.0) >= 3e6
     assert (bounds[0.33] or 0.0) <= 1e8
     found = [bound or 0.0 for bound in bounds.values()]
     assert found == sorted(found)
-    assert estimate.known is not None
-    whole = {known.combination.name: known for known in estimate.known.physical}
+    assert estimate.checks.known is not None
+    whole = {known.combination.name: known for known in estimate.checks.known.physical}
     assert whole["total inertia"].value == pytest.approx(95.0, abs=1.5)
 
 
@@ -53,9 +53,9 @@ def test_an_axis_that_is_as_good_as_rigid_shows_no_spring(stiff_axis: tuple[Reco
     assert "not identifiable from this record" in said
     for name in ("motor_inertia", "load_inertia", "stiffness", "damping"):
         assert estimate[name].value is None, name
-    assert all(1e5 <= bound.stiffness <= 1e9 for bound in estimate.bounds if bound.stiffness is not None)
-    assert estimate.known is not None
-    whole = {known.combination.name: known for known in estimate.known.physical}
+    assert all(1e5 <= bound.stiffness <= 1e9 for bound in estimate.checks.bounds if bound.stiffness is not None)
+    assert estimate.checks.known is not None
+    whole = {known.combination.name: known for known in estimate.checks.known.physical}
     assert whole["total inertia"].value == pytest.approx(105.0, rel=0.05)
     assert json.loads(dumps(estimate_answer(estimate)))["parameters"]["stiffness"]["value"] is None
     with pytest.raises(MethodError, match=r"stiffness, .*cannot be told from this record"):
@@ -97,5 +97,5 @@ def test_whatever_the_start(seed: int, which: str, request: pytest.FixtureReques
 def test_the_twin_shows_its_spring(loop: str, noise: str, identified: Callable[..., Estimate]) -> None:
     estimate = identified(loop, noise=noise, seed=3)
     assert stiffness_verdict(estimate)[0] is True
-    assert not estimate.bounds
+    assert not estimate.checks.bounds
     assert estimate.values["stiffness"] == pytest.approx(8e5, rel=0.02)

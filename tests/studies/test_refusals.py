@@ -72,7 +72,7 @@ def test_a_whole_identification_says_the_same(
     if given:
         assert stiffness.value == pytest.approx(run.value, rel=1e-3)
     else:  # the search may have ended on another band, whose bound is another one
-        bounds = {bound.share: bound.stiffness for bound in estimate.bounds}
+        bounds = {bound.share: bound.stiffness for bound in estimate.checks.bounds}
         assert 1e7 <= (bounds[0.33] or 0.0) < run.stiffness
 
 

@@ -368,7 +368,23 @@ def learned(monkeypatch: pytest.MonkeyPatch) -> Cascade:
 
     def learn_loop(record: Record, **_: object) -> LearnedLoop:
         return LearnedLoop(
-            controller, "P-P", (), nothing, (), (), (), 0.0, 0.0, 0.0, 0.0, 1.0, nothing, "N m", "rad", record.name, ""
+            controller,
+            "P-P",
+            (),
+            nothing,
+            (),
+            (),
+            (),
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            1.0,
+            nothing,
+            "N m",
+            "rad",
+            record.name,
+            None,
         )
 
     monkeypatch.setattr("jointid.controller_id.learn.learn_loop", learn_loop)

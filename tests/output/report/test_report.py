@@ -240,10 +240,11 @@ def test_thinning_keeps_every_peak() -> None:
 def test_a_long_record_says_what_is_left_out() -> None:
     told = reports.rigid()
     many = 40_000
-    estimate = replace(
-        told.estimate,
-        measured=np.resize(told.estimate.measured, many),
-        predicted=np.resize(told.estimate.predicted, many),
+    estimate = told.estimate.amended(
+        fit={
+            "measured": np.resize(told.estimate.fit.measured, many),
+            "predicted": np.resize(told.estimate.fit.predicted, many),
+        }
     )
     longer = ji.Report(replace(told.dossier, estimate=estimate, motion=None))
     assert f"of {many} samples are drawn" in longer.charts["torque"].caption

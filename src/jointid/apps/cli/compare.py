@@ -7,12 +7,15 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from jointid.apps.cli.options import Changes
+
 
 def compare(
     joint: Path,
     /,
     *,
     record: Path | None = None,
+    changes: Changes = (),
     filtering: Literal["default", "published", "as-printed"] | None = None,
     json: Path | None = None,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
@@ -22,6 +25,7 @@ def compare(
     Args:
         joint: the joint file (TOML); of its method the settings of didim are used.
         record: the record, instead of the one the joint file names.
+        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         filtering: of every method, as for identify.
         json: also write the answer as JSON to this file.
         quiet: say nothing of the progress.
@@ -34,7 +38,7 @@ def compare(
 
     listener = progress(quiet)
     check_outputs(None, json)
-    file = load(joint).overridden(filtering=filtering)
+    file = load(joint, changes).overridden(filtering=filtering)
     logged = file.record(record)
     ready(listener)
     comparison = run(

@@ -7,12 +7,15 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from jointid.apps.cli.options import Changes
+
 
 def identify(
     joint: Path,
     /,
     *,
     record: Path | None = None,
+    changes: Changes = (),
     method: Literal["didim", "idim", "drive_side", "open_loop"] | None = None,
     filtering: Literal["default", "published", "as-printed"] | None = None,
     friction: Literal["symmetric", "asymmetric"] | None = None,
@@ -31,6 +34,7 @@ def identify(
     Args:
         joint: the joint file (TOML).
         record: the record, instead of the one the joint file names.
+        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         method: didim reads torque and reference only; idim reads torque and motor position, and the load's position
             too if the joint is flexible; drive_side and open_loop read torque and motor position, and no controller.
         filtering: published repeats the results of the EMPS benchmark; as-printed the paper's for a flexible joint,
@@ -53,7 +57,7 @@ def identify(
 
     listener = progress(quiet)
     check_outputs(figure, json)
-    file = load(joint).overridden(
+    file = load(joint, changes).overridden(
         method=method,
         filtering=filtering,
         friction=friction,
@@ -76,7 +80,7 @@ def identify(
         from jointid.output.figures.figures import save, torque_figure
 
         save(torque_figure(estimate), figure)
-    if estimate.bounds:
+    if estimate.checks.bounds:
         from jointid.diagnostics.stiffness_test_design import what_would_tell_more
 
         show(f"\n{what_would_tell_more(estimate, logged)}")

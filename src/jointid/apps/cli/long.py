@@ -7,12 +7,15 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from jointid.apps.cli.options import Changes
+
 
 def long(
     joint: Path,
     /,
     *,
     record: Path | None = None,
+    changes: Changes = (),
     window: float = 60.0,
     settling: float | None = None,
     json: Path | None = None,
@@ -23,6 +26,7 @@ def long(
     Args:
         joint: the joint file (TOML); its method is didim.
         record: the record, of a format that is read in pieces, instead of the one the joint file names.
+        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         window: seconds that count in a window.
         settling: seconds before and after each window that are simulated and do not count; without it measured.
         json: also write the answer as JSON to this file.
@@ -31,21 +35,21 @@ def long(
     from jointid.apps.cli.console import check_outputs, progress, ready, show
     from jointid.common.errors import MethodError
     from jointid.config import load
-    from jointid.estimation.streaming.identify_long import identify_long
+    from jointid.estimation.identify import identify
+    from jointid.estimation.streaming.settings import Windowing
 
     listener = progress(quiet)
     check_outputs(None, json)
-    file = load(joint)
+    file = load(joint, changes)
     if file.loop is None:
         raise MethodError("A long record is identified by simulating its loop; add [controller] to the joint file.")
     log = file.log(record)
     ready(listener)
-    estimate = identify_long(
+    estimate = identify(
         log,
         file.loop,
-        window=window,
-        settling=settling,
-        method=file.method,
+        file.method,
+        windows=Windowing(window, settling),
         filtering=file.filtering,
         parameters=file.parameters,
         progress=listener,
@@ -54,6 +58,6 @@ def long(
     if json is not None:
         from jointid.output import json as answers
 
-        answers.write(answers.long_answer(estimate), json)
-    if estimate.interrupted:
+        answers.write(answers.estimate_answer(estimate), json)
+    if estimate.fit.interrupted:
         raise KeyboardInterrupt

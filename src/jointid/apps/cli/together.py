@@ -7,12 +7,15 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from jointid.apps.cli.options import Changes
+
 
 def together(
     joint: Path,
     /,
     *,
     record: Annotated[list[Path] | None, Parameter(negative=())] = None,
+    changes: Changes = (),
     json: Path | None = None,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
 ) -> None:
@@ -21,17 +24,19 @@ def together(
     Args:
         joint: the joint file (TOML), with a [[records]] table for each record.
         record: a record, given as often as there are records: instead of those the joint file lists, in their order.
+        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         json: also write the answer as JSON to this file.
         quiet: say nothing of the progress.
     """
     from jointid.apps.cli.console import check_outputs, progress, ready, show
     from jointid.common.errors import MethodError
     from jointid.config import load
-    from jointid.estimation.several_records.identify_together import identify_together
+    from jointid.estimation.identify import identify
+    from jointid.estimation.several_records.settings import SeveralRecords
 
     listener = progress(quiet)
     check_outputs(None, json)
-    file = load(joint)
+    file = load(joint, changes)
     each = file.each(record or ())
     loops = [one.loop for one in each if one.loop is not None]
     if len(loops) < len(each):
@@ -40,15 +45,18 @@ def together(
         )
     logged = [one.record() for one in each]
     ready(listener)
-    estimate = identify_together(
-        logged,
-        loops,
+    several = SeveralRecords(
         added_inertia=[more for one in each for more in one.added_inertias],
         own=[run.own for one in each for run in one.runs],
         free=file.free,
-        method=file.method,
-        filtering=file.filtering,
         weighting=file.weighting,
+    )
+    estimate = identify(
+        logged,
+        loops,
+        file.method,
+        several=several,
+        filtering=file.filtering,
         parameters=file.parameters,
         progress=listener,
     )
@@ -56,4 +64,4 @@ def together(
     if json is not None:
         from jointid.output import json as answers
 
-        answers.write(answers.together_answer(estimate), json)
+        answers.write(answers.estimate_answer(estimate), json)

@@ -13,8 +13,8 @@ import tomli_w
 from jointid.apps.web.fields import EXTRA, EXTRA_LAW, FIELDS, LAWS, LEARN, NAMES, WITHOUT, Draft, Field, usual
 from jointid.apps.web.values import no_number, shown_as, value_of
 from jointid.common.errors import JointFileError
+from jointid.common.messages import dotted
 from jointid.config import JointFile, dumps
-from jointid.config.messages import dotted
 
 LONGEST = {EXTRA: 100_000}
 _LONGEST = 300  # characters of any other field
