@@ -85,6 +85,7 @@ def test_the_source_is_never_written_over(tmp_path: Path) -> None:
     assert source.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_emps_is_the_same_record_in_every_format(emps_path: Path, tmp_path: Path) -> None:
     file = load(ROOT / "examples" / "emps" / "joint.toml")
 

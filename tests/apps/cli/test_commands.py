@@ -104,6 +104,7 @@ def test_tune_says_what_to_set_and_how_far_the_loop_is_from_instability(
     assert "the power is from 0.5 to 1" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_refused_stiffness_ends_with_what_would_show_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     loop = ClosedLoop(FlexibleJoint(), CONTROLLERS["L19"])
     reference = trapezoids((0.042, 0.125), 0.83, 0.2, 1e-3, duration=8.0)

@@ -25,6 +25,8 @@ from tests.apps.web.asking import LAW, ORIGIN, Asker, ended, running
 from tests.apps.web.conftest import TRUTH
 from tests.apps.web.testclient import TestClient
 
+pytestmark = pytest.mark.slow
+
 
 def process(client: TestClient, run: Run) -> int:
     """Return the process of an identification that runs."""
@@ -83,7 +85,6 @@ def test_the_report_is_shown_in_a_sandbox(client: TestClient, asker: Asker, log:
     assert "id: 1\n" in later
 
 
-@pytest.mark.slow
 def test_a_controller_that_nobody_knows_is_learned(client: TestClient, asker: Asker, log: bytes) -> None:
     run = asker.identify(log, **{"controller.law": "learn"})
     assert ended(run) == "done", run.status
