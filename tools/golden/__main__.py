@@ -6,9 +6,6 @@ import argparse
 import json
 import os
 import sys
-import tempfile
-import time
-import warnings
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -16,9 +13,9 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read once, when NumPy is loaded: the order of sums depends on it
 os.environ.setdefault("MKL_NUM_THREADS", "1")
 
-from tools.golden import adapter
-from tools.golden.cases import CASES, Skipped, Workspace
+from tools.golden.cases import CASES
 from tools.golden.comparing import differences
+from tools.golden.running import run
 
 STORED = Path(__file__).with_name("golden.json")
 
@@ -29,6 +26,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("what", choices=("write", "check", "list"))
     parser.add_argument("file", nargs="?", type=Path, default=STORED)
     parser.add_argument("--only", metavar="PATTERN", help="cases whose name matches, as 'emps_*', or contains the word")
+    parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="cases that run at a time")
     given = parser.parse_args(arguments)
     chosen = [name for name in CASES if given.only is None or _matches(name, given.only)]
     if given.what == "list":
@@ -38,7 +36,7 @@ def main(arguments: list[str] | None = None) -> int:
     if given.what == "check" and not stored:
         print(f"there is nothing to compare with in {given.file}")
         return 1
-    found, broken = _run(chosen)
+    found, broken = run(chosen, given.jobs)
     if given.what == "check":
         return _compared(stored, found, chosen) or int(broken)
     kept = {name: numbers for name, numbers in stored.items() if name not in chosen} if given.only else {}
@@ -65,30 +63,6 @@ def _matches(name: str, pattern: str) -> bool:
     return fnmatchcase(name, pattern) or pattern in name
 
 
-def _run(chosen: list[str]) -> tuple[dict[str, Any], bool]:
-    """Return the numbers of every case that runs, and whether one broke."""
-    found: dict[str, Any] = {}
-    broken = False
-    begin = time.perf_counter()
-    with tempfile.TemporaryDirectory(prefix="golden") as folder:
-        at = Workspace(Path(folder))
-        adapter.ready()
-        print(f"{time.perf_counter() - begin:6.1f} s  loading", flush=True)
-        for name in chosen:
-            before, said = time.perf_counter(), ""
-            try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")
-                    found[name] = json.loads(json.dumps(CASES[name](at), allow_nan=False))
-            except Skipped as why:
-                said = f"skipped: {why}"
-            except Exception as error:
-                broken, said = True, f"BROKEN: {type(error).__name__}: {error}"
-            print(f"{time.perf_counter() - before:6.1f} s  {name}  {said}".rstrip(), flush=True)
-    print(f"{time.perf_counter() - begin:6.1f} s  in all", flush=True)
-    return found, broken
-
-
 def _compared(stored: dict[str, Any], found: dict[str, Any], chosen: list[str]) -> int:
     """Print every difference and return 1 where there is one."""
     lines = [line for name in found if name in stored for line in differences(stored[name], found[name], name)]
@@ -99,4 +73,5 @@ def _compared(stored: dict[str, Any], found: dict[str, Any], chosen: list[str]) 
     return int(bool(lines))
 
 
-sys.exit(main())
+if __name__ == "__main__":
+    sys.exit(main())

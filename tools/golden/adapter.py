@@ -199,7 +199,7 @@ def demo(folder: Path) -> Json:
     record = np.genfromtxt(folder / "record.csv", delimiter=",", names=True)
     return {
         "estimate": estimate(json.loads((folder / "estimate.json").read_text(encoding="utf-8"))),
-        "record": {name: signal(record[name]) for name in record.dtype.names},
+        "record": {name: signal(record[name]) for name in record.dtype.names or ()},
         "files": sorted(path.name for path in folder.iterdir()),
     }
 
@@ -264,8 +264,6 @@ def validate(folder: Path, joint: Path, record: Path, identified: Path) -> Json:
 def advise(folder: Path, joint: Path, record: Path) -> Json:
     """Ask which sensors and motions would tell more."""
     answer = _asked(folder, "advise", joint, "--record", record, "--quiet")
-    if "sensors" not in answer:  # the stiffness is refused
-        return _revealing(answer)
     return {
         "noise": code(answer["noise"]),
         "std": {_name(name): number(p["std"]) for name, p in answer["parameters"].items()},
@@ -342,9 +340,10 @@ def convert(source: Path, target: Path) -> None:
     command("convert", source, target)
 
 
-def export(folder: Path, joint: Path, identified: Path, out: str, *options: object) -> Any:
+def export(folder: Path, joint: Path, identified: Path, *words: object) -> Any:
     """Write an estimate for another tool and return the numbers in the text."""
-    path = folder / out
+    out, *options = words
+    path = folder / str(out)
     command("export", joint, "--estimate", identified, "--out", path, *options)
     return _within(path)
 
@@ -921,11 +920,11 @@ def digital_filter(kind: str, **given: Any) -> Any:
 
 def joint(
     model: str,
-    kind: str = "prismatic",
+    kind: Any = "prismatic",
     *,
     asymmetric: bool = False,
     torque_unit: str | None = None,
-    gravity: str | None = None,
+    gravity: Any = None,
     counterbalance: Mapping[str, float] | None = None,
     angle: float = 1.0,
     gear: Mapping[str, Any] | None = None,
@@ -999,22 +998,12 @@ def recorded(record: Any) -> Json:
     }
 
 
-def didim(**given: Any) -> Any:
-    """Return settings of DIDIM for a rigid joint."""
-    return ji.DIDIM(**_keywords(given))
-
-
 def flexible_didim(**given: Any) -> Any:
     """Return settings of DIDIM for a flexible joint."""
     return ji.FlexibleDIDIM(**_keywords(given))
 
 
-def flexible_didim_paper() -> Any:
-    """Return the paper's settings of DIDIM for a flexible joint."""
-    return ji.FlexibleDIDIM.paper()
-
-
-def idim(estimator: str = "ols", *, harmonics: int = 0, period: float | None = None, drift: str | None = None) -> Any:
+def idim(estimator: Any = "ols", *, harmonics: int = 0, period: float | None = None, drift: Any = None) -> Any:
     """Return settings of IDIM."""
     effects: list[Any] = []
     if harmonics:
@@ -1109,7 +1098,7 @@ def slopes(driven: Any, record: Any, values: Mapping[str, float], names: Sequenc
     }
 
 
-def response(of: Any, values: Mapping[str, float], hertz: Any, output: str) -> Json:
+def response(of: Any, values: Mapping[str, float], hertz: Any, output: Any) -> Json:
     """Return the frequency response of a joint."""
     made = ji.frequency_response(of, _valued(values), np.asarray(hertz), output)
     return {"real": numbers(made.real), "imaginary": numbers(made.imag)}
@@ -1120,7 +1109,7 @@ def modes(values: Mapping[str, float]) -> Json:
     return {"hertz": _named(ji.frequencies(_valued(values))), "sums": _named(ji.rigid_sums(_valued(values)))}
 
 
-def matrices(found: Any, period: float | None = None, side: str | None = None) -> Json:
+def matrices(found: Any, period: float | None = None, side: Any = None) -> Json:
     """Return the state space of an estimate, sampled where a period is given."""
     made = ji.state_space(found, side=side)
     if period is not None:
@@ -1137,19 +1126,6 @@ def matrices(found: Any, period: float | None = None, side: str | None = None) -
 def read_export(identified: Path, joint_path: Path) -> Any:
     """Return an answer read back for export."""
     return ji.read_estimated(identified, ji.load(joint_path).joint)
-
-
-def tuned(found: Any, **given: Any) -> Json:
-    """Return what to do with an estimate."""
-    answer = ji.tuning_answer(ji.tune(found, ji.Tuning(**_keywords(given)) if given else None))
-    return {
-        "present": _margins(answer["present"]),
-        "proposed": None if answer["proposed"] is None else _margins(answer["proposed"]),
-        "gains": {g["key"]: [number(g["before"]), number(g["after"])] for g in answer["gains"]},
-        "notch": None if answer["notch"] is None else _only_numbers(answer["notch"]),
-        "feedforward": [_only_numbers(one) for one in answer["feedforward"]],
-        "detectable": _only_numbers(answer["detectable"]),
-    }
 
 
 def dossier(found: Any, record: Any) -> Json:
@@ -1180,16 +1156,6 @@ def dossier(found: Any, record: Any) -> Json:
 def revealing(found: Any, record: Any) -> Json:
     """Return which test would show a refused stiffness."""
     return _revealing(ji.revealing_answer(ji.revealing(found, record)))
-
-
-def advised(found: Any, record: Any, **given: Any) -> Json:
-    """Return what sensors and motions would do to an estimate."""
-    answer = ji.advice_answer(ji.advise(found, record, **_keywords(given)))
-    return {
-        "std": {_name(name): number(p["std"]) for name, p in answer["parameters"].items()},
-        "sensors": [None if one["std"] is None else _named(one["std"]) for one in answer["sensors"]],
-        "tests": [None if one["std"] is None else _named(one["std"]) for one in answer["tests"]],
-    }
 
 
 # Files
@@ -1224,7 +1190,7 @@ def by_profile(record: Any, path: Path, profile: str, columns: Mapping[str, str]
     return recorded(ji.read(path, columns, drive=drive, kind="revolute"))
 
 
-def read_resampled(path: Path, sample_time: float, method: str) -> Json:
+def read_resampled(path: Path, sample_time: float, method: Any) -> Json:
     """Return a record with a clock that is not uniform, brought to one that is."""
     names = {"torque": "torque", "reference": "reference"}
     return recorded(ji.read(path, names, resample=ji.Resampling(sample_time, method)))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -97,22 +97,28 @@ class Workspace:
 
     def _estimate(self, example: str) -> Path:
         """Return the file of what an example's joint file identifies."""
-        record = {"emps": lambda: self.emps, "twin": self.twin, "motorbench": lambda: self.motorbench}[example]()
+        record = self.twin() if example == "twin" else self.emps
         return ask.estimate_file(self.folder("estimates"), ask.EXAMPLES[example], record, f"{example}.json")
 
     def _emps_fit(self) -> tuple[Any, Any]:
         """Return what the EMPS record says, and the record."""
-        return ask.identify_file(ask.EXAMPLES["emps"], self.emps)
+        fit: tuple[Any, Any] = ask.identify_file(ask.EXAMPLES["emps"], self.emps)
+        return fit
 
     def _twin_fit(self) -> tuple[Any, Any]:
         """Return what a run of the twin says, and the record."""
-        return ask.identify_file(ask.EXAMPLES["twin"], self.twin())
+        fit: tuple[Any, Any] = ask.identify_file(ask.EXAMPLES["twin"], self.twin())
+        return fit
 
 
 Case: TypeAlias = Callable[[Workspace], Any]
 
 CASES: dict[str, Case] = {}
 """Every case by name, in the order in which they run."""
+
+
+SLOWEST = ("learn_emps", "emps_flexible", "learn_pd", "motorbench_open_loop", "reproduction")
+"""Cases that begin first where several run at a time."""
 
 
 def case(run: Case) -> Case:
@@ -666,9 +672,9 @@ def together_emps(at: Workspace) -> Any:
 
 
 @case
-def together_levels(_: Workspace) -> Any:
+def together_levels(_at: Workspace) -> Any:
     """Two runs weighed by their levels, with a parameter of each one's own."""
-    (one, loop, _), (other, _, _) = ask.twin(seed=1), ask.twin(seed=2)
+    (one, loop), (other, _) = ask.twin(seed=1)[:2], ask.twin(seed=2)[:2]
     return ask.fit_together(
         [ask.torque_only(one), ask.torque_only(other)], loop, weighting="level", own=[["offset"], ["offset"]],
         method=ask.flexible_didim(frequency=30.0),
@@ -685,9 +691,9 @@ def long_emps(at: Workspace) -> Any:
 
 
 @case
-def long_twin(_: Workspace) -> Any:
+def long_twin(_at: Workspace) -> Any:
     """The flexible twin in windows of 8 s."""
-    record, loop, _ = ask.twin(seed=1)
+    record, loop = ask.twin(seed=1)[:2]
     return ask.fit_long(
         ask.torque_only(record), loop, window=8.0, settling=0.5, method=ask.flexible_didim(frequency=30.0)
     )
@@ -839,7 +845,7 @@ def simulate_twin(at: Workspace) -> Any:
 @case
 def twin_records(_: Workspace) -> Any:
     """Runs of the twin: both loops, every noise, both masses, a stiffer spring."""
-    runs = {
+    runs: dict[str, dict[str, Any]] = {
         "none": {"noise": "none"},
         "white": {"noise": "white", "seed": 2},
         "L30": {"loop": "L30", "seed": 3},
@@ -939,7 +945,7 @@ def state_spaces(at: Workspace) -> Any:
     }
 
 
-_EXPORTS = {
+_EXPORTS: dict[str, tuple[object, ...]] = {
     "joint_file": ("exported.toml",),
     "joint_file_fixed": ("fixed.toml", "--fixed"),
     "state_space": ("exported.json",),
@@ -993,7 +999,7 @@ def formats(at: Workspace) -> Any:
     found = {"source": ask.inspect(folder, source)}
     for suffix in _SUFFIXES:
         target, back = folder / f"target{suffix}", folder / f"back_{suffix[1:]}.csv"
-        found[suffix] = ask.refused(lambda to=target, again=back: _there_and_back(folder, source, to, again))
+        found[suffix] = ask.refused(partial(_there_and_back, folder, source, target, back))
     return found
 
 
@@ -1009,8 +1015,7 @@ def formats_of_records(at: Workspace) -> Any:
     folder = at.folder("records")
     record, _, _ = ask.twin(noise="none")
     return {
-        suffix: ask.refused(lambda to=folder / f"record{suffix}": ask.written_and_read(record, to))
-        for suffix in _SUFFIXES
+        suffix: ask.refused(partial(ask.written_and_read, record, folder / f"record{suffix}")) for suffix in _SUFFIXES
     }
 
 
@@ -1042,9 +1047,7 @@ def drive_profiles(at: Workspace) -> Any:
     folder = at.folder("drives")
     _, record = _rigid_arm(ask.law("pd", kp=3000.0, kd=250.0), _ARM)
     return {
-        profile: ask.refused(
-            lambda to=folder / f"{profile}.csv", name=profile, of=columns: ask.by_profile(record, to, name, of)
-        )
+        profile: ask.refused(partial(ask.by_profile, record, folder / f"{profile}.csv", profile, columns))
         for profile, columns in _TRACES.items()
     }
 

@@ -1,12 +1,13 @@
 """How two answers are compared: number by number, each beside what it is small beside.
 
 A number may differ by 1e-9 of its size, or of the size of what it belongs to: in a list of numbers the largest of the
-list; beside a standard deviation two of them; a probability 1.
+list; beside a standard deviation two of them; a probability, or the distance of two laws in percent, 1.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any
@@ -19,7 +20,7 @@ TOLERANCE = 1e-9
 TINY = 1e-15
 """In whatever unit: what is smaller is 0."""
 
-_PROBABILITIES = ("p", "p_value", "whiteness_p")
+_SHARES = ("p", "p_value", "whiteness_p", "apart")
 
 
 def differences(stored: Any, found: Any, path: str, beside: float = 0.0) -> Iterator[str]:
@@ -61,15 +62,12 @@ def _short(value: Any) -> str:
 def _beside(group: Mapping[str, Any], key: str, above: float) -> float:
     """Return the size of what a number in a group is small beside."""
     std = group.get("std")
-    if key in ("value", "estimate", "a", "b", "difference", "per_hour", "interval") and _is_number(std):
+    if key in ("value", "estimate", "a", "b", "difference", "per_hour", "interval") and isinstance(std, int | float):
         return 2 * abs(float(std))
-    if key in _PROBABILITIES:
+    if key in _SHARES:
         return 1.0
     if key == "picks" and "sized" in group:  # of a signal: its root mean square
-        samples = 1
-        for length in group["shape"]:
-            samples *= length
-        return float(abs(group["sized"][0])) / max(samples, 1) ** 0.5
+        return float(abs(group["sized"][0]) / max(math.prod(group["shape"]), 1) ** 0.5)
     return 0.0 if not isinstance(group[key], Sequence) else above
 
 
