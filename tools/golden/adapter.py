@@ -23,16 +23,16 @@ import numpy as np
 import tomli_w
 
 import jointid as ji
-from jointid.assessment.loop import with_loop_verdict
-from jointid.cli import main
-from jointid.inference.bootstrap import Bootstrapping
+from jointid.apps.cli import main
+from jointid.diagnostics.check_loop import with_loop_verdict
 from jointid.paper.errata import ERRATA
 from jointid.paper.published import TABLES
 from jointid.paper.recomputed import comparison as recomputed
 from jointid.paper.recomputed import misprints
 from jointid.paper.reproduce import reproduce
-from jointid.paper.servo import servo_twin
 from jointid.simulation.sensitivities import simulate_sensitivities, warm_up
+from jointid.uncertainty.bootstrap import Bootstrapping
+from studies.servo import servo_twin
 
 Json: TypeAlias = dict[str, Any]
 
@@ -233,17 +233,17 @@ def estimate_file(folder: Path, joint: Path, record: Path, name: str = "estimate
 
 def together(folder: Path, joint: Path) -> Json:
     """Identify from the records of a joint file together."""
-    return _together(_asked(folder, "together", joint, "--quiet"))
+    return _together(_asked(folder, "identify", joint, "--quiet"))
 
 
 def long(folder: Path, joint: Path, record: Path, window: float) -> Json:
     """Identify a long record in windows."""
-    return _long(_asked(folder, "long", joint, "--record", record, "--window", window, "--quiet"))
+    return _long(_asked(folder, "identify", joint, "--record", record, "--window", window, "--quiet"))
 
 
 def compare(folder: Path, joint: Path, record: Path) -> Json:
     """Identify by every method that runs."""
-    answer = _asked(folder, "compare", joint, "--record", record, "--quiet")
+    answer = _asked(folder, "diagnose", "methods", joint, "--record", record, "--quiet")
     return {
         "methods": [
             {
@@ -263,7 +263,7 @@ def validate(folder: Path, joint: Path, record: Path, identified: Path) -> Json:
 
 def advise(folder: Path, joint: Path, record: Path) -> Json:
     """Ask which sensors and motions would tell more."""
-    answer = _asked(folder, "advise", joint, "--record", record, "--quiet")
+    answer = _asked(folder, "diagnose", "sensors", joint, "--record", record, "--quiet")
     return {
         "noise": code(answer["noise"]),
         "std": {_name(name): number(p["std"]) for name, p in answer["parameters"].items()},
@@ -293,7 +293,7 @@ def tune(folder: Path, joint: Path, record: Path, **options: object) -> Json:
 def learn(folder: Path, joint: Path, record: Path) -> Json:
     """Learn the controller; the law that is written is read back."""
     written = folder / "learned.toml"
-    answer = _asked(folder, "loop", joint, "--record", record, "--write", written, "--quiet")
+    answer = _asked(folder, "controller", joint, "--record", record, "--write", written, "--quiet")
     return {
         "law": {"kind": code(answer["law"]["name"]), "numbers": _named(answer["law"]["numbers"])},
         "numbers": [_only_numbers(one) for one in answer["numbers"]],
@@ -332,12 +332,12 @@ def simulate(folder: Path, joint: Path, record: Path, identified: Path | None = 
 
 def inspect(folder: Path, path: Path) -> Json:
     """List what is in a file."""
-    return _inspection(_asked(folder, "inspect", path))
+    return _inspection(_asked(folder, "data", "inspect", path))
 
 
 def convert(source: Path, target: Path) -> None:
     """Write a file in another format."""
-    command("convert", source, target)
+    command("data", "convert", source, target)
 
 
 def export(folder: Path, joint: Path, identified: Path, *words: object) -> Any:
@@ -350,7 +350,7 @@ def export(folder: Path, joint: Path, identified: Path, *words: object) -> Any:
 
 def compare_reports(folder: Path, before: Path, after: Path) -> Json:
     """Ask what changed between two estimates."""
-    answer = _asked(folder, "compare-reports", before, after)
+    answer = _asked(folder, "compare", before, after)
     return {
         "same_record": answer["same_record"],
         "level": number(answer["level"]),
@@ -789,21 +789,21 @@ def identify_file(joint: Path, record: Path, **overridden: Any) -> Any:
 def whole(found: Any) -> Json:
     """Return an estimate with its covariance, its predicted torque and all that is known of combinations."""
     answer = estimate(ji.estimate_answer(found))
-    free = [p for p in found.parameters if p.free]
-    known = found.known
-    correlation = np.asarray(found.correlation)
-    std = np.array([p.std if p.std is not None else np.nan for p in free])[: len(correlation)]
+    free = [p for p in found.params if p.free]
+    known, fitted = found.checks.known, found.fit
+    correlation = np.asarray(found.params.correlation)
+    std = np.array([p.stderr if p.stderr is not None else np.nan for p in free])[: len(correlation)]
     answer |= {
         "free": [_name(p.name) for p in free],
         "correlation": numbers(correlation),
         "covariance": numbers(correlation * np.outer(std, std)) if correlation.size else [],
-        "measured": signal(found.measured),
-        "predicted": signal(found.predicted),
-        "error": signal(found.predicted - found.measured),
-        "raw_error": number(found.relative_error),
+        "measured": signal(fitted.measured),
+        "predicted": signal(fitted.predicted),
+        "error": signal(fitted.predicted - fitted.measured),
+        "raw_error": number(fitted.relative_error),
         "initial": None
-        if found.initial is None
-        else numbers([found.initial.position, found.initial.velocity, found.initial.torque]),
+        if fitted.initial is None
+        else numbers([fitted.initial.position, fitted.initial.velocity, fitted.initial.torque]),
     }
     if known is not None:
         answer["known"] = {
@@ -830,13 +830,13 @@ def _known(one: Any) -> Json:
 
 def total(found: Any, names: Sequence[str]) -> list[Any]:
     """Return a sum of parameters and its deviation."""
-    return numbers(found.total(tuple(names)))
+    return numbers(found.params.total(tuple(names)))
 
 
 def check_loop(found: Any, record: Any) -> Json:
     """Return the check of loop and log, and the verdict on it."""
     judged = with_loop_verdict(found, record)
-    verdicts = {code(v.subject): v.good for v in judged.verdicts}
+    verdicts = {code(v.subject): v.good for v in judged.checks.verdicts}
     return _loop_check(ji.loop_answer(ji.check_loop(found, record))) | {"verdicts": verdicts}
 
 
@@ -1031,12 +1031,20 @@ def fit(record: Any, model: Any, method: Any = None, *, filtering: Mapping[str, 
 
 def fit_together(records: Sequence[Any], loops: Any, **given: Any) -> Json:
     """Identify from several records together."""
-    return _together(ji.together_answer(ji.identify_together(records, loops, **_keywords(given))))
+    several = _keywords(given)
+    rest = {name: several.pop(name) for name in ("method", "filtering", "parameters") if name in several}
+    found = ji.identify(records, loops, several=ji.SeveralRecords(**several), **rest)
+    return _together(ji.estimate_answer(found))
+
+
+_WINDOWING = {"window": "length", "settling": "settling"}
 
 
 def fit_long(record: Any, driven: Any, **given: Any) -> Json:
     """Identify from one record in windows."""
-    return _long(ji.long_answer(ji.identify_long(record, driven, **_keywords(given))))
+    rest = _keywords(given)
+    windows = ji.Windowing(**{new: rest.pop(old) for old, new in _WINDOWING.items() if old in rest})
+    return _long(ji.estimate_answer(ji.identify(record, driven, windows=windows, **rest)))
 
 
 def learned(record: Any, **given: Any) -> Json:
