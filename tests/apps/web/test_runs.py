@@ -228,7 +228,7 @@ def test_a_record_that_takes_too_much_memory_is_refused_in_a_sentence(folder: Pa
         asker.post("/draft", {"extra": '[record]\nresample = {method = "linear", sample_time = 1e-6}'})
         code, said = asker.post("/channels", {"record.channels.torque.unit@prismatic": "N"})
         assert code == 422
-        assert "jointid long" in said
+        assert "jointid identify --window" in said
 
 
 def reading(client: TestClient) -> int:

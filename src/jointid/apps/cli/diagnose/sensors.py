@@ -1,4 +1,4 @@
-"""`jointid advise`: which sensor, or which other motion, would narrow the intervals of an estimate."""
+"""`jointid diagnose sensors`: which sensor, or which other motion, would narrow the intervals of an estimate."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from jointid.apps.cli.options import Changes
 
 
-def advise(
+def sensors(
     joint: Path,
     /,
     *,
