@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from jointid.apps.cli.app import app
 from jointid.common.errors import JointFileError
 from jointid.config import loads
 from jointid.config.changes import apply_changes
+from tests.apps.commands import commands
 
 FILE = """
 [joint]
@@ -102,8 +102,7 @@ def test_a_key_that_is_not_known_is_answered_with_the_nearest() -> None:
 
 def test_every_command_that_takes_a_joint_file_takes_changes_of_it() -> None:
     taking = set()
-    for name in (name for name in app if not name.startswith("-")):
-        arguments = app[name].assemble_argument_collection(parse_docstring=True)
+    for name, arguments in commands().items():
         names = {word for argument in arguments for word in argument.names}
         if "JOINT" in names:
             taking.add(name)
