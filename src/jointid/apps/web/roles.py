@@ -1,4 +1,4 @@
-"""Which column is probably which channel, by its name; a proposal that the visitor sees and changes."""
+"""Which column is probably which channel, by its name; a proposal that is shown and can be changed."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """The process that does one piece of work for the page: `python -m jointid.apps.web.worker ACTION FOLDER MEMORY`.
 
-What it reads and how long it computes is the visitor's: whatever becomes of it, the page stays up, and the memory it
-takes is bounded. It prints its progress, a line each, and leaves its answer in the folder; exit code 2 and `fault.json`
-for what is the visitor's to mend. It ends when the page does, whose end it hears on its standard input.
+A file may be damaged and a fit may take hours: whatever becomes of the process, the page stays up, and its memory is
+bounded. It prints its progress, a line each, and leaves its answer in the folder; exit code 2 and `fault.json` for what
+the person can mend. It ends when the page does, whose end it hears on its standard input.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 REFUSED = 2
 
 _TOO_LARGE = (
-    "The record, or what is asked of it, is too large for the memory that this page gives one visitor; cut the record "
-    "or resample it slower, or use the command line, which has no such bound: jointid identify, or jointid long for a "
+    "The record, or what is asked of it, is too large for the memory that this page gives one run; cut the record or "
+    "resample it slower, or use the command line, which has no such bound: jointid identify, or jointid long for a "
     "record of hours."
 )
 
@@ -108,7 +108,7 @@ def _learn(folder: Path, work: dict[str, Any]) -> None:
 
 
 def _record(file: JointFile, folder: Path, work: dict[str, Any]) -> Record:
-    """Read the record, and call it as its visitor does."""
+    """Read the record, under the name it came with."""
     return replace(file.record(folder / work["file"]), name=Path(work["name"]).stem)
 
 
