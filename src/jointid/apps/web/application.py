@@ -12,6 +12,7 @@ from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
 
 from jointid.apps.web import pages, routes_joint, routes_record, routes_runs
 from jointid.apps.web.app_state import AppState
@@ -82,5 +83,5 @@ _ROUTES = [
     Route("/runs/{number:number}/events", routes_runs.stream_progress),
     Route("/runs/{number:number}/cancel", routes_runs.cancel_run, methods=["POST"]),
     Route("/runs/{number:number}/{name:str}", routes_runs.send_file),
-    Route("/static/{name:str}", pages.send_static),
+    Mount("/static", StaticFiles(packages=[("jointid.apps.web", "static")])),
 ]

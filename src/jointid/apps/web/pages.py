@@ -5,11 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from functools import cache
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from starlette.exceptions import HTTPException
-from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 
 from jointid import __version__
@@ -27,22 +24,6 @@ if TYPE_CHECKING:
     from jointid.apps.web.app_state import AppState
 
 _NO_FAULTS = Faults()
-
-STATIC = {
-    "page.css": "text/css; charset=utf-8",
-    "page.js": "text/javascript; charset=utf-8",
-    "icon.svg": "image/svg+xml",
-}
-"""The files that pages load, all ours."""
-
-
-async def send_static(request: Request) -> Response:
-    """Send a file that pages load."""
-    name = request.path_params["name"]
-    if name not in STATIC:
-        raise HTTPException(404)
-    content = files("jointid.apps.web").joinpath("static", name).read_bytes()
-    return Response(content, media_type=STATIC[name], headers={"cache-control": "no-cache"})
 
 
 def suffixes() -> list[str]:
@@ -103,6 +84,7 @@ def _render(template: str, state: AppState, code: int = 200, **values: object) -
     common = {
         "root": state.root,
         "version": __version__,
+        "folder": state.folder.path.name,
         "record": state.folder.record,
         "latest": f"/runs/{runs[0].number}" if runs else "",
     }

@@ -1,4 +1,4 @@
-// What the page does beyond its forms, which work without it: keep the draft, show what counts, send with progress,
+// What the page does beyond its forms, which work without it: keep the draft, show what counts, refuse large files,
 // follow an identification. Everything that is shown is set as text, never as HTML.
 "use strict";
 
