@@ -1,4 +1,4 @@
-"""What every request passes and every answer carries: the token, and what a browser may do with the answer."""
+"""Guard of every request and answer: the token, the host's name, and the policy that binds the browser."""
 
 from __future__ import annotations
 

@@ -28,6 +28,6 @@ class Limits:
     reading: float = 300.0
 
 
-def megabytes(size: float) -> str:
+def format_size(size: float) -> str:
     """Return a size in bytes as a sentence says it."""
     return f"{size / 2**20:.0f} MB" if size >= 2**20 else f"{size / 2**10:.0f} kB"

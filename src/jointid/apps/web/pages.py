@@ -13,8 +13,8 @@ from jointid import __version__
 from jointid.apps.web import fields
 from jointid.apps.web.folder import Run, read_json
 from jointid.apps.web.form import Faults
-from jointid.apps.web.limits import megabytes
-from jointid.apps.web.preview import duration
+from jointid.apps.web.limits import format_size
+from jointid.apps.web.preview import find_duration
 from jointid.common.text import number
 from jointid.records.formats import FORMATS
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _NO_FAULTS = Faults()
 
 
-def suffixes() -> list[str]:
+def list_suffixes() -> list[str]:
     """Return the suffixes of the files that are read."""
     return [suffix for entry in FORMATS for suffix in entry.suffixes]
 
@@ -35,8 +35,8 @@ def show_record(state: AppState, refusal: Exception | None = None) -> Response:
     """Show step 1: the record, and why it was refused."""
     faults = [] if refusal is None else str(refusal).splitlines()
     return _render(
-        "record", state, 422 if faults else 200, step=1, faults=faults, suffixes=suffixes(), bound=state.limits.upload,
-        draft=state.folder.draft, text_fields=fields.TEXT,
+        "record", state, 422 if faults else 200, step=1, faults=faults, suffixes=list_suffixes(),
+        bound=state.limits.upload, draft=state.folder.draft, text_fields=fields.TEXT,
     )  # fmt: skip
 
 
@@ -69,7 +69,7 @@ def show_run(state: AppState, run: Run) -> Response:
     return _render(
         "run", state, step=4 if answer is None else 5, run=run, status=status, lines=run.read_progress(), answer=answer,
         elapsed=round((status.get("ended") or time.time()) - (status.get("started") or time.time())),
-        rows=[] if answer is None else _rows(answer), runs=[(one, one.status) for one in state.folder.runs],
+        rows=[] if answer is None else _build_rows(answer), runs=[(one, one.status) for one in state.folder.runs],
         texts={name: path.read_text(encoding="utf-8") if path.is_file() else "" for name, path in texts.items()},
     )  # fmt: skip
 
@@ -88,20 +88,20 @@ def _render(template: str, state: AppState, code: int = 200, **values: object) -
         "record": state.folder.record,
         "latest": f"/runs/{runs[0].number}" if runs else "",
     }
-    return HTMLResponse(_environment().get_template(f"{template}.html").render(common | values), code)
+    return HTMLResponse(_load_templates().get_template(f"{template}.html").render(common | values), code)
 
 
-def end_of_plot(preview: Mapping[str, Any], draft: Mapping[str, str], column: Mapping[str, Any]) -> str:
-    """Return what stands at the end of a plot's time axis."""
+def label_end(preview: Mapping[str, Any], draft: Mapping[str, str], column: Mapping[str, Any]) -> str:
+    """Return the label at the right end of a plot's time axis: a duration, or a number of rows."""
     name = draft.get("record.time")
-    lasted = duration(preview, name)
+    lasted = find_duration(preview, name)
     samples = next((one["samples"] for one in preview["columns"] if one["name"] == name), None)
     if lasted is None or samples != column["samples"]:
         return f"{column['samples']} rows"
     return f"{number(lasted, 3)} {draft.get('record.time_unit') or fields.time_unit(name or '')}"
 
 
-def _rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:
+def _build_rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:
     """Return the rows of the table of parameters."""
     rows = []
     for name, p in answer["parameters"].items():
@@ -115,7 +115,7 @@ def _rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:
 
 
 @cache
-def _environment() -> Environment:
+def _load_templates() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     made = Environment(
@@ -123,5 +123,5 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )  # fmt: skip
     made.filters["sentences"] = lambda text: str(text).splitlines()
-    made.filters["size"] = megabytes
+    made.filters["size"] = format_size
     return made

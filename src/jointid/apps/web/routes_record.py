@@ -16,7 +16,7 @@ from jointid.apps.web.app_state import AppState
 from jointid.apps.web.fields import CHANNEL_STEP, TEXT
 from jointid.apps.web.folder import PageError, write_json
 from jointid.apps.web.form import Faults, imported, record_tables, told
-from jointid.apps.web.plots import column_svg
+from jointid.apps.web.plots import draw_svg
 from jointid.apps.web.upload import receive_file
 from jointid.common.errors import JointFileError, JointidError
 from jointid.config import JointFile
@@ -35,7 +35,7 @@ async def take_record(request: Request) -> Response:
     state = AppState.of(request)
     try:
         async with state.files:
-            path, name = await receive_file(request, state.folder.path, state.limits.upload, pages.suffixes())
+            path, name = await receive_file(request, state.folder.path, state.limits.upload, pages.list_suffixes())
             kept = {key: value for key, value in state.folder.draft.items() if not key.startswith("record.")}
             await _replace_record(state, path, name, kept)
     except JointidError as error:
@@ -50,7 +50,7 @@ async def make_example(request: Request) -> Response:
     state = AppState.of(request)
     try:
         async with state.files:
-            await state.jobs.read("example", state.folder.path)
+            await state.jobs.read("simulate", state.folder.path)
             path = state.folder.path / "example.csv"
             await _replace_record(state, path, path.name, imported(JOINT_FILE))
     except JointidError as error:
@@ -106,8 +106,8 @@ async def draw_column(request: Request) -> Response:
     if preview is None or number >= len(preview["columns"]):
         raise HTTPException(404)
     column = preview["columns"][number]
-    end = pages.end_of_plot(preview, folder.draft, column)
-    return Response(column_svg(column, end), media_type="image/svg+xml")
+    end = pages.label_end(preview, folder.draft, column)
+    return Response(draw_svg(column, end), media_type="image/svg+xml")
 
 
 async def _replace_record(state: AppState, fresh: Path, name: str, draft: Mapping[str, str]) -> None:
@@ -134,7 +134,7 @@ async def _read_columns(state: AppState, path: Path, draft: Mapping[str, str]) -
     options = record_tables({one.name: draft.get(one.name, "") for one in TEXT}, path.name)["record"]
     chosen = {key: value for key, value in options.items() if key != "file"}
     write_json(state.folder.path / "work.json", {"file": path.name, "options": chosen})
-    await state.jobs.read("look", state.folder.path)
+    await state.jobs.read("preview", state.folder.path)
 
 
 def _check_tables(draft: Mapping[str, str], file: str) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from starlette.requests import Request
 from starlette.types import Message
 
 from jointid.apps.web.folder import PageError
-from jointid.apps.web.limits import megabytes
+from jointid.apps.web.limits import format_size
 
 _AROUND = 2**16  # bytes of a form around its file
 _LONGEST = 80  # characters of a name
@@ -55,7 +55,7 @@ async def receive_file(request: Request, folder: Path, bound: int, suffixes: Col
         PageError: the form has no file, one that is too large or of another suffix, or is damaged.
     """
     sentence = (
-        f"The file is larger than {megabytes(bound)}, which is the most this page takes; cut it, or log it slower."
+        f"The file is larger than {format_size(bound)}, which is the most this page takes; cut it, or log it slower."
     )
     try:
         async with bound_body(request, bound + _AROUND, sentence).form(max_files=1) as form:
