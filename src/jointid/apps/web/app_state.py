@@ -48,8 +48,8 @@ class AppState:
 
     async def save_form(self, request: Request) -> dict[str, str]:
         """Keep the entries of a form without a file, and return the draft with them."""
-        sent = await bound_body(request, _FORM, "The form is larger than any of this page.").form()
-        entries = cleaned((name, value) for name, value in sent.multi_items() if isinstance(value, str))
+        async with bound_body(request, _FORM, "The form is larger than any of this page.").form() as sent:
+            entries = cleaned((name, value) for name, value in sent.multi_items() if isinstance(value, str))
         draft = {**self.folder.draft, **entries}
         self.folder.save_draft(draft)
         return draft
