@@ -24,6 +24,8 @@ from tests.apps.web.asking import ADDRESS, LAW, TOKEN, Asker, ended, running
 from tests.apps.web.conftest import TRUTH
 from tests.apps.web.testclient import TestClient
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def processes(monkeypatch: pytest.MonkeyPatch) -> list[Process]:
@@ -90,7 +92,6 @@ def test_the_report_is_shown_in_a_sandbox(client: TestClient, asker: Asker, log:
     assert "id: 1\n" in later
 
 
-@pytest.mark.slow
 def test_a_controller_that_nobody_knows_is_learned(client: TestClient, asker: Asker, log: bytes) -> None:
     run = asker.identify(log, **{"controller.law": "learn"})
     assert ended(run) == "done", run.status
@@ -193,4 +194,4 @@ def test_a_record_that_takes_too_much_memory_is_refused_in_a_sentence(folder: Pa
         asker.post("/draft", {"extra": '[record]\nresample = {method = "linear", sample_time = 1e-6}'})
         code, said = asker.post("/channels", {"record.channels.torque.unit@prismatic": "N"})
         assert code == 422
-        assert "jointid long" in said
+        assert "jointid identify --window" in said
