@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import RecordError
-from jointid.records.formats import Table, h5, read_blocks, read_table, write_table
+from jointid.records.formats import Table, isolated, read_blocks, read_table, write_table
 from tests.records.logged import matlab_dataset, matlab_header
 from tests.records.spoiled import spoiled
 
@@ -146,8 +146,10 @@ def test_a_text_over_which_the_library_does_not_come_to_an_end_is_given_up(
         file["q"] = np.arange(3.0)
         file["q"].attrs["units"] = "rad"
     assert read_table(path).units == {"q": "rad"}
-    monkeypatch.setattr(h5, "_TEXTS", "while True: pass")
-    monkeypatch.setattr(h5, "_PATIENCE", 0.3)
+    endless = tmp_path / "endless.py"
+    endless.write_text("while True: pass")
+    monkeypatch.setattr(isolated, "_PROGRAM", endless)
+    monkeypatch.setattr(isolated, "PATIENCE", 0.3)
     with pytest.raises(RecordError, match=r"run\.h5 cannot be read as HDF5: it is damaged"):
         read_table(path)
 

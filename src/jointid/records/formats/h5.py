@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -22,6 +20,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.extras import extra
+from jointid.records.formats.isolated import read_parts
 from jointid.records.formats.table import Table
 from jointid.records.formats.untrusted import PIECES, damage, require_single, require_size, size_of
 
@@ -33,16 +32,6 @@ NUMBERS = "fiub"
 _CHUNK = 2**30  # bytes that are decompressed at once; h5py's own are a mebibyte
 _WIDEST = 1000  # columns of a matrix; one that is wider is a picture
 _MEMBERS = 100_000  # of all groups of a file
-_PATIENCE = 10  # seconds for reading the texts of units
-_TEXTS = """
-import json, signal, sys
-if hasattr(signal, "alarm"):
-    signal.alarm(int(sys.argv[2]))
-import h5py, numpy
-with h5py.File(sys.argv[1], "r") as file:
-    found = [numpy.asarray(file[place].attrs[key]).ravel()[0] for place, key in json.load(sys.stdin)]
-print(json.dumps([text.strip() if isinstance(text, str) else "" for text in found]))
-"""
 _UNITS = ("units", "unit", "Units", "Unit", "UNITS")
 
 Member: TypeAlias = Any
@@ -298,20 +287,10 @@ def _unit(dataset: Member) -> tuple[str | None, str]:
 def _with_units(path: Path, signals: list[Signal]) -> list[Signal]:
     """Return the signals with their units; texts of no fixed length are read by another process.
 
-    Where such a text is stored, a damaged file can keep the library going round in a circle, which nothing in this
-    process could end. The other one also ends by itself, in case this one is killed while it waits.
+    Where such a text is stored, a damaged file can keep the library going round in a circle.
     """
     asked = [(signal.place, signal.unit_at) for signal in signals if signal.unit_at]
     if not asked:
         return signals
-    found = subprocess.run(  # noqa: S603 this Python, and a program that is written here
-        [sys.executable, "-P", "-c", _TEXTS, str(path.absolute()), str(_PATIENCE)],
-        input=json.dumps(asked),
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        timeout=_PATIENCE,
-        check=True,
-    )
-    texts = iter(json.loads(found.stdout))
+    texts = iter(json.loads(b"".join(read_parts("hdf5_texts", path, json.dumps(asked)))))
     return [signal._replace(unit=next(texts) or None) if signal.unit_at else signal for signal in signals]
