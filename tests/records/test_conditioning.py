@@ -18,7 +18,8 @@ from jointid.records.formats import Table, write_table
 from jointid.records.reading import read
 from jointid.records.record import Record, Timing, record_of
 from jointid.records.record_warnings import record_notes
-from jointid.records.unwrap import changing_every, quantum, unwrapped, wrap_faults
+from jointid.records.time_base.update_rate import update_interval
+from jointid.records.unwrap import find_quantum, unwrap, wrap_faults
 
 T = 1e-3
 TIME = np.arange(1000) * T
@@ -34,7 +35,7 @@ def saved(path: Path, **columns: np.ndarray) -> Path:
 @given(st.integers(200, 100_000), st.integers(-10_000, 10_000))
 def test_a_position_that_wraps_is_the_one_that_does_not(wrap: int, start: int) -> None:
     whole = np.round(MOTION) + start
-    again = unwrapped(np.mod(whole, wrap), wrap)
+    again = unwrap(np.mod(whole, wrap), wrap)
     assert wrap_faults("q", np.mod(whole, wrap), wrap) == []
     np.testing.assert_array_equal(again - again[0], whole - whole[0])
 
@@ -108,13 +109,13 @@ def test_a_rhythm_that_is_not_there_is_refused(tmp_path: Path, every: int, updat
 
 
 def test_a_rhythm_and_a_rounding_are_found() -> None:
-    assert changing_every(slow(4, 1)) == 4
-    assert changing_every(TORQUE) == 1
-    assert changing_every(np.zeros(100)) == 1
-    assert quantum(np.round(MOTION / 37) * 37 * 1e-6) == pytest.approx(37e-6)
-    assert quantum(np.round(TORQUE, 1)) == pytest.approx(0.1)
-    assert quantum(TORQUE) is None
-    assert quantum(np.ones(5)) is None
+    assert update_interval(slow(4, 1)) == 4
+    assert update_interval(TORQUE) == 1
+    assert update_interval(np.zeros(100)) == 1
+    assert find_quantum(np.round(MOTION / 37) * 37 * 1e-6) == pytest.approx(37e-6)
+    assert find_quantum(np.round(TORQUE, 1)) == pytest.approx(0.1)
+    assert find_quantum(TORQUE) is None
+    assert find_quantum(np.ones(5)) is None
 
 
 def notes(**values: np.ndarray) -> tuple[str, ...]:

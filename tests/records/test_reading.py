@@ -176,7 +176,7 @@ def test_all_faults_are_reported_at_once(saved: Saved) -> None:
     )
     expected = [
         'run.mat has no column "i" (for torque); it has "t", "q", "v".',
-        "The time jumps 1 time: after sample 198",
+        'The time column "t" jumps 1 time: after sample 198',
         'reference (column "q") has 2 samples without a finite number, the first nan at sample 70',
         "reference has tap = filtered",
         'load_position (column "v") is in "rad"; expected one of m, mm',

@@ -24,7 +24,7 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller, with_numbers
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
-from jointid.records.checks import CLOCK_TOLERANCE, check_record
+from jointid.records.checks import check_record
 from jointid.records.chunks import Log
 from jointid.records.columns import Column
 from jointid.records.drives.drive import Drive
@@ -32,6 +32,7 @@ from jointid.records.reading import read
 from jointid.records.record import Record
 from jointid.records.signals import Filtering
 from jointid.records.time_base.resampling import Resampling
+from jointid.records.time_base.uniformity import CLOCK_TOLERANCE
 from jointid.records.writing import write
 from jointid.simulation.loop_input import ClosedLoop
 

@@ -12,13 +12,13 @@ from pydantic import Field
 from jointid.config.table import Table, accepted, refusal
 from jointid.config.values import ColumnGain, Count, Flag, Natural, NotNegative, Positive, Sign, Text, TimeUnit
 from jointid.models.transmission import Side
-from jointid.records.checks import CLOCK_TOLERANCE
 from jointid.records.columns import Column
 from jointid.records.drives.drive import Drive
 from jointid.records.drives.profiles import profile_named, profile_names
 from jointid.records.formats import Csv, format_of
 from jointid.records.record import Channel, Injection
 from jointid.records.time_base.resampling import Resampling
+from jointid.records.time_base.uniformity import CLOCK_TOLERANCE
 
 OPTIONS = ("delimiter", "decimal", "header")
 """The keys of [record] that are options of the format's reader."""

@@ -20,7 +20,7 @@ from jointid.records.drives.drive import Drive
 from jointid.records.formats import Table, read_blocks
 from jointid.records.reading import Wanted
 from jointid.records.record import Channel, Record
-from jointid.records.time_base.clock import RATE_TOLERANCE
+from jointid.records.time_base.clock import is_same_rate
 
 _LOOK = 1000  # rows that tell the sample time
 
@@ -181,7 +181,7 @@ def _rate(record: Record) -> float:
     """Return the sample time of all channels of a record."""
     times = {name: channel.sample_time for name, channel in record.items()}
     first = next(iter(times.values()))
-    if any(abs(time / first - 1) > RATE_TOLERANCE for time in times.values()):
+    if not all(is_same_rate(time, first) for time in times.values()):
         listed = ", ".join(f"{name} {time:g} s" for name, time in times.items())
         raise RecordError(
             f"A record that is read in pieces has one sample time ({listed}); log all channels at one rate."
@@ -192,7 +192,7 @@ def _rate(record: Record) -> float:
 def _at_rate(record: Record, sample_time: float, first: int) -> Record:
     """Return a piece of a record at the sample time of all of it, beginning with that sample."""
     own = _rate(record)
-    if abs(own / sample_time - 1) > RATE_TOLERANCE:
+    if not is_same_rate(own, sample_time):
         raise RecordError(f"the sample time is {own:g} s here and {sample_time:g} s at the beginning; cut it there.")
     return _changed(record, lambda c: replace(c, sample_time=sample_time), first * sample_time)
 

@@ -12,18 +12,20 @@ import numpy as np
 from jointid.common import units
 from jointid.common.errors import RecordError
 from jointid.models.transmission import Transmission
-from jointid.records.checks import CLOCK_TOLERANCE, finite_faults, scale_faults
+from jointid.records.checks import scale_faults
 from jointid.records.columns import Column, known_units, unit_fault, unit_of_column
 from jointid.records.drives.drive import Drive
 from jointid.records.drives.profiles import side_of
+from jointid.records.finite import finite_faults
 from jointid.records.formats import Table, read_table
 from jointid.records.other_axes import other_axes
 from jointid.records.record import CHANNELS, Channel, Injection, Record, Tap, Timing
 from jointid.records.refer import refer_channel
-from jointid.records.time_base.clock import Clock, Clocks, apart_faults, clock_of
-from jointid.records.time_base.resampling import Resampling, Stamped, resampled_together
-from jointid.records.time_base.update_rate import Refreshed, begun_together
-from jointid.records.unwrap import unwrapped, wrap_faults
+from jointid.records.time_base.clock import Clock, Clocks, beginning_faults, find_clock
+from jointid.records.time_base.resampling import Resampling, Stamped, resample_together
+from jointid.records.time_base.uniformity import CLOCK_TOLERANCE
+from jointid.records.time_base.update_rate import align_updates
+from jointid.records.unwrap import unwrap, wrap_faults
 
 _MOVES = 0.01  # of this axis's travel: an axis that moves less is held
 
@@ -127,7 +129,7 @@ class Wanted:
         clocks = self._clocks(table, found, reading.faults)
         read_in = {channel: reading.channel(channel, found, clocks) for channel in found}
         if self.resample is None:
-            reading.faults.extend(apart_faults({n: clocks.of(c) for n, c in found.items()}, self.clock_tolerance))
+            reading.faults.extend(beginning_faults({n: clocks.of(c) for n, c in found.items()}, self.clock_tolerance))
         if reading.faults:
             raise RecordError(reading.faults)
         logged = {n: c for n, c in read_in.items() if c is not None}
@@ -135,14 +137,9 @@ class Wanted:
         done = None
         if self.resample is None:
             updates = {n: column.update_time for n, column in found.items()}
-            together = {n: Refreshed(c, updates.get(n)) for n, c in {**logged, **others}.items()}
-            channels, begin, faults = begun_together(together)
+            channels, begin = align_updates({**logged, **others}, updates)
         else:
-            stamped, faults = _stamped(logged, others, found, clocks)
-            if not faults:
-                channels, done, begin, faults = resampled_together(stamped, self.resample)
-        if faults:
-            raise RecordError(faults)
+            channels, begin, done = resample_together(_add_stamps(logged, others, found, clocks), self.resample)
         apart = {n: channels.pop(n) for n in others}
         record = replace(_record(channels, found, self.name or name), other_axes=apart, begin=begin, resampled=done)
         faults = scale_faults(record)
@@ -161,12 +158,12 @@ class Wanted:
         tolerance = None if self.resample else self.clock_tolerance
         common = Clock(self.sample_time)
         if time is not None or None in named:
-            common, wrong = clock_of(table, time, self.time_unit, self.sample_time, tolerance)
+            common, wrong = find_clock(table, time, self.time_unit, self.sample_time, tolerance)
             faults.extend(wrong)
         own = {}
         for name in sorted(filter(None, named)):
-            own[name], wrong = clock_of(table, name, self.time_unit, None, tolerance)
-            faults.extend(f'"{name}": {fault}' if tolerance else fault for fault in wrong)
+            own[name], wrong = find_clock(table, name, self.time_unit, None, tolerance)
+            faults.extend(wrong)
         return Clocks(common, own, told)
 
 
@@ -269,7 +266,7 @@ class _Reading:
         faults = [*finite_faults(what, values, stamps), *column.misplaced(name)]
         if column.wrap is not None and not faults:
             faults = wrap_faults(what, values, column.wrap)
-            values = unwrapped(values, column.wrap)
+            values = unwrap(values, column.wrap)
         self.faults.extend(faults)
 
         gear, kind = self.transmission, self.kind_of(name, column)
@@ -320,10 +317,10 @@ def _without_tails(table: Table) -> Table:
     return replace(table, columns=cut)
 
 
-def _stamped(
+def _add_stamps(
     logged: Mapping[str, Channel], others: Mapping[str, Channel], found: Mapping[str, Column], clocks: Clocks
-) -> tuple[dict[str, Stamped], list[str]]:
-    """Return the channels with their instants; what has none, or is picked by its refreshes, is a fault."""
+) -> dict[str, Stamped]:
+    """Return the channels with their instants; raise what has none, or is thinned to its updates."""
     faults = []
     made = {}
     position = next((name for name in ("motor_position", "reference") if name in found), "")
@@ -336,7 +333,9 @@ def _stamped(
             faults.append(f"{name} has no time stamps to be resampled by; name its time column, or leave resample out.")
         else:
             made[name] = Stamped(channel, clock.stamps, clock.column)
-    return made, faults
+    if faults:
+        raise RecordError(faults)
+    return made
 
 
 def _record(channels: Mapping[str, Channel], found: Mapping[str, Column], name: str) -> Record:

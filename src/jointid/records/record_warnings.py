@@ -9,7 +9,8 @@ import numpy as np
 
 from jointid.records.record import Channel, Record
 from jointid.records.signals import lowpass
-from jointid.records.unwrap import changing_every, quantum
+from jointid.records.time_base.update_rate import update_interval
+from jointid.records.unwrap import find_quantum
 
 ROUNDING = 0.01
 """Share of a torque's rms that its rounding may be: the EMPS axis leaves 4 % for other reasons."""
@@ -70,7 +71,7 @@ def _encoder_lag(record: Record) -> Iterator[str]:
 
 
 def _refreshes(name: str, channel: Channel) -> Iterator[str]:
-    every = changing_every(channel.values) if name == "torque" else 1
+    every = update_interval(channel.values) if name == "torque" else 1
     if every > 1:
         yield (
             f"the {name} changes only every {every} samples: it is logged more often than it is refreshed; give its "
@@ -79,7 +80,7 @@ def _refreshes(name: str, channel: Channel) -> Iterator[str]:
 
 
 def _rounding(name: str, channel: Channel) -> Iterator[str]:
-    step = quantum(channel.values) if name in ("torque", "motor_position", "load_position") else None
+    step = find_quantum(channel.values) if name in ("torque", "motor_position", "load_position") else None
     if step is None:
         return
     if name == "torque":

@@ -1,4 +1,4 @@
-"""What logging does to a signal: a counter that wraps round, values logged again before they are refreshed, steps."""
+"""Unwrap a counter, and find the step that a signal is rounded to."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ SAFE_STEP = 0.4
 
 _WHOLE = 1e-2  # how near to a whole number of samples, or of steps, counts as one
 _GRAIN = 1e-12  # of the travel: what is nearer than this is one value that was computed twice
-_CHANGES = 20  # fewer changes than this do not show a rhythm
 
 
-def unwrapped(values: FloatArray, wrap: float) -> FloatArray:
+def unwrap(values: FloatArray, wrap: float) -> FloatArray:
     """Return a position that wraps round as one that does not, (samples,); each step is taken the short way."""
     steps = np.diff(values)
     return np.asarray(values - wrap * np.concatenate([[0.0], np.cumsum(np.round(steps / wrap))]))
@@ -27,7 +26,7 @@ def wrap_faults(name: str, values: FloatArray, wrap: float) -> list[str]:
     span = float(np.ptp(values))
     if span > wrap * (1 + _WHOLE):
         return [f"{name} spans {span:g}, more than its wrap of {wrap:g}; correct the wrap, or leave it out."]
-    steps = np.abs(np.diff(unwrapped(values, wrap)))
+    steps = np.abs(np.diff(unwrap(values, wrap)))
     fast = np.flatnonzero(steps > SAFE_STEP * wrap)
     if fast.size == 0:
         return []
@@ -37,55 +36,7 @@ def wrap_faults(name: str, values: FloatArray, wrap: float) -> list[str]:
     ]
 
 
-def refreshed(name: str, values: FloatArray, period: float, update_time: float) -> tuple[int, int, list[str]]:
-    """Return (every, phase, faults): a value is refreshed at samples phase, phase + every, ...
-
-    Args:
-        name: what the sentences call the values.
-        values: (samples,) as logged.
-        period: time between samples [s].
-        update_time: time between refreshes [s], as declared.
-    """
-    ratio = update_time / period
-    every = round(min(ratio, 1e9))
-    if every < 1 or abs(ratio / every - 1) > _WHOLE:
-        return (
-            1,
-            0,
-            [
-                f"{name} has an update time of {update_time:g} s, which is {ratio:.4g} of its samples of {period:g} s; "
-                "expected a whole number of them: correct one of the two."
-            ],
-        )
-    changes = np.flatnonzero(np.diff(values)) + 1
-    if changes.size == 0:
-        return every, 0, []
-    phases = np.bincount(changes % every, minlength=every)
-    phase = int(np.argmax(phases))
-    wrong = changes[changes % every != phase]
-    if wrong.size:
-        fault = (
-            f"{name} is said to be refreshed every {every} samples, but {wrong.size} of its {changes.size} changes "
-            f"come between, the first at sample {wrong[0]}; correct update_time, or leave it out."
-        )
-        return every, phase, [fault]
-    rhythm = changing_every(values)
-    if rhythm > every:
-        fault = (
-            f"{name} is said to be refreshed every {every} samples, but changes only every {rhythm}; set update_time = "
-            f"{rhythm * period:g}."
-        )
-        return every, phase, [fault]
-    return every, phase, []
-
-
-def changing_every(values: FloatArray) -> int:
-    """Return the number of samples after which, and only then, a signal (samples,) changes; 1 if no such number."""
-    changes = np.flatnonzero(np.diff(values))
-    return int(np.gcd.reduce(np.diff(changes))) if changes.size >= _CHANGES else 1
-
-
-def quantum(values: FloatArray) -> float | None:
+def find_quantum(values: FloatArray) -> float | None:
     """Return the step that values (samples,) are rounded to; None where they are not, or too finely to be told."""
     grain = float(np.ptp(values)) * _GRAIN
     if not (math.isfinite(grain) and grain > 0):

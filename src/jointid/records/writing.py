@@ -18,7 +18,7 @@ from jointid.records.drives.profiles import side_of
 from jointid.records.formats import Table, write_table
 from jointid.records.record import Channel, Record
 from jointid.records.refer import refer_to_drive
-from jointid.records.time_base.clock import RATE_TOLERANCE
+from jointid.records.time_base.clock import is_same_rate
 
 _ONE = 1e-9  # relative: two channels of one column differ by rounding alone
 
@@ -94,7 +94,7 @@ def _clock(
     first = next(iter(channels.values()))
     if len(first) < 2:
         raise RecordError("A record of one sample has no time between samples; write two samples or more.")
-    if sample_time is not None and abs(first.sample_time / sample_time - 1) > RATE_TOLERANCE:
+    if sample_time is not None and not is_same_rate(first.sample_time, sample_time):
         raise RecordError(
             f"The record has a sample every {first.sample_time:g} s, and would be read at the sample_time of "
             f"{sample_time:g} s that is given; name a time column instead, or correct it."

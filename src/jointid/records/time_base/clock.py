@@ -10,10 +10,9 @@ import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.records.checks import clock_faults, finite_faults
 from jointid.records.columns import Column, period_faults, unit_fault, unit_in_name
 from jointid.records.formats import Table
-from jointid.records.time_base.uniformity import irregularity
+from jointid.records.time_base.uniformity import clock_faults, measure_irregularity
 
 RATE_TOLERANCE = 1e-3
 """How far a given sample time may be from that of the time stamps, as a share of it.
@@ -55,7 +54,7 @@ class Clocks:
         return self.common if time is None else self.own.get(time, Clock())
 
 
-def clock_of(
+def find_clock(
     table: Table, time: str | None, time_unit: str | None, sample_time: float | None, tolerance: float | None
 ) -> tuple[Clock, list[str]]:
     """Return a table's clock, from the stamps, from the sample time, or from both, and what is wrong with it.
@@ -84,11 +83,11 @@ def clock_of(
     if unit not in known:
         return Clock(), [unit_fault(f'time (column "{column}")', unit, known)]
     stamps = table.columns[column] * units.unit(unit).factor
-    wrong = _stamp_faults(column, stamps) if tolerance is None else clock_faults(stamps, tolerance)
+    wrong = clock_faults(stamps, tolerance, f'The time column "{column}"')
     if wrong:
         return Clock(), wrong
-    period = irregularity(stamps).sample_time if tolerance is None else _period(stamps)
-    if sample_time is not None and abs(sample_time / period - 1) > RATE_TOLERANCE:
+    period = measure_irregularity(stamps).sample_time if tolerance is None else _period(stamps)
+    if sample_time is not None and not is_same_rate(sample_time, period):
         wrong = [
             f'The sample time is given as {sample_time:g} s, and column "{column}" has {period:g} s; '
             "mend one, or leave sample_time or time out."
@@ -96,7 +95,12 @@ def clock_of(
     return Clock(sample_time or period, stamps, column), wrong
 
 
-def apart_faults(clocks: Mapping[str, Clock], tolerance: float) -> list[str]:
+def is_same_rate(sample_time: float, other: float) -> bool:
+    """Return True if two sample times are equal within `RATE_TOLERANCE`."""
+    return abs(sample_time / other - 1) <= RATE_TOLERANCE
+
+
+def beginning_faults(clocks: Mapping[str, Clock], tolerance: float) -> list[str]:
     """Return the fault of channels that begin at different instants, by their own stamps.
 
     Args:
@@ -115,15 +119,6 @@ def apart_faults(clocks: Mapping[str, Clock], tolerance: float) -> list[str]:
         f"{late} begins {apart:g} s after {early}, by their own time columns; give resample, which takes what all "
         "channels cover, or cut them to one beginning."
     ]
-
-
-def _stamp_faults(column: str, stamps: FloatArray) -> list[str]:
-    """Return the faults of stamps that not even resampling can use."""
-    if faults := finite_faults(f'The time column "{column}"', stamps):
-        return faults
-    if stamps.size < 2 or not np.median(np.diff(stamps)) > 0:
-        return [f'The time column "{column}" does not run forward; name another one, or give sample_time without time.']
-    return []
 
 
 def _time_column(table: Table, time: str | None) -> tuple[str, list[str]]:
