@@ -17,7 +17,7 @@ from jointid.records.drives.drive import Drive
 from jointid.records.formats import Table, write_table
 from jointid.records.reading import read
 from jointid.records.record import Record, Timing, record_of
-from jointid.records.record_warnings import record_notes
+from jointid.records.record_warnings import find_record_warnings
 from jointid.records.time_base.update_rate import update_interval
 from jointid.records.unwrap import find_quantum, unwrap, wrap_faults
 
@@ -120,7 +120,7 @@ def test_a_rhythm_and_a_rounding_are_found() -> None:
 
 def notes(**values: np.ndarray) -> tuple[str, ...]:
     record: Record = record_of(T, unit="N m", position_unit="rad", **values)
-    return record_notes(record, record.channels)
+    return find_record_warnings(record, record.channels)
 
 
 def test_what_rounding_and_refreshing_do_is_said() -> None:
@@ -152,7 +152,7 @@ def test_the_load_encoder_of_the_kr300_is_late(data_dir: Path) -> None:
     for name in ("rec_A", "rec_B"):
         for axis in (1, 2, 3):
             record = read(data_dir / "kr300" / f"{name}.mat", drive=Drive("kuka", axis=axis), kind="revolute")
-            (said,) = record_notes(record, record.channels)
+            (said,) = find_record_warnings(record, record.channels)
             share, lag = (float(text) for text in re.findall(r"(\d+)%.* were ([\d.]+) ms later", said)[0])
             assert share >= 94
             assert 2.7 <= lag <= 3.2

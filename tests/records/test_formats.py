@@ -68,7 +68,7 @@ def test_a_long_record_is_read_in_pieces(name: str, tmp_path: Path) -> None:
     time, position, torque = LOGGED[name].names
     columns = {"torque": Column(torque, unit="N m"), "reference": Column(position, unit="rad")}
     log = Log(made(name, tmp_path), columns, {"time": time, "kind": "revolute"})
-    pieces = list(log.pieces(80, 20))
+    pieces = list(log.chunks(80, 20))
     assert [len(piece.record.torque) for piece in pieces if piece.record.torque] == [100, 100, 100, 60]
     joined = [piece.record.torque.values[:80] for piece in pieces if piece.record.torque]
     np.testing.assert_array_equal(np.concatenate(joined), TORQUE)
@@ -189,7 +189,7 @@ def test_every_format_says_what_it_is() -> None:
     suffixes = [suffix for entry in FORMATS for suffix in entry.suffixes]
     assert len(suffixes) == len(set(suffixes))
     for entry in FORMATS:
-        assert entry.allowed("torque_1") == "torque_1"
+        assert entry.legal_name("torque_1") == "torque_1"
 
 
 # Units that a file states

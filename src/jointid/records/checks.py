@@ -21,7 +21,7 @@ The public EMPS record with pulses has 14 of 24,841: its pulses pass the limit, 
 """
 
 AT_LIMIT = 1e-3
-"""How near to the limit counts as at it, as a share of the limit: the resolution of a ten-bit log."""
+"""Distance from the limit that counts as at it, as a share of the limit: the resolution of a ten-bit log."""
 
 FASTEST = {"m": 50.0, "rad": 1e5}
 """Speed in SI that no servo-driven joint keeps up: ten times that of a fast linear motor, and 950,000 rpm."""
@@ -39,7 +39,7 @@ RATIO_BAND = (0.5, 2.0)
 """Ratios of motor position to reference that a controller can explain; outside, one is scaled wrongly."""
 
 RATIO_TOLERANCE = 0.1
-"""How near a ratio is to a unit's factor to name that unit."""
+"""Relative distance of a ratio from a unit's factor within which that unit is named."""
 
 
 def check_record(

@@ -31,17 +31,17 @@ def finite_faults(name: str, values: FloatArray, time: FloatArray | None = None)
     if bad.size:
         first = int(bad[0])
         faults.append(
-            f"{name} has {count_of(bad.size, 'sample')} without a finite number, the first {values[first]} at "
-            f"sample {first}{at_time(time, first)}; mend them, or cut the record there."
+            f"{name} has {format_count(bad.size, 'sample')} without a finite number, the first {values[first]} at "
+            f"sample {first}{format_instant(time, first)}; mend them, or cut the record there."
         )
     return faults
 
 
-def at_time(time: FloatArray | None, index: int) -> str:
+def format_instant(time: FloatArray | None, index: int) -> str:
     """Return the instant of a sample, in brackets; "" where it is not known."""
     return "" if time is None else f" (t = {time[index]:g} s)"
 
 
-def count_of(number: int, noun: str, plural: str = "") -> str:
+def format_count(number: int, noun: str, plural: str = "") -> str:
     """Return a number of things in words."""
     return f"{number} {noun if number == 1 else plural or f'{noun}s'}"

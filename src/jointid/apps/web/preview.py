@@ -11,7 +11,7 @@ import numpy as np
 from jointid.apps.web.roles import guessed_roles
 from jointid.common.arrays import FloatArray
 from jointid.records.formats import Table
-from jointid.records.outline import Outlining
+from jointid.records.outline import OutlineBuilder
 
 _DRAWN = 64  # columns whose outline is kept; the others are listed by name
 _LISTED = 2000  # names
@@ -40,11 +40,11 @@ def duration(preview: Mapping[str, Any], time: str | None) -> float | None:
 
 
 def _column(name: str, values: FloatArray, *, drawn: bool) -> dict[str, Any]:
-    found = Outlining()
+    found = OutlineBuilder()
     found.take(np.where(np.isfinite(values), values, np.nan))
     if found.missing == found.rows:
         return {"name": name, "samples": found.rows, "low": None, "high": None, "outline": None}
-    outline = found.outline()
+    outline = found.build()
     sides = zip(*outline.stretches(_PIECES), strict=True)
     return {
         "name": name,

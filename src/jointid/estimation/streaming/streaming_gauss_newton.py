@@ -118,7 +118,7 @@ class Passes:
         places: dict[int, Place] = {}
         still = 0
         try:
-            for piece in self.source.pieces(self.length, 2 * self.model.settling, every):
+            for piece in self.source.chunks(self.length, 2 * self.model.settling, every):
                 if not moves(piece.record):
                     still += 1
                     continue

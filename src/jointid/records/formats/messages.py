@@ -29,7 +29,7 @@ Value: TypeAlias = Any
 """A number, an array, a list of texts, a message (a dictionary) or a list of them; None for text."""
 
 
-class PassedOverError(ValueError):
+class SkippedTopicError(ValueError):
     """A message that is sound and whose numbers are no columns; the text says why."""
 
 
@@ -123,7 +123,7 @@ class _Decoder:
     def spend(self, count: int) -> None:
         self.budget -= count
         if self.budget < 0:
-            raise PassedOverError(f"a message of it has more than {_BUDGET} parts")
+            raise SkippedTopicError(f"a message of it has more than {_BUDGET} parts")
 
 
 class Instant(NamedTuple):
@@ -138,14 +138,16 @@ class Instant(NamedTuple):
         return self.seconds * 10**9 + self.nanoseconds
 
 
-def stamp_of(message: Mapping[str, Value]) -> int | None:
-    """Return the time in the header of a message in nanoseconds; None where there is none, or nobody filled it in."""
+def header_stamp(message: Mapping[str, Value]) -> int | None:
+    """Return the stamp in the header of a message [ns]; None where there is none, or it is 0."""
     header = message.get("header")
     stamp = header.get("stamp") if isinstance(header, dict) else None
     return stamp.total if isinstance(stamp, Instant) and stamp.total else None
 
 
-def numbers_of(message: Mapping[str, Value], path: str, names: list[str] | None = None) -> Iterator[tuple[str, float]]:
+def flatten_numbers(
+    message: Mapping[str, Value], path: str, names: list[str] | None = None
+) -> Iterator[tuple[str, float]]:
     """Yield the numbers of a message by their paths.
 
     Of an array that is as long as the list of names beside or above it every number goes by its name,
@@ -165,17 +167,17 @@ def numbers_of(message: Mapping[str, Value], path: str, names: list[str] | None 
         elif isinstance(value, float):
             yield f"{path}{inner}", value
         elif isinstance(value, dict) and key not in ("header", "layout"):
-            yield from numbers_of(value, f"{path}{inner}", names)
+            yield from flatten_numbers(value, f"{path}{inner}", names)
         elif isinstance(value, np.ndarray) and value.dtype.itemsize > 1 and value.size <= _WIDEST:
             named = names is not None and len(names) == value.size
-            places = [f"{path}/{n}{inner}" for n in names or ()] if named else _numbered(path + inner, value.size)
+            places = [f"{path}/{n}{inner}" for n in names or ()] if named else _number_places(path + inner, value.size)
             yield from zip(places, value.tolist(), strict=True)
         elif names and isinstance(value, list) and len(value) == len(names) and isinstance(value[0], dict):
             for name, part in zip(names, value, strict=True):
-                yield from numbers_of(part, f"{path}/{name}")
+                yield from flatten_numbers(part, f"{path}/{name}")
 
 
-def _numbered(path: str, count: int) -> list[str]:
+def _number_places(path: str, count: int) -> list[str]:
     return [f"{path}[{index}]" for index in range(count)]
 
 
@@ -183,6 +185,6 @@ def _is_names(value: Value) -> bool:
     return isinstance(value, list) and bool(value) and all(isinstance(text, str) for text in value)
 
 
-def float64(value: float) -> bytes:
+def encode_float64(value: float) -> bytes:
     """Return a std_msgs/Float64 as bytes."""
     return b"\x00\x01\x00\x00" + struct.pack("<d", value)

@@ -19,9 +19,9 @@ from jointid.common.extras import extra
 from jointid.records.formats import bagwriting
 from jointid.records.formats.bagwriting import Stamps
 from jointid.records.formats.isolated import read_parts
-from jointid.records.formats.messages import Field, PassedOverError, Types, numbers_of, stamp_of
+from jointid.records.formats.messages import Field, SkippedTopicError, Types, flatten_numbers, header_stamp
 from jointid.records.formats.table import Holds, Table
-from jointid.records.formats.untrusted import damage, require_single, require_size
+from jointid.records.formats.untrusted import explain_damage, require_size, require_unique_names
 
 _DATE = 2**58  # nanoseconds, nine years: a stamp beyond is a date, one before counts from some beginning
 _WIDEST = 1000  # columns of one topic
@@ -71,9 +71,9 @@ class RosBag:
     def read(self, path: Path) -> Table:
         """Read every topic of numbers; see `Format.read`."""
         extra("rosbags", "logs", "Reading ROS 2 bags")
-        reading = _Reading(path)
-        for file in files_of(path):
-            with damage(file, self.name, _REMEDY):
+        reading = _BagTable(path)
+        for file in list_files(path):
+            with explain_damage(file, self.name, _REMEDY):
                 for message in read_messages(file):
                     reading.take(message)
         return reading.table()
@@ -84,14 +84,14 @@ class RosBag:
             raise RecordError(
                 f"A ROS 2 bag has no place for the scalars {', '.join(table.scalars)}; write a .mat file."
             )
-        bagwriting.write(path, table)
+        bagwriting.write_bag(path, table)
 
-    def allowed(self, name: str, others: Collection[str] = ()) -> str:
-        """Return the name, which can be any text but none; see `Format.allowed`."""
+    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
+        """Return the name, which can be any text but none; see `Format.legal_name`."""
         return name.encode("utf-8", "replace").decode("utf-8") or "_"
 
 
-def files_of(path: Path) -> list[Path]:
+def list_files(path: Path) -> list[Path]:
     """Return the files of a bag in their order.
 
     Raises:
@@ -140,15 +140,15 @@ class _Series:
             PassedOverError: it has too many parts, or two numbers of one name.
         """
         fields = self.topic.types.decode(self.topic.type, message.data)
-        stamp, row = stamp_of(fields), len(self.logged)
+        stamp, row = header_stamp(fields), len(self.logged)
         self.logged.append(message.time)
         if stamp is not None:
             self.stamped.append(stamp)
-        for path, value in numbers_of(fields, self.topic.name):
+        for path, value in flatten_numbers(fields, self.topic.name):
             column = self.columns.setdefault(path, array("d"))
             column.extend([np.nan] * (row - len(column)))  # of the messages before, which had no such number
             if len(column) > row:
-                raise PassedOverError(f"a message of it has two numbers called {path!r}")
+                raise SkippedTopicError(f"a message of it has two numbers called {path!r}")
             column.append(value)
         if len(self.columns) > _WIDEST:
             raise RecordError(f"The topic {self.topic.name!r} has more than {_WIDEST} numbers; record without it.")
@@ -169,8 +169,8 @@ class _Series:
         return stamps[order], columns
 
 
-class _Reading:
-    """A bag on its way to a table."""
+class _BagTable:
+    """Builder of a table from the messages of a bag."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -189,18 +189,18 @@ class _Reading:
         series = self.series.setdefault(topic.name, _Series(topic))
         try:
             if series.topic != topic:
-                raise PassedOverError("its messages are of more than one kind")
+                raise SkippedTopicError("its messages are of more than one kind")
             self.numbers += series.take(message)
         except KeyError:
             del self.series[topic.name]
             self.passed[topic.name] = f"the bag has no definition of {topic.type}"
-        except PassedOverError as error:
+        except SkippedTopicError as error:
             del self.series[topic.name]
             self.passed[topic.name] = str(error)
         require_size(self.path, self.numbers)
 
     def table(self) -> Table:
-        """Return what all topics gave."""
+        """Return the table of all topics."""
         found = {series.topic.name: series.table() for series in self.series.values() if series.logged}
         found = {name: (stamps, columns) for name, (stamps, columns) in found.items() if columns}
         if not found:
@@ -214,5 +214,5 @@ class _Reading:
             pairs += [(f"{name}/time", (stamps - zero) / 1e9), *columns.items()]
             units[f"{name}/time"] = "s"
             clocks |= dict.fromkeys(columns, f"{name}/time")
-        require_single(self.path, [name for name, _ in pairs])
+        require_unique_names(self.path, [name for name, _ in pairs])
         return Table(dict(pairs), {}, self.path.name, units, self.passed, clocks)

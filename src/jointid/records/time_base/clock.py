@@ -15,7 +15,7 @@ from jointid.records.formats import Table
 from jointid.records.time_base.uniformity import clock_faults, measure_irregularity
 
 RATE_TOLERANCE = 1e-3
-"""How far a given sample time may be from that of the time stamps, as a share of it.
+"""Largest relative difference of two sample times that count as one.
 
 Clocks of drives and computers differ by 0.01 %; a wrong rate is wrong by far more.
 """
@@ -46,7 +46,7 @@ class Clocks:
     own: Mapping[str, Clock] = field(default_factory=dict)
     columns: Mapping[str, str] = field(default_factory=dict)
 
-    def of(self, column: Column) -> Clock:
+    def clock_of(self, column: Column) -> Clock:
         """Return the clock of a channel's column; one with a sample time of its own needs no stamps."""
         if column.sample_time is not None:
             return Clock(column.sample_time)
@@ -126,7 +126,7 @@ def _time_column(table: Table, time: str | None) -> tuple[str, list[str]]:
     if time is not None:
         if time in table.columns:
             return time, []
-        return time, [f'{table.source} has no time column "{time}"; it has {table.listed(time)}.']
+        return time, [f'{table.source} has no time column "{time}"; it has {table.list_columns(time)}.']
     names = [name for name in table.columns if _TIME.fullmatch(name)]
     if len(names) == 1:
         return names[0], []

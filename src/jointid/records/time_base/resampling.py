@@ -21,7 +21,7 @@ from jointid.records.time_base.uniformity import Irregularity, Resampled, measur
 Interpolation: TypeAlias = Literal["hold", "linear", "cubic"]
 
 LOWER_RATE = 1.1
-"""How much longer than a channel's own the new sample time may be: what aliases then was above 0.9 of its Nyquist
+"""Largest ratio of the new sample time to a channel's own: what aliases then was above 0.9 of its Nyquist
 frequency, where a joint leaves nothing."""
 
 _ONE_INSTANT = 1e-6  # of a sample time
@@ -30,7 +30,7 @@ _LARGEST = 10**8  # samples of one channel
 
 @dataclass(frozen=True, slots=True)
 class Resampling:
-    """How channels are brought to one uniform clock.
+    """Rules by which channels are resampled to one uniform clock.
 
     A lower rate is refused: it needs a filter against aliasing, and `Filtering` has the one that torque and model go
     through alike. Nothing is extrapolated.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.records.finite import at_time, count_of, finite_faults
+from jointid.records.finite import finite_faults, format_count, format_instant
 
 CLOCK_TOLERANCE = 0.05
 """Largest jitter of a time stamp step, as a share of the sample time.
@@ -26,7 +26,7 @@ GAP = 1.75
 
 @dataclass(frozen=True, slots=True)
 class Irregularity:
-    """How far time stamps are from a uniform clock, which is the straight line of least squares through them.
+    """Deviation of time stamps from a uniform clock: the straight line of least squares through them.
 
     Attributes:
         sample_time: of the uniform clock, s.
@@ -52,15 +52,15 @@ class Irregularity:
         ]
         if self.gaps:
             left_out = f"{self.longest_gap} sample{'' if self.longest_gap == 1 else 's'}"
-            told.append(f"{count_of(self.gaps, 'gap')} of up to {left_out}")
-        told += [count_of(self.repeats, "repeated stamp")] if self.repeats else []
-        told += [count_of(self.backward, "step back", "steps back")] if self.backward else []
+            told.append(f"{format_count(self.gaps, 'gap')} of up to {left_out}")
+        told += [format_count(self.repeats, "repeated stamp")] if self.repeats else []
+        told += [format_count(self.backward, "step back", "steps back")] if self.backward else []
         return ", ".join(told)
 
 
 @dataclass(frozen=True, slots=True)
 class Resampled:
-    """That a record was resampled, and how.
+    """Resampling that a record went through.
 
     Attributes:
         sample_time: of the record, s.
@@ -84,7 +84,7 @@ class Resampled:
 
 
 def resampled_lines(resampled: Resampled | None) -> tuple[str, ...]:
-    """Return the line of a table that says that a record was resampled; none where it was not."""
+    """Return the line of a table on the resampling of a record; none where it was not resampled."""
     return () if resampled is None else (f"resampled: {resampled}",)
 
 
@@ -144,9 +144,9 @@ def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, 
     if jumped.any():
         first = int(np.argmax(jumped))
         faults.append(
-            f"{name} jumps {count_of(int(jumped.sum()), 'time')}: after sample {first}{at_time(stamps, first)} "
-            f"it {_jump(float(steps[first]), sample_time)}; cut the record there, or give sample_time "
-            "without time if only the stamps are wrong."
+            f"{name} jumps {format_count(int(jumped.sum()), 'time')}: after sample {first}"
+            f"{format_instant(stamps, first)} it {_jump(float(steps[first]), sample_time)}; cut the record there, or "
+            "give sample_time without time if only the stamps are wrong."
         )
     jitter = np.where(jumped, 0.0, error)
     if jitter.max() > tolerance:
@@ -154,8 +154,8 @@ def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, 
         faults.append(
             f"{name} jitters by up to {jitter.max():.1%} of the sample time of {sample_time:g} s "
             f"({np.sqrt(np.mean(jitter**2)):.1%} rms), first beyond {tolerance:.1%} after sample {first}"
-            f"{at_time(stamps, first)}; give resample = {{ sample_time, method }}, or sample_time without time if only "
-            "the stamps jitter."
+            f"{format_instant(stamps, first)}; give resample = {{ sample_time, method }}, or sample_time without time "
+            "if only the stamps jitter."
         )
     return faults
 
@@ -165,5 +165,5 @@ def _jump(step: float, sample_time: float) -> str:
     if step == 0:
         return "repeats its stamp"
     lost = round(step / sample_time) - 1
-    late = f"leaves out {count_of(lost, 'sample')}" if lost > 0 else "steps early"
+    late = f"leaves out {format_count(lost, 'sample')}" if lost > 0 else "steps early"
     return f"{'runs backward' if step < 0 else late} (a step of {step:g} s, expected {sample_time:g} s)"
