@@ -22,9 +22,9 @@ from jointid.estimation.search.starts import pseudo_regular
 from jointid.models.controllers import POSITION, SampledLaw
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint, frequencies
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
-from jointid.records.excitation import trapezoids
 from jointid.records.record import Channel, Timing
-from jointid.records.signals import Filtering, apply_window, decimate, differentiate_twice, window_torque
+from jointid.records.signals.excitation import trapezoids
+from jointid.records.signals.filtering import Filtering, apply_window, decimate, differentiate_twice, window_torque
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record

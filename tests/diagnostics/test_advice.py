@@ -22,9 +22,9 @@ from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.output.json import advice_answer, dumps, revealing_answer
 from jointid.paper.twin import CONTROLLERS, SAMPLE_TIME, TABLE_2, Twin, twin
-from jointid.records.encoder_step import find_encoder_step
-from jointid.records.excitation import trapezoids
 from jointid.records.record import Channel, Record, Tap
+from jointid.records.signals.encoder_step import find_encoder_step
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 

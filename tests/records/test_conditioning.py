@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 
 import jointid as ji
 from jointid.common.errors import RecordError
+from jointid.records.checks.record_warnings import find_record_warnings
 from jointid.records.columns import Column
 from jointid.records.drives.drive import Drive
 from jointid.records.formats import Table, write_table
-from jointid.records.reading import read
+from jointid.records.reading.read import read
 from jointid.records.record import Record, Timing, record_of
-from jointid.records.record_warnings import find_record_warnings
+from jointid.records.signals.unwrap import find_quantum, unwrap, wrap_faults
 from jointid.records.time_base.update_rate import update_interval
-from jointid.records.unwrap import find_quantum, unwrap, wrap_faults
 
 T = 1e-3
 TIME = np.arange(1000) * T

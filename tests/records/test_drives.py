@@ -17,7 +17,7 @@ from jointid.models.transmission import Transmission
 from jointid.records.columns import Column, known_units
 from jointid.records.drives.drive import Drive
 from jointid.records.drives.profiles import load_profile, profile_names
-from jointid.records.reading import read
+from jointid.records.reading.read import read
 from jointid.records.record import CHANNELS, Record, Tap, Timing
 
 ROOT = Path(__file__).resolve().parents[2]

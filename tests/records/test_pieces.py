@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import RecordError
-from jointid.records.chunks import InMemory, Log
 from jointid.records.columns import Column
 from jointid.records.formats import Table, read_blocks, read_table, write_table
-from jointid.records.reading import read
+from jointid.records.reading.chunks import InMemory, Log
+from jointid.records.reading.read import read
 from jointid.records.record import Record, record_of
 
 CHANNELS = {"torque": "torque", "reference": "reference"}

@@ -7,9 +7,9 @@ import pytest
 from scipy.signal import cheby1, sosfiltfilt
 
 from jointid.common.errors import MethodError, RecordError
-from jointid.records.excitation import pulses, trapezoids
 from jointid.records.record import Channel, Timing
-from jointid.records.signals import (
+from jointid.records.signals.excitation import pulses, trapezoids
+from jointid.records.signals.filtering import (
     Filtering,
     apply_window,
     decimate,

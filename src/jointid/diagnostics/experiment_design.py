@@ -29,8 +29,8 @@ from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITI
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.models.parameters import POSITION_UNIT
 from jointid.models.transmission import Transmission, transmission_lines
-from jointid.records.encoder_step import find_encoder_step
 from jointid.records.record import Record, Tap
+from jointid.records.signals.encoder_step import find_encoder_step
 from jointid.simulation.closed_loop import Outcome
 from jointid.uncertainty.covariance import covariance_of, stationary
 

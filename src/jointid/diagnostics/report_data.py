@@ -25,7 +25,7 @@ from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import Motion
 from jointid.records.record import Channel, Record
-from jointid.records.signals import differentiate, lowpass
+from jointid.records.signals.filtering import differentiate, lowpass
 from jointid.uncertainty.profile import Profile
 
 Seen: TypeAlias = Literal["simulated", "measured", "commanded"]

@@ -16,10 +16,10 @@ from jointid.estimation.methods.open_loop import OpenLoopFit, identify_open_loop
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter, Quantity, adjusted
-from jointid.records.checks import check_record
+from jointid.records.checks.record_checks import check_record
+from jointid.records.checks.record_warnings import find_record_warnings
 from jointid.records.record import Record
-from jointid.records.record_warnings import find_record_warnings
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.open_loop import OpenLoop

@@ -46,7 +46,7 @@ def look(folder: Path) -> None:
 def example(folder: Path) -> None:
     """Simulate the digital twin, and write `example.csv`."""
     from jointid.paper.twin import twin
-    from jointid.records.writing import write
+    from jointid.records.files.writing import write
 
     write(twin().record, folder / "example.csv")
 

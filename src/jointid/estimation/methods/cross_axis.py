@@ -6,9 +6,9 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.result.estimate import Estimate
+from jointid.records.checks.record_warnings import find_record_warnings
 from jointid.records.record import Record
-from jointid.records.record_warnings import find_record_warnings
-from jointid.records.signals import decimate, differentiate_twice, lowpass
+from jointid.records.signals.filtering import decimate, differentiate_twice, lowpass
 from jointid.uncertainty.coupling import coupling
 
 _FEWEST = 4  # rows to a column of the regression

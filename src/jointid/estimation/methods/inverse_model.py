@@ -21,7 +21,7 @@ from jointid.models.disturbances import Effect, effect_columns
 from jointid.models.joints import Joint, Motion
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.records.refer import require_units
-from jointid.records.signals import (
+from jointid.records.signals.filtering import (
     Filtering,
     apply_window,
     decimate,

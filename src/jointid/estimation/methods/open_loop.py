@@ -42,7 +42,7 @@ from jointid.estimation.result.params import EstimatedParameter, Params
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
 from jointid.records.record import Channel, Record
-from jointid.records.signals import Filtering, decimate, differentiate, lowpass
+from jointid.records.signals.filtering import Filtering, decimate, differentiate, lowpass
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.open_loop import OpenLoop, simulate_open_loop

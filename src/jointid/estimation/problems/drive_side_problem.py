@@ -24,7 +24,7 @@ from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter, Quantity
 from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.records.refer import require_units
-from jointid.records.signals import Filtering, decimate, lowpass, thin_channel, window_parts, window_torque
+from jointid.records.signals.filtering import Filtering, decimate, lowpass, thin_channel, window_parts, window_torque
 from jointid.simulation.drive_side import (
     LOAD_STATE,
     PARTS,

@@ -32,9 +32,9 @@ from jointid.estimation.streaming.settings import Windowing
 from jointid.estimation.streaming.streaming_gauss_newton import End, Pass, Passes
 from jointid.estimation.streaming.window import Model, motion, moves, settling_of
 from jointid.models.parameters import Parameter, Quantity, adjusted
-from jointid.records.chunks import Chunk, LongRecord
+from jointid.records.reading.chunks import Chunk, LongRecord
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.uncertainty.covariance import Covariance, larger
 from jointid.uncertainty.identifiability import identifiability

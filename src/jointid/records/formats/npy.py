@@ -62,7 +62,7 @@ class Npy:
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """Where the rows of a file begin, what one is made of, and how many there are."""
+    """Offset, type and count of the rows of a file."""
 
     begin: int
     row: np.dtype[Any]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.records.finite import finite_faults, format_count, format_instant
+from jointid.records.checks.finite import finite_faults, format_count, format_instant
 
 CLOCK_TOLERANCE = 0.05
 """Largest jitter of a time stamp step, as a share of the sample time.

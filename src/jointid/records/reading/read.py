@@ -12,20 +12,20 @@ import numpy as np
 from jointid.common import units
 from jointid.common.errors import RecordError
 from jointid.models.transmission import Transmission
-from jointid.records.checks import scale_faults
+from jointid.records.checks.finite import finite_faults
+from jointid.records.checks.record_checks import scale_faults
 from jointid.records.columns import Column, known_units, unit_fault, unit_of_column
 from jointid.records.drives.drive import Drive
 from jointid.records.drives.profiles import find_side
-from jointid.records.finite import finite_faults
 from jointid.records.formats import Table, read_table
-from jointid.records.other_axes import find_other_axes
+from jointid.records.reading.other_axes import find_other_axes
 from jointid.records.record import CHANNELS, Channel, Injection, Record, Tap, Timing
 from jointid.records.refer import refer_channel
+from jointid.records.signals.unwrap import unwrap, wrap_faults
 from jointid.records.time_base.clock import Clock, Clocks, beginning_faults, find_clock
 from jointid.records.time_base.resampling import Resampling, Stamped, resample_together
 from jointid.records.time_base.uniformity import CLOCK_TOLERANCE
 from jointid.records.time_base.update_rate import align_updates
-from jointid.records.unwrap import unwrap, wrap_faults
 
 _MOVES = 0.01  # of this axis's travel: an axis that moves less is held
 

@@ -18,7 +18,7 @@ from jointid.common.errors import RecordError
 from jointid.records.columns import Column
 from jointid.records.drives.drive import Drive
 from jointid.records.formats import Table, read_blocks
-from jointid.records.reading import RecordReader
+from jointid.records.reading.read import RecordReader
 from jointid.records.record import Channel, Record
 from jointid.records.time_base.clock import is_same_rate
 
@@ -56,12 +56,12 @@ class LongRecord(Protocol):
     def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
         """Yield one chunk after the other, or one in so many.
 
-        What is left at the end, and shorter than the overlap, is in the piece before it, and is none of its own.
+        What is left at the end, and shorter than the overlap, is in the chunk before it, and is none of its own.
 
         Args:
-            length: samples from the beginning of a piece to that of the next.
-            overlap: samples that a piece goes on beyond that, `length` at most.
-            every: of so many pieces the first is read.
+            length: samples from the beginning of a chunk to that of the next.
+            overlap: samples that a chunk goes on beyond that, `length` at most.
+            every: of so many chunks the first is read.
 
         Raises:
             RecordError: the record cannot be read, or does not hold what it is declared to hold.
@@ -190,7 +190,7 @@ def _require_one_rate(record: Record) -> float:
 
 
 def _set_rate(record: Record, sample_time: float, first: int) -> Record:
-    """Return a piece of a record at the sample time of all of it, beginning with that sample."""
+    """Return a chunk of a record at the sample time of all of it, beginning with that sample."""
     own = _require_one_rate(record)
     if not is_same_rate(own, sample_time):
         raise RecordError(f"the sample time is {own:g} s here and {sample_time:g} s at the beginning; cut it there.")

@@ -12,8 +12,8 @@ from pathlib import Path
 from jointid.common import units
 from jointid.common.text import aligned, number, shown
 from jointid.records.columns import unit_in_name
+from jointid.records.files.outline import Outline, OutlineBuilder
 from jointid.records.formats import format_of, read_tables
-from jointid.records.outline import Outline, OutlineBuilder
 
 _ROWS = 65536  # that are in memory at once, where the format allows it
 _TIME = re.compile(r"(?:.*[/._ ])?(?:t|time|timestamp|stamp)\s*(?:[\[(].*[\])])?", re.IGNORECASE)

@@ -8,7 +8,7 @@ import numpy as np
 
 from jointid.common.errors import RecordError
 from jointid.common.units import unit, units_of
-from jointid.records.finite import finite_faults
+from jointid.records.checks.finite import finite_faults
 from jointid.records.record import Channel, InjectionPoint, Record, Tap
 
 LIMIT_SHARE = 0.01

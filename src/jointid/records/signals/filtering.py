@@ -16,8 +16,8 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
-from jointid.records.modes import Modes, Thinning
 from jointid.records.record import Channel, Timing
+from jointid.records.signals.modes import Modes, Thinning
 
 if TYPE_CHECKING:
     from typing import Self

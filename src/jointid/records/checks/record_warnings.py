@@ -8,9 +8,9 @@ from collections.abc import Collection, Iterator
 import numpy as np
 
 from jointid.records.record import Channel, Record
-from jointid.records.signals import lowpass
+from jointid.records.signals.filtering import lowpass
+from jointid.records.signals.unwrap import find_quantum
 from jointid.records.time_base.update_rate import update_interval
-from jointid.records.unwrap import find_quantum
 
 ROUNDING = 0.01
 """Share of a torque's rms that its rounding may be: the EMPS axis leaves 4 % for other reasons."""
