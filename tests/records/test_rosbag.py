@@ -143,6 +143,13 @@ def test_a_folder_is_read_in_the_order_of_its_files(tmp_path: Path) -> None:
         read_table(tmp_path / "none")
 
 
+@pytest.mark.parametrize("name", ["run #1 50%.db3", "run%20.MCAP"])
+def test_a_file_of_a_bag_can_have_any_name(name: str, tmp_path: Path) -> None:
+    made = tmp_path / f"run{Path(name).suffix.lower()}"
+    bag(made)
+    assert "/goal" in read_table(made.rename(tmp_path / name)).columns
+
+
 def test_a_bag_is_written_as_joint_states(tmp_path: Path) -> None:
     from rosbags.highlevel import AnyReader
 

@@ -10,8 +10,11 @@ import signal
 import struct
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
+_SQLITE = b"SQLite format 3\0"
 _BATCH = 2**20  # bytes of messages in one part
 
 
@@ -38,22 +41,28 @@ def bag(path: str) -> Iterator[bytes]:
     """
     from rosbags.rosbag2 import Reader
 
-    with Reader(path) as reader:
-        links: list[Any] = list(reader.connections)
-        topics = [
-            (link.topic, link.msgtype, link.ext.serialization_format, message_types(link.msgtype, _text(link.msgdef)))
-            for link in links
-        ]
-        yield json.dumps(topics).encode()
-        numbers = {link.id: number for number, link in enumerate(links)}
-        batch = bytearray()
-        for link, time, data in reader.messages(connections=links):
-            batch += struct.pack("<IqI", numbers[link.id], time, len(data))
-            batch += data
-            if len(batch) > _BATCH:
-                yield bytes(batch)
-                batch.clear()
-        yield bytes(batch)
+    with Path(path).open("rb") as file:
+        is_database = file.read(len(_SQLITE)) == _SQLITE
+    # The library puts the path of a database into an address as it is.
+    place = Path(quote(path, safe="/:\\") if is_database else path)
+    storage = Reader.STORAGE_PLUGINS[".db3" if is_database else ".mcap"](place)
+    storage.open()
+    links: list[Any] = list(storage.connections)
+    topics = [
+        (link.topic, link.msgtype, link.ext.serialization_format, message_types(link.msgtype, _text(link.msgdef)))
+        for link in links
+    ]
+    yield json.dumps(topics).encode()
+    numbers = {link.id: number for number, link in enumerate(links)}
+    batch = bytearray()
+    for link, time, data in storage.messages(links):
+        batch += struct.pack("<IqI", numbers[link.id], time, len(data))
+        batch += data
+        if len(batch) > _BATCH:
+            yield bytes(batch)
+            batch.clear()
+    yield bytes(batch)
+    storage.close()
 
 
 def _text(definition: Any) -> str:
