@@ -20,7 +20,7 @@ from jointid.estimation.search import multistart
 from jointid.models.joints import RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Injection, Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 

@@ -12,13 +12,13 @@ from pydantic import Field
 from jointid.config.table import Table, accepted, refusal
 from jointid.config.values import ColumnGain, Count, Flag, Natural, NotNegative, Positive, Sign, Text, TimeUnit
 from jointid.models.transmission import Side
-from jointid.records.checks import CLOCK_TOLERANCE
 from jointid.records.columns import Column
 from jointid.records.drives.drive import Drive
-from jointid.records.drives.profiles import profile_named, profile_names
+from jointid.records.drives.profiles import load_profile, profile_names
 from jointid.records.formats import Csv, format_of
 from jointid.records.record import Channel, Injection
 from jointid.records.time_base.resampling import Resampling
+from jointid.records.time_base.uniformity import CLOCK_TOLERANCE
 
 OPTIONS = ("delimiter", "decimal", "header")
 """The keys of [record] that are options of the format's reader."""
@@ -123,7 +123,7 @@ class RecordTable(Table):
 class DriveTable(Table):
     """[drive]: whose traces the record is made of, and the numbers behind the drive's own units."""
 
-    profile: Annotated[Text, accepted(profile_named)] | None = Field(
+    profile: Annotated[Text, accepted(load_profile)] | None = Field(
         None,
         description="whose names, units, timing and tap the channels have",
         json_schema_extra={"enum": list(profile_names())},

@@ -1,4 +1,4 @@
-"""How the channels of a record are found in a table: by which column, in which unit, with which sign."""
+"""Columns of a table that become the channels of a record: name, unit, gain and sign."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """How one channel is found in a file: its values are `sign` x `gain` x column, in `unit`.
+    """Column of a file that holds one channel: its values are `sign` x `gain` x column, in `unit`.
 
     Attributes:
         column: the column's name; "" leaves it to the drive's profile.
@@ -30,13 +30,13 @@ class Column:
         sample_time: this channel's own time between samples [s], where it differs from the record's.
         tap: where in the drive the torque was logged (torque only); None is the controller's output.
         at: where the known signal is added to the controller's output (injected only).
-        in_torque: whether the logged torque contains the known signal (injected only).
+        in_torque: True if the logged torque contains the known signal (injected only).
         side: of the transmission, "motor" or "load"; None is the load's for load_position, the motor's for the others.
         wrap: where the column, in its own numbers, wraps round: 65536 for an encoder of 16 bits, 360 for an
             angle in degrees (positions only).
         update_time: time between refreshes [s] of a column that is logged more often than that; it becomes a
             channel of that sample time, from the first refresh on.
-        optional: whether a file without this column is read without this channel.
+        optional: True to read a file without this column without this channel.
         time: name of this channel's own time column, where it has one.
 
     Raises:
@@ -90,7 +90,7 @@ class Column:
         # A gain takes the values from the unit in the name to another one.
         return self.unit if self.unit is not None or self.gain != 1 else unit_in_name(self.column, known)
 
-    def misplaced(self, channel: str) -> list[str]:
+    def misplaced_faults(self, channel: str) -> list[str]:
         """Return the faults of settings that belong to other channels than `channel`."""
         faults = []
         if channel != "torque" and self.tap is not None:

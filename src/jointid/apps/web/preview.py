@@ -10,8 +10,8 @@ import numpy as np
 
 from jointid.apps.web.roles import guess_roles
 from jointid.common.arrays import FloatArray
+from jointid.records.files.outline import OutlineBuilder
 from jointid.records.formats import Table
-from jointid.records.outline import Outlining
 
 _DRAWN = 64  # columns whose outline is kept; the others are listed by name
 _LISTED = 2000  # names
@@ -40,11 +40,11 @@ def find_duration(preview: Mapping[str, Any], time: str | None) -> float | None:
 
 
 def _describe_column(name: str, values: FloatArray, *, drawn: bool) -> dict[str, Any]:
-    outlining = Outlining()
-    outlining.take(np.where(np.isfinite(values), values, np.nan))
-    if outlining.missing == outlining.rows:
-        return {"name": name, "samples": outlining.rows, "low": None, "high": None, "outline": None}
-    outline = outlining.outline()
+    found = OutlineBuilder()
+    found.take(np.where(np.isfinite(values), values, np.nan))
+    if found.missing == found.rows:
+        return {"name": name, "samples": found.rows, "low": None, "high": None, "outline": None}
+    outline = found.build()
     sides = zip(*outline.stretches(_PIECES), strict=True)
     return {
         "name": name,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from jointid.records.drives.profiles import Profile, profile_named, profile_names
+from jointid.records.drives.profiles import Profile, load_profile, profile_names
 from jointid.records.record import CHANNELS
 
 _PROFILE_FIRST = "generic"
@@ -65,7 +65,7 @@ def _find_by_profile(channel: str, names: list[str]) -> str | None:
 
 def _list_profiles() -> list[Profile]:
     rest = [name for name in profile_names() if name != _PROFILE_FIRST]
-    return [profile_named(name) for name in (_PROFILE_FIRST, *rest)]
+    return [load_profile(name) for name in (_PROFILE_FIRST, *rest)]
 
 
 def _normalise(name: str) -> str:

@@ -46,7 +46,7 @@ def preview(folder: Path) -> None:
 def simulate(folder: Path) -> None:
     """Simulate the digital twin, and write `example.csv`."""
     from jointid.paper.twin import twin
-    from jointid.records.writing import write
+    from jointid.records.files.writing import write
 
     write(twin().record, folder / "example.csv")
 

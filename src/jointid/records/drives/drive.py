@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from jointid.common import units
 from jointid.common.errors import RecordError
-from jointid.records.drives.profiles import Profile, profile_named
+from jointid.records.drives.profiles import Profile, load_profile
 
 _AGREES = 0.05  # of a rated torque: nameplates are rounded, and peak and rms ampere differ by 41 %
 
@@ -26,7 +26,7 @@ _COUNTS = {"prismatic": "counts_per_metre", "revolute": "counts_per_turn"}
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What is known of a drive: whose traces they are, and the numbers behind its units.
+    """Profile of a drive's traces, and the drive parameters behind its units.
 
     Attributes:
         profile: name of the profile that finds the channels in a trace, see `jointid.records.drives.profiles`.
@@ -72,12 +72,12 @@ class Drive:
         if faults:
             raise RecordError(faults)
         if self.profile is not None:
-            profile_named(self.profile)  # refuses a name that there is not
+            load_profile(self.profile)  # refuses a name that there is not
 
     @property
     def traces(self) -> Profile | None:
         """The profile, None without one."""
-        return None if self.profile is None else profile_named(self.profile)
+        return None if self.profile is None else load_profile(self.profile)
 
     @property
     def _from_current(self) -> float | None:
@@ -85,14 +85,14 @@ class Drive:
             return None
         return self.rated_current * self.torque_constant
 
-    def resolved(self, unit: units.Unit, kind: str, *, of_load: bool = False, geared: bool = False) -> units.Unit:
+    def resolve_unit(self, unit: units.Unit, kind: str, *, of_load: bool = False, geared: bool = False) -> units.Unit:
         """Return a unit with its factor to SI; one that is no drive's own as it is.
 
         Args:
             unit: of a channel.
             kind: of the side on which the channel is measured.
-            of_load: whether it is measured by the load's own encoder.
-            geared: whether that moves like the motor's, but by another amount: its counts are then no guide.
+            of_load: True if it is measured by the load's own encoder.
+            geared: True if the load moves by another amount than the motor, whose counts then do not apply.
 
         Raises:
             UnitError: a number is missing; the message is the end of a sentence that begins with what has the unit.
