@@ -658,7 +658,7 @@ FAULTS = [
     (
         SMALLEST.replace('"i"', '"i", at = "after_limit"'),
         "record.channels.torque.at is not a known key; expected one of column, unit, gain, sign, timing, "
-        "sample_time, time, side, wrap, update_time, optional, tap: leave it out.",
+        "sample_time, side, wrap, update_time, optional, time, tap: leave it out.",
     ),
     (
         SMALLEST.replace('{ column = "i" }', '"i"'),
@@ -670,8 +670,7 @@ FAULTS = [
     ),
     (
         "[record]\ntime_unit = 'sec'\n" + SMALLEST,
-        'record.time_unit is "sec"; expected a unit of time, one of s, ms, us, ns, min, h: correct it, or leave '
-        "it out.",
+        'record.time_unit is "sec"; expected "s", "ms", "us", "ns", "min" or "h": did you mean "s"?',
     ),
     (
         "[record]\ndelimiter = 'ab'\n" + SMALLEST,
@@ -931,8 +930,7 @@ FAULTS = [
     ),
     (
         LINK + "angle = 0",
-        "gravity.angle: The angle of gravity is the radians of the link per unit of the joint's position, and not 0; "
-        "received 0.0.",
+        "gravity.angle is 0; expected a number other than 0: correct it, or leave it out.",
     ),
     (
         LINK.replace("link", "arm"),

@@ -13,8 +13,8 @@ from jointid.common.progress import Progress, silent
 from jointid.config import serialise
 from jointid.config.channels import reachable, torque_unit
 from jointid.config.consistency import changed, chosen_method, needed_channels
-from jointid.config.record_table import RecordTable
-from jointid.config.schema import CLOSINGS, RunTable
+from jointid.config.schema import CLOSINGS
+from jointid.config.sources import Run, Source
 from jointid.config.validation import checked
 from jointid.estimation.identify import Method, identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
@@ -23,67 +23,15 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller, with_numbers
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
-from jointid.records.checks import CLOCK_TOLERANCE, check_record
+from jointid.records.checks import check_record
 from jointid.records.chunks import Log
 from jointid.records.columns import Column
 from jointid.records.drives.drive import Drive
 from jointid.records.reading import read
 from jointid.records.record import Record
 from jointid.records.signals import Filtering
-from jointid.records.time_base.resampling import Resampling
 from jointid.records.writing import write
 from jointid.simulation.loop_input import ClosedLoop
-
-
-@dataclass(frozen=True, slots=True)
-class Source:
-    """The file of the record, and how it is read; see `jointid.records.reading.read`.
-
-    Attributes:
-        file: path of the record, from the joint file's folder.
-        time, time_unit: name of the time column, and its unit.
-        sample_time: seconds between samples.
-        clock_tolerance: largest jitter of the time stamps, as a share of the sample time.
-        options: of the format's reader.
-        resample: to which uniform clock all channels are brought, and how.
-    """
-
-    file: str | None = None
-    time: str | None = None
-    time_unit: str | None = None
-    sample_time: float | None = None
-    clock_tolerance: float = CLOCK_TOLERANCE
-    options: Mapping[str, Any] = field(default_factory=dict)
-    resample: Resampling | None = None
-
-    @classmethod
-    def of(cls, table: RecordTable) -> Self:
-        """Return what [record] says of the file."""
-        options = table.options()
-        resample = None if table.resample is None else table.resample.resampling()
-        return cls(**table.given("channels", "resample", *options), resample=resample, options=options)
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """One of several records that are identified together.
-
-    Attributes:
-        file: path of the record, from the joint file's folder.
-        added_inertia: known, on the load and as it is there, on top of what is shared.
-        own: names of parameters that the others do not share.
-        controller: numbers of the controller that were others in it, by name.
-    """
-
-    file: str
-    added_inertia: float = 0.0
-    own: tuple[str, ...] = ()
-    controller: Mapping[str, float] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, table: RunTable) -> Self:
-        """Return what one of [[records]] says."""
-        return cls(table.file, table.added_inertia, tuple(table.own), table.controller)
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,9 +107,9 @@ class JointFile:
             filtering=file.filtering.filtering(),
             parameters={name: changed(known[name], table) for name, table in file.parameters.items()},
             drive=drive,
-            source=Source.of(file.record),
+            source=file.record.source(),
             name=file.joint.name,
-            runs=tuple(map(Run.of, file.records)),
+            runs=tuple(table.run() for table in file.records),
             free=tuple(file.together.free),
             weighting=file.together.weighting,
             path=path,

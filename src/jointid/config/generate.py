@@ -13,14 +13,15 @@ from pydantic import AfterValidator, Field, create_model
 
 from jointid.common.settings import Declared, settings_of
 from jointid.config.table import Table, accepted
-from jointid.config.values import MOST, Borders, Coefficients, Flag, Names, Text
+from jointid.config.values import MOST, Borders, Coefficients, ControllerNumbers, Flag, Names, Text
 
 T = TypeVar("T", bound=Table)
 Typed = tuple[Any, Any]
-"""The annotation of a key, and its default; ... for one that is required."""
+"""The annotation of a key, and its default, or what makes it; ... for one that is required."""
 
 _PLAIN: Mapping[Any, Any] = {
     bool: Flag, str: Text, tuple[str, ...]: Names, tuple[int, int]: Borders, tuple[float, ...]: Coefficients,
+    Mapping[str, float]: ControllerNumbers,
 }  # fmt: skip
 
 
@@ -78,6 +79,8 @@ def _key(same: Sequence[Declared], typed: Typed | None) -> Typed:
     """Return annotation and field of a key, from its declarations."""
     described = "; ".join(dict.fromkeys(one.setting.description for one in same))
     annotation, default = typed or (annotation_of(same[0]), _default(same))
+    if callable(default):
+        return annotation, Field(default_factory=default, description=described)
     return annotation if default is not None else annotation | None, Field(default, description=described)
 
 
@@ -88,6 +91,8 @@ def _default(same: Sequence[Declared]) -> Any:
         return None
     if same[0].required:
         return ...
+    if same[0].factory is not None:
+        return same[0].factory
     return _plain(same[0].default)
 
 
@@ -110,7 +115,7 @@ def annotation_of(one: Declared) -> Any:
 
 def _annotation_of(one: Declared) -> Any:
     declared = one.setting
-    if declared.choices:
+    if declared.choices and declared.accept is not None:
         return Annotated[Text, Field(json_schema_extra={"enum": list(declared.choices)})]
     if one.choices:
         return Literal[*one.choices]

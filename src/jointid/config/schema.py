@@ -19,15 +19,14 @@ from jointid.config.gearing import TransmissionTable
 from jointid.config.generate import keys_from
 from jointid.config.laws import ControllerTable
 from jointid.config.mechanics import GravityTable, JointTable
-from jointid.config.record_table import DriveTable, RecordFile, RecordTable
+from jointid.config.record_table import DriveTable, RecordTable
+from jointid.config.sources import Run
 from jointid.config.table import Table
 from jointid.config.values import (
     Bound,
-    ControllerNumbers,
     Flag,
     Names,
     Natural,
-    NotNegative,
     Number,
     Positive,
 )
@@ -159,17 +158,13 @@ class ParameterTable(Table):
             yield "value", " is missing; a parameter that is not free needs the value that it keeps: add it."
 
 
+@keys_from(Run)
 class RunTable(Table):
     """[[records]]: one of several records that are identified together, and what is known to differ in it."""
 
-    file: RecordFile = Field(description="path of the record, from the joint file's folder")
-    added_inertia: NotNegative = Field(
-        0.0, description="known, on the load, beyond what is shared [kg or kg m2, load side]"
-    )
-    own: Names = Field([], description="names of parameters that the other records do not share")
-    controller: ControllerNumbers = Field(
-        default_factory=dict, description="numbers of the controller that were others, by key"
-    )
+    def run(self) -> Run:
+        """Return the record."""
+        return Run(**self.settings())
 
 
 class TogetherTable(Table):
