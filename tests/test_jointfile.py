@@ -1596,12 +1596,12 @@ def test_the_emps_file_serves_both_records(data_dir: Path) -> None:
     assert second.injected.channel.values.max() == pytest.approx(5.07 * 35.15, rel=1e-3)
     assert file.loop is not None
     estimate = identify(first, file.loop, file.method, filtering=file.filtering, parameters=file.parameters)
-    found = {parameter.name: parameter.value for parameter in estimate.parameters}
+    found = {parameter.name: parameter.value for parameter in estimate.params}
     assert found["inertia"] == pytest.approx(94.9, abs=0.1)
     assert found["viscous"] == pytest.approx(207.5, abs=0.5)
     assert found["coulomb"] == pytest.approx(20.1, abs=0.1)
     assert found["offset"] == pytest.approx(-3.17, abs=0.02)
-    assert estimate.relative_error == pytest.approx(0.0456, abs=2e-4)
+    assert estimate.fit.relative_error == pytest.approx(0.0456, abs=2e-4)
 
 
 # Several records

@@ -20,8 +20,8 @@ class TransmissionTable(Table):
 
     lead: Size | None = Field(
         None,
-        description="how far a prismatic load goes in one turn of the motor: of a screw, a rack or a belt; the motor is "
-        "revolute then [lead_unit]",
+        description="how far a prismatic load goes in one turn of the motor: of a screw, a rack or a belt; the motor "
+        "is revolute then [lead_unit]",
     )
     lead_unit: LengthUnit = Field("m", description="unit of the lead")
 

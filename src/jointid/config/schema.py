@@ -30,7 +30,7 @@ from jointid.config.values import (
     Number,
     Positive,
 )
-from jointid.estimation.identify import Method
+from jointid.estimation.identify_record import Method
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.flexible import FlexibleDIDIM

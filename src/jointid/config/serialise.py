@@ -10,7 +10,7 @@ import numpy as np
 
 from jointid.common.errors import JointFileError
 from jointid.config.schema import CLOSINGS, DIDIMS, FILTERINGS
-from jointid.estimation.identify import Method
+from jointid.estimation.identify_record import Method
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import FILTERS, LAWS, Controller, DigitalFilter
 from jointid.models.disturbances import Drift, Effect, PositionHarmonics

@@ -265,6 +265,6 @@ def _parsed(text: str, place: str) -> dict[str, Any]:
     if several := [written for key, written in _SEVERAL.items() if key in said]:
         raise JointFileError(
             f"{place} says {' and '.join(several)}, and this page identifies one record, the one that was sent; remove "
-            "that, or use jointid together for several records."
+            "that, or use jointid identify for several records."
         )
     return said

@@ -245,11 +245,9 @@ def identify_didim(
     state = end.state
     found = answer(record, search.problem, state.x, state.simulation, (end.stop, end.converged), known, state.J)
     form = "the paper's form (11)" if settings.form == "paper" else "residual form"
-    return replace(
-        found,
-        variant=f"DIDIM in {form} from {'an' if began == 'inversion' else 'a'} {began} start",
-        trace=tuple(search.trace),
-        simulations=search.simulations,
+    return found.amended(
+        settings={"variant": f"DIDIM in {form} from {'an' if began == 'inversion' else 'a'} {began} start"},
+        fit={"trace": tuple(search.trace), "simulations": search.simulations},
     )
 
 

@@ -26,13 +26,17 @@ from jointid.estimation.methods.endogeneity import Judgement, judged
 from jointid.estimation.problems.drive_side_problem import CURRENT_LAG, MotionProblem, motion_problem
 from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
 from jointid.estimation.result.estimate import (
+    Checks,
+    Data,
     Estimate,
+    Fit,
     Iteration,
+    Settings,
     fingerprint,
     poor_fit,
     relative_error,
 )
-from jointid.estimation.result.estimated import EstimatedParameter
+from jointid.estimation.result.params import EstimatedParameter, Params
 from jointid.models.joints import acts_on_whole
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
@@ -233,33 +237,42 @@ def _answer(record: Record, problem: MotionProblem, bottom: Bottom, verdict: Jud
     )
     how = "least squares" if verdict.x is None else "instrumental variables"
     return Estimate(
-        method="drive_side",
-        variant=f"drive-side by {how}",
-        joint=problem.joint,
-        loop=None,
-        parameters=rows,
-        channels=("torque", "motor_position", *verdict.channels),
-        record=record.name,
-        sample_time=problem.sample_time,
-        torque_unit=record.torque.unit,
-        measured=problem.measured,
-        predicted=predicted,
-        borders=borders,
-        relative_error=relative_error(problem.measured, predicted, borders),
-        filtered_error=filtered_error,
-        rows=error.size,
-        conditioning=None,
-        initial=None,
-        filtering=problem.filtering,
-        trace=trace_of(problem, bottom),
-        simulations=bottom.evaluations + verdict.simulations,
-        stop=bottom.stop,
-        converged=bottom.converged,
-        intervals=f"from the sensitivities of the torque: {words(covariance)}; {band_words()}",
-        warnings=warnings,
-        fingerprint=fingerprint(record.torque.values),
-        delay=-values[LOG_DELAY.name],
-        correlation=covariance.correlation,
+        params=Params(
+            rows,
+            tuple(p.name for p in problem.free),
+            covariance.correlation,
+            f"from the sensitivities of the torque: {words(covariance)}; {band_words()}",
+        ),
+        fit=Fit(
+            measured=problem.measured,
+            predicted=predicted,
+            borders=borders,
+            relative_error=relative_error(problem.measured, predicted, borders),
+            filtered_error=filtered_error,
+            rows=error.size,
+            conditioning=None,
+            initial=None,
+            trace=trace_of(problem, bottom),
+            simulations=bottom.evaluations + verdict.simulations,
+            stop=bottom.stop,
+            converged=bottom.converged,
+        ),
+        checks=Checks(warnings=warnings),
+        data=Data(
+            channels=("torque", "motor_position", *verdict.channels),
+            record=record.name,
+            sample_time=problem.sample_time,
+            torque_unit=record.torque.unit,
+            fingerprint=fingerprint(record.torque.values),
+        ),
+        settings=Settings(
+            method="drive_side",
+            variant=f"drive-side by {how}",
+            joint=problem.joint,
+            loop=None,
+            filtering=problem.filtering,
+            delay=-values[LOG_DELAY.name],
+        ),
     )
 
 

@@ -157,13 +157,12 @@ def identify_flexible(
         spring = visible(problem, x, known, end.led, progress)
         descent.simulations += spring.simulations
         found = answer(record, problem, x, run, (stop, converged), known, J, spring.rigid_error)
-        found = replace(found, verdicts=(*found.verdicts, spring.verdict))
+        found = found.amended(checks={"verdicts": (*found.checks.verdicts, spring.verdict)})
         found = found if spring.shown else refused(found, spring)
-    return replace(
-        found,
-        variant=f"DIDIM by {how} {'from the pseudo-regular start' if paper else 'from a grid of starts'}",
-        trace=tuple(descent.trace),
-        simulations=descent.simulations + simulations,
+    variant = f"DIDIM by {how} {'from the pseudo-regular start' if paper else 'from a grid of starts'}"
+    return found.amended(
+        settings={"variant": variant},
+        fit={"trace": tuple(descent.trace), "simulations": descent.simulations + simulations},
     )
 
 
@@ -186,8 +185,8 @@ def _searched(
         return by_least_squares(descent, filtering, rigid, settings.frequency, tolerance)
 
     end = solved(rigid)
-    assert rigid.filtering.cutoff is not None
-    edge, simulations = rigid.filtering.cutoff, rigid.simulations
+    assert rigid.settings.filtering.cutoff is not None
+    edge, simulations = rigid.settings.filtering.cutoff, rigid.fit.simulations
     for lower in () if paper or settings.rigid_cutoff else _LOWER:
         if np.linalg.norm(descent.residual(end.x)) <= _NOTHING * descent.size:
             break
@@ -195,7 +194,7 @@ def _searched(
         progress("the search ended where the model explains little; beginning again, below a lower frequency")
         descent.problem = problem
         rigid = rigid_estimate(record, loop, edge / lower, progress)
-        simulations += rigid.simulations
+        simulations += rigid.fit.simulations
         end = solved(rigid)
     if rigid["initial_velocity"].free:  # below its resonance the axis seemed to move at the first sample
         end = or_moving(descent, end, rigid, not paper, down)
@@ -207,22 +206,25 @@ def refused(estimate: Estimate, spring: Visibility) -> Estimate:
 
     What a rigid joint tells takes its place: the sums of both sides.
     """
-    assert isinstance(estimate.joint, FlexibleJoint)
+    joint = estimate.settings.joint
+    assert isinstance(joint, FlexibleJoint)
     whole = tuple(
-        Known(_sum_of(p, estimate.joint.unit(p)), spring.rigid[p.name], std, std / (abs(spring.rigid[p.name]) or 1.0))
-        for p in estimate.joint.rigid.parameters
+        Known(_sum_of(p, joint.unit(p)), spring.rigid[p.name], std, std / (abs(spring.rigid[p.name]) or 1.0))
+        for p in joint.rigid.parameters
         if (std := spring.rigid_std.get(p.name)) is not None and not acts_on_whole(p.name)
     )
     parted = ("motor_", "load_", "stiffness", "damping")
     lost = tuple(
-        replace(p, value=None, std=None, identifiable=False) if p.name.startswith(parted) and p.free else p
-        for p in estimate.parameters
+        replace(p, value=None, stderr=None, identifiable=False) if p.name.startswith(parted) and p.free else p
+        for p in estimate.params
     )
-    assert estimate.known is not None
-    known = replace(estimate.known, parameters=(), physical=whole, directions=(), sentences=())
+    assert estimate.checks.known is not None
+    known = replace(estimate.checks.known, parameters=(), physical=whole, directions=(), sentences=())
     only = Verdict("identifiability", False, "only the sums of both sides are told, not how they divide")
-    verdicts = tuple(only if v.subject == only.subject else v for v in estimate.verdicts)
-    return replace(estimate, parameters=lost, known=known, bounds=spring.bounds, verdicts=verdicts)
+    verdicts = tuple(only if v.subject == only.subject else v for v in estimate.checks.verdicts)
+    return estimate.amended(
+        params={"rows": lost}, checks={"known": known, "bounds": spring.bounds, "verdicts": verdicts}
+    )
 
 
 def _sum_of(p: Parameter, unit: str) -> Combination:
@@ -234,17 +236,13 @@ def _sum_of(p: Parameter, unit: str) -> Combination:
 def with_paper_statistics(estimate: Estimate, covariance: Covariance, joint: int) -> Estimate:
     """Return the estimate with the deviations of the paper, and none for what surrounds the joint."""
     found, index = [], 0
-    for p in estimate.parameters:
+    for p in estimate.params:
         std = None
         if p.free and index < joint:
             std, index = float(covariance.std[index]), index + 1
-        found.append(replace(p, std=std))
-    return replace(
-        estimate,
-        parameters=tuple(found),
-        correlation=covariance.correlation,
-        intervals="the paper's: of the inverse model on the simulated motion, which was not solved; far too small",
-    )
+        found.append(replace(p, stderr=std))
+    basis = "the paper's: of the inverse model on the simulated motion, which was not solved; far too small"
+    return estimate.amended(params={"rows": tuple(found), "correlation": covariance.correlation, "basis": basis})
 
 
 def _at_rest(record: Record, settings: FlexibleDIDIM) -> tuple[Parameter, ...]:

@@ -21,8 +21,17 @@ from jointid.estimation.methods.instruments import Instrumented, by_instruments,
 from jointid.estimation.methods.inverse_model import InverseModel, idim_channels, motion_of
 from jointid.estimation.methods.linear import Rows, Solution, ordinary, robust, weighted
 from jointid.estimation.problems.closed_loop import require_free
-from jointid.estimation.result.estimate import Estimate, fingerprint, poor_fit, relative_error
-from jointid.estimation.result.estimated import EstimatedParameter
+from jointid.estimation.result.estimate import (
+    Checks,
+    Data,
+    Estimate,
+    Fit,
+    Settings,
+    fingerprint,
+    poor_fit,
+    relative_error,
+)
+from jointid.estimation.result.params import EstimatedParameter, Params
 from jointid.models.disturbances import Effect, effect_parameters, require_effects
 from jointid.models.joints import Joint, acts_on_whole
 from jointid.models.parameters import Parameter
@@ -217,38 +226,49 @@ def _answer(
     measured, predicted = model.torque[0], model.columns[0] @ values
     injected = ("injected",) if record.injected is not None else ()
     return Estimate(
-        method="idim",
-        variant=_VARIANTS[settings.estimator],
-        joint=joint,
-        loop=None,
-        parameters=_table(joint, regression, solution, values, found.periods),
-        channels=("torque", *driven, *idim_channels(joint.model)[1:], *injected),
-        record=record.name,
-        sample_time=record.torque.sample_time,
-        torque_unit=record.torque.unit,
-        measured=measured,
-        predicted=predicted,
-        borders=filtering.borders,
-        relative_error=relative_error(measured, predicted, filtering.borders),
-        filtered_error=solution.fit.relative_error,
-        rows=solution.fit.residual.size,
-        conditioning=solution.fit.conditioning,
-        initial=None,
-        filtering=filtering,
-        trace=iv.trace if iv else (),
-        simulations=len(iv.trace) - 1 if iv else 0,
-        stop=_stop(settings, found),
-        converged=iv.converged if iv else True,
-        intervals=f"of the regression, {words(solution.covariance)}",
-        warnings=(
-            *_warnings(record, filtering, solution.fit.relative_error),
-            *_like_gravity(regression.rows.names, solution.covariance.correlation),
+        params=Params(
+            _table(joint, regression, solution, values, found.periods),
+            regression.rows.names,
+            solution.covariance.correlation,
+            f"of the regression, {words(solution.covariance)}",
         ),
-        fingerprint=fingerprint(record.torque.values),
-        delay=delay,
-        correlation=solution.covariance.correlation,
-        tests=(iv.test,) if iv else (),
-        effects=found.effects,
+        fit=Fit(
+            measured=measured,
+            predicted=predicted,
+            borders=filtering.borders,
+            relative_error=relative_error(measured, predicted, filtering.borders),
+            filtered_error=solution.fit.relative_error,
+            rows=solution.fit.residual.size,
+            conditioning=solution.fit.conditioning,
+            initial=None,
+            trace=iv.trace if iv else (),
+            simulations=len(iv.trace) - 1 if iv else 0,
+            stop=_stop(settings, found),
+            converged=iv.converged if iv else True,
+        ),
+        checks=Checks(
+            warnings=(
+                *_warnings(record, filtering, solution.fit.relative_error),
+                *_like_gravity(regression.rows.names, solution.covariance.correlation),
+            ),
+            tests=(iv.test,) if iv else (),
+        ),
+        data=Data(
+            channels=("torque", *driven, *idim_channels(joint.model)[1:], *injected),
+            record=record.name,
+            sample_time=record.torque.sample_time,
+            torque_unit=record.torque.unit,
+            fingerprint=fingerprint(record.torque.values),
+        ),
+        settings=Settings(
+            method="idim",
+            variant=_VARIANTS[settings.estimator],
+            joint=joint,
+            loop=None,
+            filtering=filtering,
+            delay=delay,
+            effects=found.effects,
+        ),
     )
 
 

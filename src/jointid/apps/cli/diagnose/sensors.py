@@ -1,4 +1,4 @@
-"""`jointid advise`: which sensor, or which other motion, would narrow the intervals of an estimate."""
+"""`jointid diagnose sensors`: which sensor, or which other motion, would narrow the intervals of an estimate."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from jointid.apps.cli.options import Changes
 
 
-def advise(
+def sensors(
     joint: Path,
     /,
     *,
@@ -44,7 +44,7 @@ def advise(
     check_outputs(None, json)
     file = load(joint, changes).overridden(method="didim")
     logged, estimate = identified(file, record, listener)
-    if estimate.bounds:
+    if estimate.checks.bounds:
         found = revealing(estimate, logged, encoder_step=encoder_step, noise=noise, progress=listener)
         show(found)
         answer = answers.revealing_answer(found)

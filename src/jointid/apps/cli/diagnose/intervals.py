@@ -1,4 +1,4 @@
-"""`jointid intervals`: profiles and bootstraps of what a record says."""
+"""`jointid diagnose intervals`: profile likelihoods and bootstraps."""
 
 from __future__ import annotations
 

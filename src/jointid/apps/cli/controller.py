@@ -1,4 +1,4 @@
-"""`jointid loop`: a joint file and a record with the motor position in, the controller out."""
+"""`jointid controller`: a joint file and a record with the motor position in, the controller out."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from jointid.apps.cli.options import Changes
 
 
-def loop(
+def controller(
     joint: Path,
     /,
     *,
