@@ -41,12 +41,12 @@ class Drive:
         None, "which axis, where a trace has several and the profile's names number them", at_least=1
     )
     rated_torque: float | None = setting(
-        None, "what per mille and per cent of a torque are a share of", unit="N m or N", above=0
+        None, "what per mille and per cent of a torque are a share of", unit="N or N m", above=0
     )
     rated_current: float | None = setting(
         None, "the same as a current, in place of it, beside the torque constant", unit="A", above=0
     )
-    torque_constant: float | None = setting(None, "takes a torque in A to N m or N", unit="N m/A or N/A", above=0)
+    torque_constant: float | None = setting(None, "takes a torque in A to N m or N", unit="N/A or N m/A", above=0)
     counts_per_turn: float | None = setting(None, "of a revolute joint's encoder", unit="counts", above=0)
     counts_per_metre: float | None = setting(None, "of a prismatic joint's encoder", unit="counts", above=0)
     load_counts_per_turn: float | None = setting(
