@@ -104,12 +104,12 @@ class Declared:
 
     @property
     def required(self) -> bool:
-        """Whether it has no default."""
+        """True if it has no default."""
         return self.default is MISSING and self.factory is None
 
     @property
     def says(self) -> Says:
-        """What is expected of a value, in words."""
+        """The value that is expected, in words."""
         return Says(self.setting.expected or self._expected, self.setting.negative)
 
     @property

@@ -36,7 +36,7 @@ class TransmissionTable(Table):
 
     @property
     def geared(self) -> bool:
-        """Whether motor and load move alike, but not by the same amount."""
+        """True if motor and load move alike, but not by the same amount."""
         return self.ratio is not None and self.ratio != 1.0
 
     def transmission(self, kind: Kind) -> Transmission:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from jointid.config.generate import keys_from
-from jointid.config.table import Table, accepted, refusal
+from jointid.config.table import Table, accept_by, refusal
 from jointid.config.values import Text
 from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import FRICTIONS, FlexibleJoint, Joint, RigidJoint, friction_named
@@ -20,7 +20,7 @@ class JointTable(Table):
 
     kind: Literal["prismatic", "revolute"] = Field(description="how the joint moves: m and N, or rad and N m")
     model: Literal["rigid", "flexible"] = Field("rigid", description="one inertia, or two joined by a spring")
-    friction: Annotated[Text, accepted(friction_named)] = Field(
+    friction: Annotated[Text, accept_by(friction_named)] = Field(
         "symmetric", description="the friction's law", json_schema_extra={"enum": list(FRICTIONS)}
     )
     name: Text | None = Field(None, description="what reports call the joint")

@@ -12,7 +12,7 @@ from pydantic import Field
 from jointid.common.settings import settings_of
 from jointid.config.generate import keys_from
 from jointid.config.sources import Source
-from jointid.config.table import Table, accepted, refusal
+from jointid.config.table import Table, accept_by, refusal
 from jointid.config.values import Flag, Text
 from jointid.records.columns import Column
 from jointid.records.drives.drive import Drive
@@ -23,7 +23,7 @@ from jointid.records.time_base.resampling import Resampling
 OPTIONS = ("delimiter", "decimal", "header")
 """The keys of [record] that are options of the format's reader."""
 
-Delimiter = Annotated[Text, accepted(lambda mark: Csv(delimiter=mark))]
+Delimiter = Annotated[Text, accept_by(lambda mark: Csv(delimiter=mark))]
 
 
 def _all_but(*kept: str) -> list[str]:
@@ -42,7 +42,7 @@ class ChannelTable(Table):
         if self.time is not None and self.sample_time is not None:
             yield "time", f' is "{self.time}" beside sample_time = {self.sample_time:g}; keep one of them.'
 
-    def declared(self) -> Column:
+    def to_column(self) -> Column:
         """Return the column that is declared."""
         return Column(**self.given())
 
@@ -60,7 +60,7 @@ class InjectedTable(ChannelTable):
         """Yield that no such injection exists."""
         yield from super().faults()
         any_signal = Channel(np.zeros(1), "N", 1.0)
-        if refused := refusal(lambda: Injection(any_signal, self.declared().at, self.in_torque)):
+        if refused := refusal(lambda: Injection(any_signal, self.to_column().at, self.in_torque)):
             yield "in_torque", refused
 
 

@@ -50,10 +50,10 @@ FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
 """The presets of [filtering]."""
 
 DIDIMS: Mapping[str, type[DIDIM] | type[FlexibleDIDIM]] = {"rigid": DIDIM, "flexible": FlexibleDIDIM}
-"""What [method] becomes with the name "didim", by the joint's model."""
+"""Settings of the method "didim", by the joint's model."""
 
 CLOSINGS: Mapping[str, type[DriveSideFit] | type[OpenLoopFit]] = {"drive_side": DriveSideFit, "open_loop": OpenLoopFit}
-"""What [method] becomes with the other names that simulate, by the name; neither needs the controller."""
+"""Settings of the other methods that simulate, by their name; neither needs the controller."""
 
 
 @keys_from(Filtering)
@@ -107,12 +107,12 @@ class MethodTable(Table):
         return models[0] if len(models) == 1 else None
 
     def is_of(self, key: str, name: str) -> bool:
-        """Whether a key is a setting of the method of that name."""
+        """True if a key is a setting of the method of that name."""
         made = [CLOSINGS[name]] if name in CLOSINGS else list(DIDIMS.values())
         return any(key in {field.name for field in fields(one)} for one in made)
 
     def of_closing(self, key: str) -> bool:
-        """Whether a key is only for the methods that prescribe a motion or a torque."""
+        """True if a key is only for the methods that prescribe a motion or a torque."""
         return any(self.is_of(key, name) for name in CLOSINGS) and not self.is_of(key, "didim")
 
     def beside_preset(self) -> dict[str, Any]:
