@@ -229,11 +229,11 @@ def test_a_fault_is_one_sentence(text: str, sentence: str) -> None:
     [
         ({"ratio": 1.0, "lead": 1.0}, "either a ratio .* or a lead"),
         ({}, "either a ratio .* or a lead"),
-        ({"ratio": -100.0}, "sign = -1 to turn round"),
+        ({"ratio": -100.0}, "sign = -1 to turn the load round"),
         ({"ratio": math.nan}, "a positive number"),
         ({"lead": 0.01}, "of a revolute one give the ratio"),
-        ({"ratio": 3.0, "sign": 0}, "received 0, load and revolute"),
-        ({"ratio": 3.0, "side": "gear"}, "received 1, gear and revolute"),
+        ({"ratio": 3.0, "sign": 0}, "sign is 0; expected 1 or -1"),
+        ({"ratio": 3.0, "side": "gear"}, 'side is "gear"; expected "motor" or "load"'),
     ],
 )
 def test_a_transmission_that_cannot_be_is_refused(wrong: dict[str, float], sentence: str) -> None:
@@ -286,7 +286,7 @@ def test_a_side_needs_a_transmission(folder: Path) -> None:
         RecordError, match='has side = "load", but no transmission is given; give it, or leave side out'
     ):
         read(folder / "run.csv", {"reference": Column("x [mm]", side="load")})
-    with pytest.raises(RecordError, match='is "motor" or "load"; got "gear"'):
+    with pytest.raises(RecordError, match='side is "gear"; expected "motor" or "load"'):
         Column("x", side="gear")  # type: ignore[arg-type]
 
 

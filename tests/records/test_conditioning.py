@@ -57,7 +57,7 @@ def test_what_cannot_be_unwrapped_is_refused(tmp_path: Path) -> None:
         read(path, {"motor_position": Column("q", wrap=100.0)})
     with pytest.raises(RecordError, match="torque has a wrap of 100, which is for a position"):
         read(path, {"torque": Column("q", wrap=100.0)})
-    with pytest.raises(RecordError, match="wrap of column"):
+    with pytest.raises(RecordError, match=r"wrap is -1\.0; expected a positive number"):
         Column("q", wrap=-1.0)
 
 
@@ -99,7 +99,7 @@ def test_two_slow_columns_begin_together(tmp_path: Path) -> None:
         (3, 4 * T, "said to be refreshed every 4 samples, but"),
         (8, 4 * T, "but changes only every 8; set update_time = 0.008"),
         (4, 2.5 * T, "which is 2.5 of its samples of 0.001 s; expected a whole number"),
-        (4, -1.0, "The update time of column"),
+        (4, -1.0, "update_time is -1.0; expected a positive number"),
     ],
 )
 def test_a_rhythm_that_is_not_there_is_refused(tmp_path: Path, every: int, update_time: float, part: str) -> None:

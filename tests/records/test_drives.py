@@ -206,9 +206,9 @@ def test_an_axis_of_several_is_found_by_its_number(tmp_path: Path) -> None:
 
 def test_a_drive_that_cannot_be_is_refused() -> None:
     for wrong, part in (
-        ({"rated_torque": -1.0}, "rated_torque is a positive number; got -1"),
-        ({"axis": 0}, "axis is a whole number from 1 on; got 0"),
-        ({"profile": "abc"}, 'No drive profile is called "abc"; there are cia402, generic,'),
+        ({"rated_torque": -1.0}, "rated_torque is -1.0; expected a positive number"),
+        ({"axis": 0}, "axis is 0; expected a whole number, 1 or more"),
+        ({"profile": "abc"}, 'profile is "abc"; expected "cia402", "generic",'),
         ({"rated_torque": 1.0, "rated_current": 2.0, "torque_constant": 0.707}, "1.41 times as much"),
     ):
         with pytest.raises(RecordError, match=re.escape(part)):

@@ -195,11 +195,11 @@ def test_the_time_of_a_gap_is_told(saved: Saved) -> None:
 @pytest.mark.parametrize(
     ("how", "part"),
     [
-        ({"gain": -2.0}, "got -2: use sign = -1"),
-        ({"gain": 0.0}, "positive number; got 0"),
-        ({"gain": NAN}, "positive number; got nan"),
-        ({"sign": 2}, "sign of column .* is 1 or -1; got 2: use gain"),
-        ({"sample_time": -1.0}, "sample time of column .* positive number of seconds; got -1"),
+        ({"gain": -2.0}, r"gain is -2\.0; expected a positive number: use sign = -1"),
+        ({"gain": 0.0}, r"gain is 0\.0; expected a positive number"),
+        ({"gain": NAN}, "gain is nan; expected a positive number"),
+        ({"sign": 2}, 'Column "q": sign is 2; expected 1 or -1'),
+        ({"sample_time": -1.0}, r"sample_time is -1\.0; expected a positive number"),
     ],
 )
 def test_a_column_that_cannot_be_is_refused(how: dict[str, Any], part: str) -> None:

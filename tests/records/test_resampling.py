@@ -182,10 +182,10 @@ def test_a_sample_that_was_logged_twice_is_left_out(saved: Saved) -> None:
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"sample_time": 0.0}, "is a positive number of seconds; got 0"),
-        ({"method": "spline"}, 'has method = "spline"; expected one of "hold", "linear", "cubic"'),
-        ({"held": "none"}, 'has held = "none"'),
-        ({"longest_gap": -1}, "counts samples, 0 or more"),
+        ({"sample_time": 0.0}, r"sample_time is 0\.0; expected a positive number"),
+        ({"method": "spline"}, 'method is "spline"; expected "hold", "linear" or "cubic"'),
+        ({"held": "none"}, 'held is "none"'),
+        ({"longest_gap": -1}, "longest_gap is -1; expected a whole number, 0 or more"),
     ],
 )
 def test_settings_that_do_not_exist_are_refused(wrong: dict[str, Any], said: str) -> None:

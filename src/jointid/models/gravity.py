@@ -14,13 +14,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.settings import check_settings, declare, documented, setting
 from jointid.models.parameters import Kind, Parameter, Quantity
 
 Load: TypeAlias = Literal["constant", "link"]
@@ -40,28 +41,22 @@ GRAVITY_PARAMETERS: Mapping[Load, tuple[str, ...]] = {
 """Names of the parameters of each load."""
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class Counterbalance:
     """The force that a known counterbalance takes off the load: a weight, a cylinder or a spring.
-
-    Attributes:
-        constant: in the unit of the torque, in the direction in which the joint's own torque carries the load.
-        cos, sin: what follows the cosine and the sine of the link's angle, in the unit of the torque.
-        rate: of a spring or a cylinder, per unit of the joint's position, 0 at the zero of the position.
 
     Raises:
         MethodError: a number is not finite.
     """
 
-    constant: float = 0.0
-    cos: float = 0.0
-    sin: float = 0.0
-    rate: float = 0.0
+    constant: float = setting(0.0, "wherever the joint is", unit="N or N m")
+    cos: float = setting(0.0, "times the cosine of the link's angle", unit="N m")
+    sin: float = setting(0.0, "times the sine of the link's angle", unit="N m")
+    rate: float = setting(0.0, "times the joint's position, of a spring or a cylinder", unit="N/m or N m/rad")
 
     def __post_init__(self) -> None:
-        for name in _TERMS:
-            if not math.isfinite(getattr(self, name)):
-                raise MethodError(f"A counterbalance's {name} is a finite number; received {getattr(self, name)}.")
+        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,15 +68,10 @@ class _Term:
     sign: float
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class Gravity:
     """The load's gravity on a joint.
-
-    Attributes:
-        load: "constant": a vertical axis; "link": a body that turns about a horizontal axis.
-        counterbalance: a known part of the load, with numbers that are given.
-        angle: radians of the link per unit of the joint's position: the inverse of the gear ratio, where the position
-            is the motor's.
 
     A constant load and the offset of a motor's torque cannot be told apart by the torque, nor by the motor's position:
     a constant load takes the offset's place, and is the sum of both. The cosine, the sine and the offset are three
@@ -91,18 +81,26 @@ class Gravity:
         MethodError: there is no such load, or the angle is 0 or not finite.
     """
 
-    load: Load
-    counterbalance: Counterbalance = Counterbalance()
-    angle: float = 1.0
+    load: Load = field(
+        metadata=declare(
+            "a vertical axis with a constant load, or a body that turns about a horizontal axis, for a revolute "
+            "joint only"
+        )
+    )
+    counterbalance: Counterbalance = setting(
+        Counterbalance(),
+        "the known force of a weight, a spring or a cylinder that carries a part of the load, seen by the motor; it "
+        "is taken off, and listed with the parameters",
+    )
+    angle: float = setting(
+        1.0,
+        "radians of the link per unit of the joint's position: the inverse of the gear ratio, where the position is "
+        "the motor's",
+        nonzero=True,
+    )
 
     def __post_init__(self) -> None:
-        if self.load not in _LOADS:
-            raise MethodError(f'The load of gravity is "constant" or "link"; received "{self.load}".')
-        if not (math.isfinite(self.angle) and self.angle != 0.0):
-            raise MethodError(
-                "The angle of gravity is the radians of the link per unit of the joint's position, and not 0; "
-                f"received {self.angle}."
-            )
+        check_settings(self)
 
     def require(self, kind: Kind, symmetric: bool) -> None:
         """Raise a `MethodError` if a joint of that kind and friction cannot have this load."""

@@ -70,7 +70,7 @@ def identify(
 
     listener = progress(quiet)
     check_outputs(figure, json)
-    file = load(joint, changes).overridden(
+    file = load(joint, changes).override(
         method=method,
         filtering=filtering,
         friction=friction,

@@ -54,7 +54,7 @@ def report(
         require_page(page)
         require_extra(plots=True)
     listener = progress(quiet)
-    file = load(joint, changes).overridden(method=method, filtering=filtering, friction=friction)
+    file = load(joint, changes).override(method=method, filtering=filtering, friction=friction)
     source = Path(file.record_path(record))
     options = {"method": method, "filtering": filtering, "friction": friction}
     again = repetition(joint, source, options, "report.html" if page is None else page.name)

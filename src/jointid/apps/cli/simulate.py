@@ -81,7 +81,7 @@ def _joint(
 
     file = load(joint, changes)
     if estimate is not None:
-        file = file.overridden(friction=answers.read_friction(estimate))
+        file = file.override(friction=answers.read_friction(estimate))
     if file.loop is None:
         raise MethodError("A simulation needs the controller; add a [controller] table to the joint file.")
     # What is written begins with its first sample, from where a position loop's offset will be counted.

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias, get_args
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
+from jointid.common.settings import check_settings, declare, documented, setting
 from jointid.records.record import Channel, Timing
 from jointid.records.time_base.uniformity import Irregularity, Resampled, measure_irregularity
 
@@ -28,20 +29,13 @@ _ONE_INSTANT = 1e-6  # of a sample time
 _LARGEST = 10**8  # samples of one channel
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class Resampling:
     """Rules by which channels are resampled to one uniform clock.
 
     A lower rate is refused: it needs a filter against aliasing, and `Filtering` has the one that torque and model go
     through alike. Nothing is extrapolated.
-
-    Attributes:
-        sample_time: of the record, s.
-        method: how sampled channels are taken between their samples: "hold" (the last one), "linear", or "cubic" (the
-            spline through all of them, for positions).
-        held: how held channels are taken; what a controller holds is not interpolated unless that is asked for, and is
-            then sampled.
-        longest_gap: samples that may be missing in a row; a longer gap is refused.
 
     Raises:
         RecordError: the sample time is not positive, there is no such method, or the gap is no whole number.
@@ -54,23 +48,20 @@ class Resampling:
         'hold'
     """
 
-    sample_time: float
-    method: Interpolation
-    held: Interpolation = "hold"
-    longest_gap: int = 3
+    sample_time: float = field(metadata=declare("time between samples of the record", unit="s", above=0))
+    method: Interpolation = field(
+        metadata=declare(
+            "how a sampled channel is taken between its samples: the last one, a straight line, or the cubic spline "
+            "through all of them, which is for positions"
+        )
+    )
+    held: Interpolation = setting(
+        "hold", "how a held channel is; what a controller holds is not interpolated unless it is asked for here"
+    )
+    longest_gap: int = setting(3, "samples that may be missing in a row; a longer gap is refused", at_least=0)
 
     def __post_init__(self) -> None:
-        faults = []
-        if not (math.isfinite(self.sample_time) and self.sample_time > 0):
-            faults.append(f"The sample time to resample to is a positive number of seconds; got {self.sample_time:g}.")
-        for name, method in (("method", self.method), ("held", self.held)):
-            if method not in get_args(Interpolation):
-                known = ", ".join(f'"{one}"' for one in get_args(Interpolation))
-                faults.append(f'Resampling has {name} = "{method}"; expected one of {known}: choose one.')
-        if not isinstance(self.longest_gap, int) or self.longest_gap < 0:
-            faults.append(f"longest_gap counts samples, 0 or more; got {self.longest_gap}.")
-        if faults:
-            raise RecordError(faults)
+        check_settings(self, RecordError)
 
     def method_for(self, timing: Timing) -> str:
         """Return how a channel of that timing is taken between its samples."""
