@@ -21,6 +21,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.models.friction import Friction
 from jointid.models.parameters import Kind, Parameter, Quantity
 
 Load: TypeAlias = Literal["constant", "link"]
@@ -104,7 +105,7 @@ class Gravity:
                 f"received {self.angle}."
             )
 
-    def require(self, kind: Kind, symmetric: bool) -> None:
+    def require(self, kind: Kind, friction: Friction) -> None:
         """Raise a `MethodError` if a joint of that kind and friction cannot have this load."""
         turning = self.load == "link" or self.counterbalance.cos != 0.0 or self.counterbalance.sin != 0.0
         if kind == "prismatic" and turning:
@@ -112,10 +113,10 @@ class Gravity:
                 "A prismatic joint does not turn its load, so nothing of its gravity follows a cosine or a sine; use "
                 'load = "constant", or a revolute joint.'
             )
-        if self.load == "constant" and not symmetric:
+        if self.load == "constant" and not friction.offset_identifiable:
             raise MethodError(
-                "A constant load cannot be told apart from asymmetric friction: it adds to the Coulomb force forwards "
-                "and takes as much from it backwards; use symmetric friction, or leave gravity out."
+                f"A constant load cannot be told apart from {friction.name} friction: it adds to the Coulomb force "
+                "forwards and takes as much from it backwards; use symmetric friction, or leave gravity out."
             )
 
     @property

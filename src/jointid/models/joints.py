@@ -23,7 +23,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.models.friction import AsymmetricFriction, Friction, SymmetricFriction
+from jointid.models.friction import Friction, SymmetricFriction
 from jointid.models.gravity import Gravity
 from jointid.models.parameters import POSITION_UNIT, TORQUE_UNIT, Kind, Parameter, Quantity, unit_of
 from jointid.models.transmission import Transmission
@@ -43,8 +43,8 @@ class Motion:
 def _offset(friction: Friction, gravity: Gravity | None) -> Parameter:
     """Return the offset; it is fixed where another parameter is a constant, too."""
     offset = Parameter("offset", "offset", Quantity.FORCE)
-    told = friction.symmetric and (gravity is None or gravity.load != "constant")
-    return offset if told else offset.fixed(0.0)
+    identifiable = friction.offset_identifiable and (gravity is None or gravity.load != "constant")
+    return offset if identifiable else offset.fixed(0.0)
 
 
 def _gravity_parameters(gravity: Gravity | None) -> tuple[Parameter, ...]:
@@ -80,7 +80,7 @@ class _OfOneAxis:
         _require_kind(self.kind, self.transmission)
         if self.gravity is not None:
             moves = self.kind if self.transmission is None else self.transmission.load
-            self.gravity.require(moves, self.friction.symmetric)
+            self.gravity.require(moves, self.friction)
 
     def unit(self, parameter: Parameter) -> str:
         """Return the unit of a parameter of this joint."""
@@ -95,7 +95,7 @@ class RigidJoint(_OfOneAxis):
 
     Attributes:
         kind: "prismatic" (m, N) or "revolute" (rad, N m).
-        friction: the same in both directions, or not (its offset is then fixed at 0).
+        friction: the law; beside one with a Coulomb force for each direction the offset is fixed at 0.
         torque_unit: the torque's unit when it is not the kind's own: "A" or "V".
         transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
         gravity: of what the joint carries; a constant load takes the place of the offset, which is then fixed at 0.
@@ -146,7 +146,7 @@ class FlexibleJoint(_OfOneAxis):
 
     Attributes:
         kind: "prismatic" (m, N) or "revolute" (rad, N m).
-        friction: the law of both sides, symmetric or asymmetric (the offset is then fixed at 0).
+        friction: the law of both sides; see `RigidJoint`.
         torque_unit: the torque's unit when it is not the kind's own: "A" or "V"; stiffness is then in A/rad, ...
         transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
         gravity: of the load; a constant load takes the place of the offset, which is then fixed at 0.
@@ -275,24 +275,3 @@ def frequencies(values: Mapping[str, float]) -> dict[str, float]:
         "motor_locked": math.sqrt(stiffness / load) / (2 * math.pi),
         "load_locked": math.sqrt(stiffness / motor) / (2 * math.pi),
     }
-
-
-FRICTIONS: Mapping[str, type[SymmetricFriction] | type[AsymmetricFriction]] = {
-    "symmetric": SymmetricFriction,
-    "asymmetric": AsymmetricFriction,
-}
-
-
-def friction_named(name: str) -> Friction:
-    """Return the friction law of that name.
-
-    Raises:
-        MethodError: the law is not piecewise linear in velocity, or not known.
-    """
-    try:
-        return FRICTIONS[name]()
-    except KeyError:
-        raise MethodError(
-            f'Friction "{name}" cannot be simulated exactly: only laws that are piecewise linear in velocity can; '
-            f"use {' or '.join(FRICTIONS)}."
-        ) from None

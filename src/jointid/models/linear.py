@@ -160,7 +160,7 @@ def linear_joints(joint: Joint, candidates: Sequence[Mapping[str, float]]) -> Li
         joint: the model.
         candidates: every parameter of it by name, one mapping for each joint.
     """
-    ways = (0,) if joint.friction.symmetric else (0, 1)
+    ways = (0, 1) if joint.friction.depends_on_direction("viscous") else (0,)
     made = [
         _linear(joint.coefficients(values), way, isinstance(joint, FlexibleJoint))
         for values in candidates

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from jointid.estimation.result.estimate import Estimate
+from jointid.models.friction import PARTS
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,18 +30,11 @@ def totals(estimate: Estimate) -> dict[str, Total]:
     the difference of the Coulomb forces belongs to the constant.
     """
     sides = ("motor_", "load_") if estimate.joint.model == "flexible" else ("",)
-    if estimate.joint.friction.symmetric:
-        friction = {name: {f"{side}{name}": 1.0 for side in sides} for name in ("viscous", "coulomb")}
-        constant: dict[str, float] = {}
-    else:
-        ways = (("forwards", 0.5), ("backwards", 0.5))
-        friction = {
-            name: {f"{side}{name}_{way}": half for side in sides for way, half in ways}
-            for name in ("viscous", "coulomb")
-        }
-        constant = {
-            f"{side}coulomb_{way}": half for side in sides for way, half in (("forwards", 0.5), ("backwards", -0.5))
-        }
+    law = estimate.joint.friction
+    friction: dict[str, dict[str, float]] = {
+        part: {n: w for side in sides for n, w in law.mean(part, side).items()} for part in PARTS
+    }
+    constant: dict[str, float] = {n: w for side in sides for n, w in law.constant(side).items()}
     names = {p.name for p in estimate.parameters}
     constant |= {name: 1.0 for name in ("offset", "gravity_constant") if name in names}
     wanted = {"inertia": {f"{side}inertia": 1.0 for side in sides}, **friction, "constant": constant}
@@ -48,6 +42,8 @@ def totals(estimate: Estimate) -> dict[str, Total]:
 
 
 def _total(estimate: Estimate, weights: Mapping[str, float]) -> Total:
+    if not weights:  # the law has no such friction
+        return Total("0", 0.0, None)
     formula = _formula(estimate, weights)
     if estimate.bounds:
         return _of_sums(estimate, weights, formula)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
 from jointid.common.units import units_of
+from jointid.models.friction import FRICTIONS
 from jointid.records.columns import known_units, unit_in_name
 from jointid.records.record import CHANNELS
 
@@ -158,7 +159,7 @@ JOINT = (
           choices=(("rigid", "one mass and its friction (rigid)"),
                    ("flexible", "two masses and the spring between them (flexible)")), usual="rigid"),
     Field("joint.friction", "Friction", "", "choice",
-          choices=(("symmetric", "the same in both directions"), ("asymmetric", "different in the two directions")),
+          choices=tuple((law.name, law.label) for law in FRICTIONS.values()),
           usual="symmetric"),
     Field("gravity.load", "Gravity", "", "choice",
           choices=(("", "does not matter"), ("constant", "a vertical axis: a constant weight"),

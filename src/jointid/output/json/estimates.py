@@ -35,7 +35,7 @@ def estimate_answer(estimate: Estimate) -> Json:
         "variant": estimate.variant,
         "model": estimate.joint.model,
         "kind": estimate.joint.kind,
-        "friction": "symmetric" if estimate.joint.friction.symmetric else "asymmetric",
+        "friction": estimate.joint.friction.name,
         "gravity": gravity_answer(estimate.joint),
         "transmission": transmission_answer(estimate.joint.transmission),
         "record": {
@@ -151,7 +151,7 @@ def together_answer(estimate: CommonEstimate) -> Json:
         "schema": TOGETHER_SCHEMA,
         "model": estimate.joint.model,
         "kind": estimate.joint.kind,
-        "friction": "symmetric" if estimate.joint.friction.symmetric else "asymmetric",
+        "friction": estimate.joint.friction.name,
         "gravity": gravity_answer(estimate.joint),
         "torque_unit": estimate.torque_unit,
         "transmission": transmission_answer(estimate.joint.transmission),

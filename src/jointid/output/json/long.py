@@ -24,7 +24,7 @@ def long_answer(estimate: LongEstimate) -> Json:
         "schema": LONG_SCHEMA,
         "model": estimate.joint.model,
         "kind": estimate.joint.kind,
-        "friction": "symmetric" if estimate.joint.friction.symmetric else "asymmetric",
+        "friction": estimate.joint.friction.name,
         "gravity": gravity_answer(estimate.joint),
         "transmission": transmission_answer(estimate.joint.transmission),
         "record": {"name": estimate.record, "sample_time": estimate.sample_time, "torque_unit": estimate.torque_unit},

@@ -168,7 +168,7 @@ def settings(estimate: Estimate) -> Facts:
         ("Method", estimate.variant),
         (
             "Model",
-            f"{estimate.joint.model}, {'symmetric' if estimate.joint.friction.symmetric else 'asymmetric'} friction",
+            f"{estimate.joint.model}, {estimate.joint.friction.name} friction",
         ),
         ("Left out of the raw error", borders),
         ("Filter", f"{f.cutoff:g} Hz, one sample in {f.decimation}; positions {position}; timing {f.timing}"),
