@@ -20,7 +20,7 @@ from jointid.records.columns import Column
 from jointid.records.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
-from jointid.tuning.lumped import totals
+from jointid.tuning.lumped import lumped_parameters
 
 LAWS = [law() for law in FRICTIONS.values()]
 EVERY_LAW = pytest.mark.parametrize("law", LAWS, ids=list(FRICTIONS))
@@ -86,7 +86,7 @@ def test_a_joint_is_simulated_identified_and_read_back_with_its_own_law(law: Fri
     answers.write(answers.estimate_answer(found), tmp_path / "out.json")
     assert answers.read_friction(tmp_path / "out.json") == law.name
     assert answers.read_identified(tmp_path / "out.json", joint, loop).values == pytest.approx(found.values)
-    lumped, directions = totals(found), np.array(law.directions(found.values))
+    lumped, directions = lumped_parameters(found), np.array(law.directions(found.values))
     for i, part in enumerate(PARTS):
         assert lumped[part].value == pytest.approx(directions[2 * i : 2 * i + len(DIRECTIONS)].mean())
 

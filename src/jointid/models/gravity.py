@@ -121,16 +121,16 @@ class Gravity:
 
     @property
     def varies(self) -> bool:
-        """Whether anything of it depends on the position."""
+        """True if any part of it depends on the position."""
         return self.load == "link" or any((self.counterbalance.cos, self.counterbalance.sin, self.counterbalance.rate))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What the load weighs, then the numbers of the counterbalance that are not 0, which are fixed."""
+        """Weight of the load, then the counterbalance's numbers that are not 0, which are fixed."""
         return tuple(one.parameter for one in self._terms)
 
     def columns(self, position: FloatArray) -> FloatArray:
-        """Return what the parameters are the factors of, (samples, parameters), at positions (samples,)."""
+        """Return the regressor of the parameters, (samples, parameters), at positions (samples,)."""
         phase = self.angle * position
         functions = np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase), position], axis=1)
         return np.column_stack([one.sign * functions[:, one.term] for one in self._terms])
@@ -143,8 +143,8 @@ class Gravity:
         constant, cos, sin, rate = total
         return constant, cos, sin, rate
 
-    def hung(self, values: Mapping[str, float], stiffness: float, position: float, drag: float) -> float:
-        """Return how far the load hangs behind a motor at `position`, on a spring, where it is also dragged: by Newton.
+    def static_deflection(self, values: Mapping[str, float], stiffness: float, position: float, drag: float) -> float:
+        """Return the spring's static deflection under gravity and drag, the motor at `position`: by Newton's method.
 
         A load that gravity pushes over faster than the spring rights it hangs nowhere; the result then means nothing.
         """

@@ -28,6 +28,9 @@ from jointid.models.gravity import Gravity
 from jointid.models.parameters import POSITION_UNIT, TORQUE_UNIT, Kind, Parameter, Quantity, unit_of
 from jointid.models.transmission import Transmission
 
+MODE_DAMPING = 0.02
+"""Damping ratio that is assumed of a mode whose stiffness is not identified."""
+
 _TINY = 1e-300  # keeps a bound on inertias open: a mass of zero has no motion
 
 
@@ -60,15 +63,15 @@ def _gravity_constant(gravity: Gravity | None, values: Mapping[str, float]) -> f
 
 
 def _gravity_coefficients(gravity: Gravity | None, values: Mapping[str, float], of_load: bool) -> FloatArray | None:
-    """Return what of gravity depends on the position, as the simulation sees it; None where nothing does."""
+    """Return gravity's position-dependent coefficients, as the simulation takes them; None if there are none."""
     if gravity is None or not gravity.varies:
         return None
     return np.array([*gravity.coefficients(values)[1:], gravity.angle, float(of_load)])
 
 
 @dataclass(frozen=True, slots=True)
-class _OfOneAxis:
-    """What every joint has: how it moves, its friction, and what surrounds it; see `RigidJoint`."""
+class _JointBase:
+    """Common base of the joints: kind of motion, friction, transmission and gravity; see `RigidJoint`."""
 
     kind: Kind = "prismatic"
     friction: Friction = field(default_factory=SymmetricFriction)
@@ -88,7 +91,7 @@ class _OfOneAxis:
 
 
 @dataclass(frozen=True, slots=True)
-class RigidJoint(_OfOneAxis):
+class RigidJoint(_JointBase):
     """One inertia with viscous and Coulomb friction and a constant offset.
 
     Valid below about a fifth of the first resonance; a flexible joint then shows the sums of its two sides.
@@ -126,13 +129,13 @@ class RigidJoint(_OfOneAxis):
         return np.stack(rows).T[np.newaxis]  # each column is written in one piece
 
     def coefficients(self, values: Mapping[str, float]) -> FloatArray:
-        """Return the drive as the simulation sees it (`simulation.kernels`): a motor, and a load nothing moves."""
+        """Return the drive for the simulation (`simulation.kernels`): a motor, and a load without a spring."""
         friction = self.friction.directions(values, "")
         offset = values["offset"] + _gravity_constant(self.gravity, values)
         return np.array([values["inertia"], 1.0, 0.0, 0.0, *friction, 0.0, 0.0, 0.0, 0.0, offset, 0.0])
 
     def gravity_coefficients(self, values: Mapping[str, float]) -> FloatArray | None:
-        """Return what of gravity depends on the position, (5,), as the simulation sees it; None where nothing does."""
+        """Return gravity's position-dependent coefficients, (5,), as the simulation takes them; None without any."""
         return _gravity_coefficients(self.gravity, values, of_load=False)
 
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
@@ -141,7 +144,7 @@ class RigidJoint(_OfOneAxis):
 
 
 @dataclass(frozen=True, slots=True)
-class FlexibleJoint(_OfOneAxis):
+class FlexibleJoint(_JointBase):
     """A motor and a load inertia, each with friction, joined by a spring and a damper.
 
     Attributes:
@@ -198,7 +201,7 @@ class FlexibleJoint(_OfOneAxis):
         return np.stack([np.column_stack(first), np.column_stack(second)])
 
     def coefficients(self, values: Mapping[str, float]) -> FloatArray:
-        """Return the drive as the simulation sees it (`simulation.kernels`)."""
+        """Return the drive's coefficients for the simulation (`simulation.kernels`)."""
         return np.array(
             [
                 values["motor_inertia"],
@@ -213,7 +216,7 @@ class FlexibleJoint(_OfOneAxis):
         )
 
     def gravity_coefficients(self, values: Mapping[str, float]) -> FloatArray | None:
-        """Return what of gravity depends on the load's position, (5,), as in `RigidJoint`."""
+        """Return gravity's coefficients over the load's position, (5,), as in `RigidJoint`."""
         return _gravity_coefficients(self.gravity, values, of_load=True)
 
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
@@ -227,8 +230,10 @@ class FlexibleJoint(_OfOneAxis):
             drag = forwards * velocity + coulomb if velocity > 0 else backwards * velocity - coulomb_back
         deflection, stiffness = 0.0, values["stiffness"]
         if stiffness > 0.0:
-            hung = None if self.gravity is None else self.gravity.hung(values, stiffness, position, drag)
-            deflection = drag / stiffness if hung is None else hung
+            hanging = (
+                None if self.gravity is None else self.gravity.static_deflection(values, stiffness, position, drag)
+            )
+            deflection = drag / stiffness if hanging is None else hanging
         return np.array([position, velocity, position - deflection, velocity])
 
 
@@ -246,12 +251,12 @@ def _require_kind(kind: str, transmission: Transmission | None) -> None:
 
 
 def acts_on_whole(name: str) -> bool:
-    """Whether a parameter is that of a rigid and of a flexible joint alike, and no sum of two sides."""
+    """True if a parameter is common to rigid and flexible joints, and not a sum of two sides."""
     return name == "offset" or name.startswith(("gravity_", "counterbalance_"))
 
 
 def rigid_sums(values: Mapping[str, float]) -> dict[str, float]:
-    """Return what a rigid identification of a flexible joint with symmetric friction shows: the sums of both sides.
+    """Return the rigid parameters of a flexible joint with symmetric friction: the sums of both sides.
 
     The damping F12 acts between the masses and is no part of the friction sums.
     """
@@ -261,6 +266,19 @@ def rigid_sums(values: Mapping[str, float]) -> dict[str, float]:
         "coulomb": values["motor_coulomb"] + values["load_coulomb"],
         **{name: value for name, value in values.items() if acts_on_whole(name)},
     }
+
+
+def split_by_mode(inertia: float, share: float, hertz: float) -> dict[str, float]:
+    """Return both inertias, spring and damper of a flexible joint with a given mode, damped by `MODE_DAMPING`.
+
+    Args:
+        inertia: of the whole joint.
+        share: of the load in it.
+        hertz: the free-free frequency.
+    """
+    reduced, rate = share * (1 - share) * inertia, 2 * math.pi * hertz
+    inertias = {"motor_inertia": (1 - share) * inertia, "load_inertia": share * inertia}
+    return inertias | {"stiffness": reduced * rate**2, "damping": 2 * MODE_DAMPING * reduced * rate}
 
 
 def frequencies(values: Mapping[str, float]) -> dict[str, float]:

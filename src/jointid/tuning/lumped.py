@@ -11,7 +11,7 @@ from jointid.models.friction import PARTS
 
 
 @dataclass(frozen=True, slots=True)
-class Total:
+class LumpedParameter:
     """A weighted sum of parameters, both sides of a joint together.
 
     Attributes:
@@ -23,7 +23,7 @@ class Total:
     std: float | None
 
 
-def totals(estimate: Estimate) -> dict[str, Total]:
+def lumped_parameters(estimate: Estimate) -> dict[str, LumpedParameter]:
     """Return inertia, viscous and Coulomb friction and the constant force of the whole joint, by those names.
 
     Of friction that differs with the direction viscous and Coulomb friction are the means of both directions, and half
@@ -41,9 +41,9 @@ def totals(estimate: Estimate) -> dict[str, Total]:
     return {name: _total(estimate, weights) for name, weights in wanted.items()}
 
 
-def _total(estimate: Estimate, weights: Mapping[str, float]) -> Total:
+def _total(estimate: Estimate, weights: Mapping[str, float]) -> LumpedParameter:
     if not weights:  # the law has no such friction
-        return Total("0", 0.0, None)
+        return LumpedParameter("0", 0.0, None)
     formula = _formula(estimate, weights)
     if estimate.bounds:
         return _of_sums(estimate, weights, formula)
@@ -51,17 +51,17 @@ def _total(estimate: Estimate, weights: Mapping[str, float]) -> Total:
     value = sum(weight * estimate.values[name] for name, weight in weights.items())
     spread = {name: weight * std for name, weight in weights.items() if (std := estimate[name].std)}
     if not spread:
-        return Total(formula, value, None)
+        return LumpedParameter(formula, value, None)
     square = 0.0
     for one, size in spread.items():
         for other, its in spread.items():
             i, j = free.index(one), free.index(other)
             known = max(i, j) < len(estimate.correlation)
             square += size * its * (float(estimate.correlation[i, j]) if known else float(i == j))
-    return Total(formula, value, math.sqrt(max(square, 0.0)))
+    return LumpedParameter(formula, value, math.sqrt(max(square, 0.0)))
 
 
-def _of_sums(estimate: Estimate, weights: Mapping[str, float], formula: str) -> Total:
+def _of_sums(estimate: Estimate, weights: Mapping[str, float], formula: str) -> LumpedParameter:
     """Return a sum where only those of both sides are told; what their errors have in common is not kept: no less."""
     assert estimate.known is not None
     value, std = 0.0, 0.0
@@ -72,7 +72,7 @@ def _of_sums(estimate: Estimate, weights: Mapping[str, float], formula: str) -> 
     for name, weight in weights.items():
         if name in estimate.values:  # what both sides have in common, and what was fixed
             value, std = value + weight * estimate.values[name], std + abs(weight) * (estimate[name].std or 0.0)
-    return Total(formula, value, std or None)
+    return LumpedParameter(formula, value, std or None)
 
 
 def _formula(estimate: Estimate, weights: Mapping[str, float]) -> str:

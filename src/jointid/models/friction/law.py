@@ -121,7 +121,7 @@ def _slots(law: Friction) -> tuple[str | None, ...]:
 
 
 def _column(one: Coefficient, velocity: FloatArray) -> FloatArray:
-    """Return what a coefficient multiplies, (samples,)."""
+    """Return the regressor column of a coefficient, (samples,)."""
     if len(one.directions) == 2:
         return velocity if one.part == "viscous" else np.sign(velocity)
     forwards = one.directions == ("forwards",)
