@@ -121,7 +121,7 @@ def _verb(axis: Twin, best: float) -> Solver:
     for _ in range(_TIMES):
         begin = time.perf_counter()
         estimate = identify(axis.record, axis.loop, filtering=FILTERING)
-        runs.append((time.perf_counter() - begin, estimate.simulations, estimate.filtered_error))
+        runs.append((time.perf_counter() - begin, estimate.fit.simulations, estimate.fit.filtered_error))
     return summed("`identify`, which needs no start", runs, best, "with its exploration, intervals and verdicts")
 
 
@@ -140,4 +140,4 @@ def rigid(times: int = _RIGID_TIMES) -> Rigid | None:
         begin = time.perf_counter()
         estimate = identify(record, file.loop, file.method, filtering=file.filtering, parameters=file.parameters)
         seconds.append(time.perf_counter() - begin)
-    return Rigid(estimate.measured.size, spread(seconds[1:]), estimate.simulations, estimate.filtered_error)
+    return Rigid(estimate.fit.measured.size, spread(seconds[1:]), estimate.fit.simulations, estimate.fit.filtered_error)

@@ -229,11 +229,11 @@ def changes(
 
 def _again(first: Estimate, record: Record) -> dict[str, float]:
     """Return what the parameters are by another record, searched for from those of the first."""
-    assert first.loop is not None
-    problem = torque_problem(record, first.loop, first.filtering, first.joint.parameters)
+    assert first.settings.loop is not None
+    problem = torque_problem(record, first.settings.loop, first.settings.filtering, first.settings.joint.parameters)
     still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
     problem = replace(problem, parameters=still)
-    x, _ = refined_least_squares(problem, problem.vector({p.name: p.value or 0.0 for p in first.parameters}), _ENOUGH)
+    x, _ = refined_least_squares(problem, problem.vector({p.name: p.value or 0.0 for p in first.params}), _ENOUGH)
     return dict(zip((p.name for p in problem.free), map(float, x), strict=True))
 
 

@@ -105,15 +105,15 @@ def motor(folder: Path) -> Estimate:
 
 def test_three_files_give_one_answer(folder: Path, motor: Estimate) -> None:
     by_motor, by_load = identified(folder, GEARED, "motor"), identified(folder, BY_THE_LOAD)
-    assert by_load.joint.kind == "prismatic"
+    assert by_load.settings.joint.kind == "prismatic"
     assert by_load["inertia"].value == pytest.approx(2e-4 * R**2, rel=0.01)  # 79 kg
     assert by_load["offset"].value == pytest.approx(-0.02 * R, rel=0.05)  # the screw turns it round
-    for found in (by_motor.parameters, by_load.other_side):
-        for p, q in zip(found, motor.parameters, strict=True):
+    for found in (by_motor.params, by_load.other_side):
+        for p, q in zip(found, motor.params, strict=True):
             assert (p.name, p.unit) == (q.name, q.unit)
-            for value, expected in ((p.value, q.value), (p.std, q.std)):
+            for value, expected in ((p.value, q.value), (p.stderr, q.std)):
                 assert (value or 0.0) == pytest.approx(expected or 0.0, rel=1e-9), p.name
-    assert by_motor.simulations == by_load.simulations == motor.simulations
+    assert by_motor.fit.simulations == by_load.fit.simulations == motor.simulations
 
 
 def test_an_answer_has_both_sides_and_is_read_back(folder: Path, motor: Estimate) -> None:
@@ -268,9 +268,9 @@ def test_the_commands_say_the_side(folder: Path, capsys: pytest.CaptureFixture[s
     assert side in said("identify", geared, "--json", estimate, "--figure", folder / "torque.svg", "-q")
     assert "load side" in (folder / "torque.svg").read_text()
     assert side in said("validate", geared, "--estimate", estimate, "-q")
-    assert side in said("compare", geared, "-q")
-    assert side in said("intervals", geared, "--of", "inertia", "-q")
-    assert side in said("advise", geared, "-q")
+    assert side in said("diagnose", "methods", geared, "-q")
+    assert side in said("diagnose", "intervals", geared, "--of", "inertia", "-q")
+    assert side in said("diagnose", "sensors", geared, "-q")
     assert side in said("simulate", geared, "--estimate", estimate, "--out", folder / "out.csv", "-q")
     written = file_of(folder, GEARED).record(folder / "out.csv")
     np.testing.assert_allclose(values(written, "reference"), values(file_of(folder, GEARED).record(), "reference"))

@@ -212,7 +212,7 @@ def test_convergence_of_the_residual_form() -> None:
     law = loop.controller.law(T)
 
     def left(edge: float) -> tuple[list[float], float]:
-        trace = identify(made, loop, settings, parameters=off, filtering=Filtering(cutoff=edge)).trace
+        trace = identify(made, loop, settings, parameters=off, filtering=Filtering(cutoff=edge)).fit.trace
         errors = [max(abs(line.values[name] / value - 1) for name, value in RIGID.items()) for line in trace]
         w = 2 * math.pi * np.linspace(0.1, edge, 100)
         plant = 1 / (RIGID["inertia"] * (1j * w) ** 2 + RIGID["viscous"] * 1j * w)
@@ -306,7 +306,7 @@ def test_what_a_rigid_identification_of_the_twin_sees(loop: str, masses: tuple[f
 
 def test_the_condition_numbers_of_idim() -> None:
     axis = twin("L19", noise="none")
-    conditioning = identify(axis.record, axis.loop, IDIM()).conditioning
+    conditioning = identify(axis.record, axis.loop, IDIM()).fit.conditioning
     assert conditioning is not None
     assert conditioning.raw == pytest.approx(4.5e4, rel=0.02)
     assert conditioning.normalised == pytest.approx(5.0, abs=0.05)

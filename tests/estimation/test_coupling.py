@@ -44,7 +44,7 @@ def recorded(tmp_path: Path, shared: float, gravity: float, noise: float = 0.3) 
 
 def warned(record: ji.Record) -> str:
     estimate = ji.identify(record, ji.RigidJoint("revolute"))
-    (said,) = (text for text in estimate.warnings if text.startswith("other axes moved too"))
+    (said,) = (text for text in estimate.checks.warnings if text.startswith("other axes moved too"))
     assert said == coupling_warnings(record, estimate)[0]
     return said
 
@@ -74,7 +74,7 @@ def test_an_axis_alone_is_not_warned_of(tmp_path: Path) -> None:
     alone = ji.identify(
         ji.Record(torque=record.torque, motor_position=record.motor_position), ji.RigidJoint("revolute")
     )
-    assert not any("other axes" in text for text in alone.warnings)
+    assert not any("other axes" in text for text in alone.checks.warnings)
 
 
 @pytest.mark.parametrize(

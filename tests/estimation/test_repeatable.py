@@ -124,6 +124,7 @@ def test_the_widening_does_not_spoil_the_coverage_of_noise() -> None:
     assert np.mean([one.repeatable.significant for one in found]) <= 0.08
 
 
+@pytest.mark.statistical
 def test_the_widening_covers_what_repeats() -> None:
     robust, widened, found = of_many("place", 120, 6)
     assert np.all(widened >= 0.90)
@@ -150,7 +151,7 @@ def at_rows(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def emps_fit(record: Record) -> tuple[Problem, np.ndarray, np.ndarray, Cells]:
     estimate = identify(record, LOOP)
-    values = {p.name: p.value for p in estimate.parameters}
+    values = {p.name: p.value for p in estimate.params}
     problem = torque_problem(record, LOOP, Filtering(), LOOP.joint.parameters)
     x = problem.vector({name: value or 0.0 for name, value in values.items()})
     residual, J = problem.linearised(x)

@@ -60,6 +60,7 @@ def rigid(controller: Cascade | PD | StateSpaceController, joint: RigidJoint | N
     return identify(record.without("motor_position", "load_position"), loop)
 
 
+@pytest.mark.slow
 def test_nothing_in_the_interval_is_worse_than_what_is_stated(estimate: Estimate, tuned: Tuned) -> None:
     interval = possible_joints(estimate, 0.95, PERIOD)
     points = np.random.default_rng(9).standard_normal((3000, len(interval.names)))
@@ -96,7 +97,7 @@ def test_what_is_proposed_keeps_the_margins_and_could_not_be_much_stiffer(estima
     controller = tuned.proposed.controller
     assert isinstance(controller, Cascade)
     faster = replace(controller, kp=1.1 * controller.kp, kv=1.1 * controller.kv).law(PERIOD)
-    nominal = joint_set(estimate.joint, [estimate.values], faster).margins(faster)[0]
+    nominal = joint_set(estimate.settings.joint, [estimate.values], faster).margins(faster)[0]
     assert np.any(nominal < asked.asked)
     assert controller.kp * controller.kv > 1.2 * 160.18 * 243.45  # stiffer than it was, and with more phase
 
@@ -223,7 +224,7 @@ def test_what_cannot_be_tuned_is_refused_in_a_sentence(estimate: Estimate) -> No
     with pytest.raises(MethodError, match=r"the controller of .* is not known"):
         tune(identify(record, RigidJoint(), IDIM()))
     with pytest.raises(MethodError, match="need the deviations"):
-        tune(replace(estimate, correlation=np.zeros((0, 0))))
+        tune(estimate.amended(params={"correlation": np.zeros((0, 0))}))
     with pytest.raises(MethodError, match=r"received gain_margin = 0\.5, confidence = 1"):
         Tuning(gain_margin=0.5, confidence=1.0)
     with pytest.raises(MethodError, match="false-alarm rate"):
@@ -234,14 +235,14 @@ def test_what_cannot_be_tuned_is_refused_in_a_sentence(estimate: Estimate) -> No
 
 
 def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estimate) -> None:
-    wide = tuple(replace(p, std=6 * p.std) if p.std else p for p in estimate.parameters)
-    assert estimate.loop is not None
-    controller = estimate.loop.controller
+    wide = tuple(replace(p, stderr=6 * p.stderr) if p.stderr else p for p in estimate.params)
+    assert estimate.settings.loop is not None
+    controller = estimate.settings.loop.controller
     assert isinstance(controller, Cascade)
     fast = ClosedLoop(
-        estimate.joint, replace(controller, kv=8.2 * controller.kv)
+        estimate.settings.joint, replace(controller, kv=8.2 * controller.kv)
     )  # 8.5 times as fast it would not be stable
-    found = tune(replace(estimate, parameters=wide, loop=fast), Tuning(gain_margin=1e6, notch=False))
+    found = tune(estimate.amended(params={"rows": wide}, settings={"loop": fast}), Tuning(gain_margin=1e6, notch=False))
     assert found.present.estimate.stable
     assert not found.present.worst.stable
     assert "no margin of it can be stated" in str(found)
@@ -251,7 +252,7 @@ def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estim
 def test_a_change_that_is_told_follows_from_both_records(estimate: Estimate) -> None:
     found = detectable(estimate)
     spring = found["stiffness"]
-    assert spring.std == estimate["stiffness"].std
+    assert spring.std == estimate["stiffness"].stderr
     assert spring.size == pytest.approx((2.575829 + 1.281552) * math.sqrt(2) * spring.std, rel=1e-6)
     assert spring.limit == pytest.approx(2.575829 * math.sqrt(2) * spring.std, rel=1e-6)
     assert found["Fv1 + Fv2"].size < 0.3 * found["Fv1"].size
@@ -279,8 +280,8 @@ def test_the_figure_shows_joint_and_loops_in_their_units(tuned: Tuned) -> None:
 
 
 def test_an_interval_stops_short_of_a_joint_without_a_spring(estimate: Estimate) -> None:
-    wide = tuple(replace(p, std=p.value) if p.name == "stiffness" else p for p in estimate.parameters)
-    interval = possible_joints(replace(estimate, parameters=wide), 0.95, PERIOD)
+    wide = tuple(replace(p, stderr=p.value) if p.name == "stiffness" else p for p in estimate.params)
+    interval = possible_joints(estimate.amended(params={"rows": wide}), 0.95, PERIOD)
     joints = interval.at(interval.points(0))
     assert min(one["stiffness"] for one in joints) == pytest.approx(1e-3 * estimate.values["stiffness"])
     law = Cascade(kp=10.0, kv=10.0, gain=35.0).law(PERIOD)
@@ -291,12 +292,14 @@ def without_stiffness(estimate: Estimate) -> Estimate:
     """The estimate as it is where the record does not show the spring, bounded at one load share of two."""
     parted = ("motor_", "load_", "stiffness", "damping")
     lost = tuple(
-        replace(p, value=None, std=None) if p.name.startswith(parted) else p for p in estimate.parameters
+        replace(p, value=None, stderr=None) if p.name.startswith(parted) else p for p in estimate.params
     )  # fmt: skip
-    assert estimate.known is not None
-    sums = tuple(one for one in estimate.known.physical if one.combination.name.startswith("total"))
+    assert estimate.checks.known is not None
+    sums = tuple(one for one in estimate.checks.known.physical if one.combination.name.startswith("total"))
     bounds = (StiffnessBound(0.3, 8e5, 30.0), StiffnessBound(0.5, None, None))
-    return replace(estimate, parameters=lost, known=replace(estimate.known, physical=sums), bounds=bounds)
+    return estimate.amended(
+        params={"rows": lost}, checks={"known": replace(estimate.checks.known, physical=sums), "bounds": bounds}
+    )
 
 
 def test_of_a_refused_stiffness_the_worst_is_over_all_springs_that_are_left(estimate: Estimate) -> None:
@@ -319,6 +322,6 @@ def test_of_a_refused_stiffness_the_worst_is_over_all_springs_that_are_left(esti
 
 def test_a_model_or_a_loop_in_doubt_is_said_before_its_gains_are_used(estimate: Estimate) -> None:
     doubts = (Verdict("fit", False, "32 % remains"), Verdict("loop", False, "kv is larger than declared"))
-    said = tune(replace(estimate, verdicts=doubts), Tuning(notch=False)).notes
+    said = tune(estimate.amended(checks={"verdicts": doubts}), Tuning(notch=False)).notes
     assert "the model does not explain the torque, so all of this may be of another joint: 32 % remains" in said
     assert "loop or log are not as declared, and all of this is of the declared one: kv is larger than declared" in said

@@ -16,7 +16,8 @@ from jointid.config.consistency import changed, chosen_method, needed_channels
 from jointid.config.record_table import RecordTable
 from jointid.config.schema import CLOSINGS, RunTable
 from jointid.config.validation import checked
-from jointid.estimation.identify import Method, identify
+from jointid.estimation.identify import identify
+from jointid.estimation.identify_record import Method
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
@@ -102,7 +103,7 @@ class JointFile:
         name: what reports call the joint.
         runs: records that are identified together.
         free: names of what surrounds the joint and is then identified too.
-        weighting: of their rows; see `jointid.estimation.several_records.identify_together.identify_together`.
+        weighting: of their rows; see `jointid.SeveralRecords`.
         path: of the joint file; a text is taken to stand in `joint.toml`.
 
     Example:

@@ -77,7 +77,7 @@ def feedforward(
         found.append(
             FeedForward(
                 key, total.formula, rule, total.value, total.std,
-                unit_of(quantity, estimate.joint.kind, estimate.torque_unit),
+                unit_of(quantity, estimate.settings.joint.kind, estimate.data.torque_unit),
                 float(getattr(controller, key, 0.0)), per * total.value,
                 None if total.std is None else abs(per) * total.std, in_drive, unit,
             )
@@ -87,8 +87,8 @@ def feedforward(
 
 def _in_drive(name: str, value: float, estimate: Estimate, drive: Drive | None) -> tuple[float | None, str]:
     """Return a feed-forward in the drive's own units on the motor's side, and their name."""
-    joint = estimate.joint
-    if drive is None or estimate.torque_unit not in ("N", "N m"):
+    joint = estimate.settings.joint
+    if drive is None or estimate.data.torque_unit not in ("N", "N m"):
         return None, ""
     gear: Transmission | None = joint.transmission
     kind = joint.kind if gear is None else gear.motor

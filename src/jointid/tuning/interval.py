@@ -78,21 +78,21 @@ def possible_joints(estimate: Estimate, confidence: float, sample_time: float) -
     Raises:
         MethodError: the estimate has no deviations, or a stiffness that is refused and not bounded.
     """
-    if estimate.bounds:
+    if estimate.checks.bounds:
         return _springs(estimate, confidence, 0.5 / sample_time)
-    joint, values = estimate.joint, estimate.identified.values
-    free = [p.name for p in estimate.parameters if p.free]
+    joint, values = estimate.settings.joint, estimate.identified.values
+    free = [p.name for p in estimate.params if p.free]
     moving = {p.name: p for p in joint.parameters if p.quantity in _MOVES}
-    chosen = [p for p in estimate.parameters if p.name in moving and p.free]
+    chosen = [p for p in estimate.params if p.name in moving and p.free]
     at = [free.index(p.name) for p in chosen]
-    if any(p.std is None for p in chosen) or max(at, default=-1) >= len(estimate.correlation):
+    if any(p.stderr is None for p in chosen) or max(at, default=-1) >= len(estimate.params.correlation):
         raise MethodError(
             "Margins over an interval need the deviations of the parameters and their correlation, and this estimate "
-            f"of {estimate.record} has none; identify by least squares."
+            f"of {estimate.data.record} has none; identify by least squares."
         )
-    std = np.array([p.std for p in chosen], dtype=np.float64)
+    std = np.array([p.stderr for p in chosen], dtype=np.float64)
     radius = ellipsoid_radius(len(chosen), confidence)
-    size, axes = np.linalg.eigh(estimate.correlation[np.ix_(at, at)])
+    size, axes = np.linalg.eigh(estimate.params.correlation[np.ix_(at, at)])
     factor = radius * std[:, np.newaxis] * axes * np.sqrt(np.maximum(size, 0.0))
     lower = [
         max(moving[p.name].lower, 0.0) if moving[p.name].quantity is Quantity.VISCOUS else _LEAST * values[p.name]
@@ -115,14 +115,15 @@ def ellipsoid_radius(parameters: int, confidence: float) -> float:
 
 def _springs(estimate: Estimate, confidence: float, last: float) -> Interval:
     """Return the joints of a spring that is refused: none softer than its bounds, at the load shares of the bounds."""
-    assert isinstance(estimate.joint, FlexibleJoint) and estimate.known is not None
-    bounded = [bound for bound in estimate.bounds if bound.frequency is not None]
+    assert isinstance(estimate.settings.joint, FlexibleJoint) and estimate.checks.known is not None
+    bounded = [bound for bound in estimate.checks.bounds if bound.frequency is not None]
     if not bounded:
         raise MethodError(
-            f"The stiffness is refused and {estimate.record} does not bound it at any load share, so no margin can be "
-            "stated; a record with pulses would, see jointid advise."
+            f"The stiffness is refused and {estimate.data.record} does not bound it at any load share, "
+            "so no margin can be "
+            "stated; a record with pulses would, see jointid diagnose sensors."
         )
-    sums = {next(iter(one.combination.weights)).removeprefix("motor_"): one for one in estimate.known.physical}
+    sums = {next(iter(one.combination.weights)).removeprefix("motor_"): one for one in estimate.checks.known.physical}
     inertia = sums.get("inertia")
     if inertia is None:
         raise MethodError(
@@ -137,7 +138,7 @@ def _springs(estimate: Estimate, confidence: float, last: float) -> Interval:
             assert bound.frequency is not None
             modes = np.geomspace(min(bound.frequency, last), last, _SPRINGS)
             made += [joint_with_mode(estimate.values, friction, mass, bound.share, float(mode)) for mode in modes]
-    unbounded = [f"{bound.share:g}" for bound in estimate.bounds if bound.frequency is None]
+    unbounded = [f"{bound.share:g}" for bound in estimate.checks.bounds if bound.frequency is None]
     listed = ", ".join(f"{number(bound.frequency, 3)} Hz at {bound.share:g}" for bound in bounded)
     description = (
         "the stiffness is refused: all springs no softer than its bounds, which are modes by the load's share of the "
@@ -145,10 +146,8 @@ def _springs(estimate: Estimate, confidence: float, last: float) -> Interval:
         "interval of the total inertia"
     )
     if unbounded:
-        description += (
-            f"; a share of {', '.join(unbounded)} is not looked at, since the record excludes no spring there"
-        )
-    return Interval(estimate.joint, made[0], (), np.zeros((0, 0)), np.zeros(0), tuple(made), description)
+        description += f"; a share of {', '.join(unbounded)} is left out, as the record excludes no spring there"
+    return Interval(estimate.settings.joint, made[0], (), np.zeros((0, 0)), np.zeros(0), tuple(made), description)
 
 
 def joint_with_mode(

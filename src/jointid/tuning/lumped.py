@@ -29,13 +29,13 @@ def lumped_parameters(estimate: Estimate) -> dict[str, LumpedParameter]:
     Of friction that differs with the direction viscous and Coulomb friction are the means of both directions, and half
     the difference of the Coulomb forces belongs to the constant.
     """
-    sides = ("motor_", "load_") if estimate.joint.model == "flexible" else ("",)
-    law = estimate.joint.friction
+    sides = ("motor_", "load_") if estimate.settings.joint.model == "flexible" else ("",)
+    law = estimate.settings.joint.friction
     friction: dict[str, dict[str, float]] = {
         part: {n: w for side in sides for n, w in law.mean(part, side).items()} for part in PARTS
     }
     constant: dict[str, float] = {n: w for side in sides for n, w in law.constant(side).items()}
-    names = {p.name for p in estimate.parameters}
+    names = {p.name for p in estimate.params}
     constant |= {name: 1.0 for name in ("offset", "gravity_constant") if name in names}
     wanted = {"inertia": {f"{side}inertia": 1.0 for side in sides}, **friction, "constant": constant}
     return {name: _total(estimate, weights) for name, weights in wanted.items()}
@@ -45,33 +45,33 @@ def _total(estimate: Estimate, weights: Mapping[str, float]) -> LumpedParameter:
     if not weights:  # the law has no such friction
         return LumpedParameter("0", 0.0, None)
     formula = _formula(estimate, weights)
-    if estimate.bounds:
+    if estimate.checks.bounds:
         return _of_sums(estimate, weights, formula)
-    free = [p.name for p in estimate.parameters if p.free]
+    free = [p.name for p in estimate.params if p.free]
     value = sum(weight * estimate.values[name] for name, weight in weights.items())
-    spread = {name: weight * std for name, weight in weights.items() if (std := estimate[name].std)}
+    spread = {name: weight * std for name, weight in weights.items() if (std := estimate[name].stderr)}
     if not spread:
         return LumpedParameter(formula, value, None)
     square = 0.0
     for one, size in spread.items():
         for other, its in spread.items():
             i, j = free.index(one), free.index(other)
-            known = max(i, j) < len(estimate.correlation)
-            square += size * its * (float(estimate.correlation[i, j]) if known else float(i == j))
+            known = max(i, j) < len(estimate.params.correlation)
+            square += size * its * (float(estimate.params.correlation[i, j]) if known else float(i == j))
     return LumpedParameter(formula, value, math.sqrt(max(square, 0.0)))
 
 
 def _of_sums(estimate: Estimate, weights: Mapping[str, float], formula: str) -> LumpedParameter:
     """Return a sum where only those of both sides are told; what their errors have in common is not kept: no less."""
-    assert estimate.known is not None
+    assert estimate.checks.known is not None
     value, std = 0.0, 0.0
-    for known in estimate.known.physical:
+    for known in estimate.checks.known.physical:
         weight = weights.get(next(iter(known.combination.weights)))
         if weight is not None:
             value, std = value + weight * known.value, std + abs(weight) * known.std
     for name, weight in weights.items():
         if name in estimate.values:  # what both sides have in common, and what was fixed
-            value, std = value + weight * estimate.values[name], std + abs(weight) * (estimate[name].std or 0.0)
+            value, std = value + weight * estimate.values[name], std + abs(weight) * (estimate[name].stderr or 0.0)
     return LumpedParameter(formula, value, std or None)
 
 

@@ -49,7 +49,7 @@ class _Case:
 
     def evaluate(self, controller: Controller) -> LoopMargins:
         """Return the margins of a loop at the estimate, and the worst."""
-        law = controller.law(self.estimate.sample_time)
+        law = controller.law(self.estimate.data.sample_time)
         at = joint_set(self.interval.joint, [self.interval.nominal], law).margins(law)[0]
         found = find_worst_case(self.interval, law, self.points, self.settings.seed)
         looked = joint_set(self.interval.joint, [*self.interval.at(self.points), *self.interval.others], law)
@@ -88,18 +88,19 @@ def tune(
     left out of the margins, though not of the stability.
     """
     settings = settings or Tuning()
-    if estimate.loop is None:
+    if estimate.settings.loop is None:
         raise MethodError(
-            f"Margins are of a loop, and the controller of {estimate.record} is not known; identify with one, or learn "
-            "it with jointid loop."
+            f"Margins are of a loop, and the controller of {estimate.data.record} is not known; identify with "
+            "one, or learn "
+            "it with jointid controller."
         )
-    controller = estimate.loop.controller
+    controller = estimate.settings.loop.controller
     if not isinstance(controller, ServoController):
         raise MethodError(
             f"Feed-forward is told in a controller's own units, and a {type(controller).__name__} has none; use one of "
             "the package's laws, StateSpaceController for any linear one."
         )
-    period = controller.law(estimate.sample_time).period
+    period = controller.law(estimate.data.sample_time).period
     interval = possible_joints(estimate, settings.confidence, period)
     case = _Case(estimate, interval, interval.points(settings.seed), settings)
     progress("margins of the loop as it is")
@@ -108,9 +109,9 @@ def tune(
     whole = lumped_parameters(estimate)
     notes = [*refusal, *_notes(case, present, proposed)]
     return Tuned(
-        record=estimate.record,
-        model=estimate.joint.model,
-        transmission=estimate.joint.transmission,
+        record=estimate.data.record,
+        model=estimate.settings.joint.model,
+        transmission=estimate.settings.joint.transmission,
         settings=settings,
         interval=interval.description,
         present=present,
@@ -120,8 +121,8 @@ def tune(
         feedforward=feedforward(estimate, controller, whole, drive),
         detectable=detectable(estimate, false_alarm=settings.false_alarm, power=settings.power),
         joint=_joint_band(case, present.response.hertz),
-        position_unit=POSITION_UNIT[estimate.joint.kind],
-        torque_unit=estimate.torque_unit,
+        position_unit=POSITION_UNIT[estimate.settings.joint.kind],
+        torque_unit=estimate.data.torque_unit,
         notes=tuple(notes),
     )
 
@@ -136,27 +137,27 @@ def _proposed(
         return None, None, [f"no gains are proposed for a {kind}: only a cascade, a PD or a PID has gains to lay out"]
     progress("looking for the stiffest gains that keep the margins")
     inertia = lumped_parameters(estimate)["inertia"].value
-    flexible = isinstance(estimate.joint, FlexibleJoint)
-    band = None if flexible else estimate.filtering.cutoff
+    flexible = isinstance(estimate.settings.joint, FlexibleJoint)
+    band = None if flexible else estimate.settings.filtering.cutoff
     mode = frequencies(interval.nominal)["free_free"] if flexible and interval.names and settings.notch else None
     points = case.points
     for _ in range(_ROUNDS):
-        law = controller.law(estimate.sample_time)
+        law = controller.law(estimate.data.sample_time)
         seen = joint_set(interval.joint, [*interval.at(points), *interval.others], law)
-        layout = find_stiffest_loop(seen, controller, inertia, estimate.sample_time, settings, band, mode)
+        layout = find_stiffest_loop(seen, controller, inertia, estimate.data.sample_time, settings, band, mode)
         if layout is None:
             break
-        found = find_worst_case(interval, layout.controller.law(estimate.sample_time), case.points, settings.seed)
+        found = find_worst_case(interval, layout.controller.law(estimate.data.sample_time), case.points, settings.seed)
         if meets_margins(found.margins[np.newaxis], settings, _NEARLY):
             return layout, case.evaluate(layout.controller), []
         points = np.concatenate([points, found.points])
     said = "no gains of this structure were found that keep the asked margins for all joints of the interval"
-    return None, None, [f"{said}; ask for less, or narrow the interval (jointid advise says how)"]
+    return None, None, [f"{said}; ask for less, or narrow the interval (jointid diagnose sensors says how)"]
 
 
 def _gains(estimate: Estimate, before: Controller, layout: Layout) -> tuple[Gain, ...]:
     """Return the gains with the formulas that gave them."""
-    after, position = layout.controller, POSITION_UNIT[estimate.joint.kind]
+    after, position = layout.controller, POSITION_UNIT[estimate.settings.joint.kind]
     rate, damping = f"w = {number(layout.rate, 4)}/s", f"d = {layout.damping:g}"
     velocity = f"w J / (g r^2), {rate}"
     per = f"units per {position}/s"
@@ -178,18 +179,20 @@ def _notch(layout: Layout, period: float) -> ProposedNotch:
 def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> list[str]:
     """Return the limits of the result, in sentences."""
     estimate, found = case.estimate, []
-    if not estimate.converged:
+    if not estimate.fit.converged:
         found.append("the identification did not end well, so all of this is of a joint that may be another one")
     found += [
-        f"{_DOUBTED[v.subject]}: {v.said}" for v in estimate.verdicts if v.good is False and v.subject in _DOUBTED
+        f"{_DOUBTED[v.subject]}: {v.said}"
+        for v in estimate.checks.verdicts
+        if v.good is False and v.subject in _DOUBTED
     ]
-    if estimate.bounds:
+    if estimate.checks.bounds:
         found.append(
             'the stiffness is refused: what stands "at the estimate" is of the softest spring it leaves possible, and '
             "the worst case is that of the springs looked at, each with the friction as it was found: no statement of "
             "one confidence"
         )
-    held = [p.name for p in estimate.parameters if p.free and not p.of_joint and of_law(p.name)]
+    held = [p.name for p in estimate.params if p.free and not p.of_joint and of_law(p.name)]
     if held:
         found.append(f"the interval is of the joint: {', '.join(held)} stand at the values that were found for them")
     if not present.worst.stable:
@@ -197,9 +200,9 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
             "the interval holds joints with which the loop as it is would not be stable, though it ran: no margin of "
             "it can be stated; a record that narrows the interval would"
         )
-    joint = estimate.joint
+    joint = estimate.settings.joint
     if isinstance(joint, RigidJoint):
-        band = estimate.filtering.cutoff
+        band = estimate.settings.filtering.cutoff
         upto = "" if band is None else f" (up to {number(band, 3)} Hz, which no proposed crossover passes)"
         found.append(
             f"a rigid joint says nothing beyond the band it was compared in{upto}: no mode is in these margins"
@@ -211,7 +214,7 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
         found += [_with_a_mode(case, said, loop, asked) for said, loop, asked in loops if loop is not None]
     if joint.gravity is not None and joint.gravity.varies:
         found.append("gravity that follows the position is left out of the loop and of the constant feed-forward")
-    if present.controller.law(estimate.sample_time).phases > 1:
+    if present.controller.law(estimate.data.sample_time).phases > 1:
         found.append(
             "the law runs at two rates: its margins are of the response at the frequency itself, without images"
         )
@@ -221,8 +224,8 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
 def _with_a_mode(case: _Case, said: str, loop: LoopMargins, asked: bool) -> str:
     """Return the lowest first mode with which a rigid joint's loop would keep its margins, in a sentence."""
     estimate = case.estimate
-    assert isinstance(estimate.joint, RigidJoint)
-    law = loop.controller.law(estimate.sample_time)
+    assert isinstance(estimate.settings.joint, RigidJoint)
+    law = loop.controller.law(estimate.data.sample_time)
     values = estimate.values
     friction = {n: v for n, v in values.items() if n != "inertia" and not acts_on_whole(n)}
     common = {n: v for n, v in values.items() if acts_on_whole(n)}
@@ -231,7 +234,7 @@ def _with_a_mode(case: _Case, said: str, loop: LoopMargins, asked: bool) -> str:
         for f in np.geomspace(min(max(loop.crossover, 1e-3 / law.period), 0.4 / law.period), 0.5 / law.period, _MODES)
     ]
     made = [joint_with_mode(common, friction, values["inertia"], share, mode) for mode in modes for share in _SHARES]
-    margins = joint_set(flexible_of(estimate.joint), made, law).margins(law).reshape(_MODES, len(_SHARES), -1)
+    margins = joint_set(flexible_of(estimate.settings.joint), made, law).margins(law).reshape(_MODES, len(_SHARES), -1)
     least = 0.98 * case.settings.asked if asked else np.zeros(margins.shape[-1])
     good = [bool(np.all(one >= least) and np.all(one[:, -1] > 0)) for one in margins]
     lowest = lowest_mode(modes, good)

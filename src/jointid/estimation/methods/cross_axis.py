@@ -16,7 +16,7 @@ _FEWEST = 4  # rows to a column of the regression
 
 def record_warnings(record: Record, estimate: Estimate) -> tuple[str, ...]:
     """Return what a reader of an estimate must know of its record, one sentence each."""
-    return (*record_notes(record, estimate.channels), *coupling_warnings(record, estimate))
+    return (*record_notes(record, estimate.data.channels), *coupling_warnings(record, estimate))
 
 
 def coupling_warnings(record: Record, estimate: Estimate) -> tuple[str, ...]:
@@ -32,7 +32,7 @@ def coupling_warnings(record: Record, estimate: Estimate) -> tuple[str, ...]:
         f"other axes moved too ({', '.join(record.other_axes)}), and their coupling (inertia, Coriolis, gravity) is "
         "not in the model of a single joint: the parameters are those of this motion and these poses"
     )
-    motion = None if estimate.compared == "position" else _residual_and_motion(record, estimate)
+    motion = None if estimate.fit.compared == "position" else _residual_and_motion(record, estimate)
     if motion is None:
         return (said,)
     found = coupling(*motion)
@@ -43,8 +43,8 @@ def coupling_warnings(record: Record, estimate: Estimate) -> tuple[str, ...]:
 
 def _residual_and_motion(record: Record, estimate: Estimate) -> tuple[FloatArray, FloatArray] | None:
     """Return what the model leaves, (rows,), and what the other axes did, (rows, columns); None of too few rows."""
-    filtering, T = estimate.filtering, estimate.sample_time
-    residual = estimate.measured - estimate.predicted
+    filtering, T = estimate.settings.filtering, estimate.data.sample_time
+    residual = estimate.fit.measured - estimate.fit.predicted
     at = np.arange(residual.size) * T
     cutoff = filtering.position_cutoff
     assert cutoff is not None
@@ -52,7 +52,7 @@ def _residual_and_motion(record: Record, estimate: Estimate) -> tuple[FloatArray
     for channel in record.other_axes.values():
         position = lowpass(np.interp(at, channel.time, channel.values), cutoff, T)
         columns += [differences(position, T)[1], position]
-    first, last = estimate.borders
+    first, last = estimate.fit.borders
     inside = slice(first, residual.size - last)
     both = np.column_stack([residual, *columns])[inside]
     rows = decimate(both, filtering, T)

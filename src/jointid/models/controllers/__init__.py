@@ -8,6 +8,7 @@ from __future__ import annotations
 from jointid.models.controllers.block_diagram import LONGEST_DELAY
 from jointid.models.controllers.controller_parameters import number, numbers_of, with_numbers
 from jointid.models.controllers.filters import (
+    FILTERS,
     DigitalFilter,
     Filter,
     FirstOrder,
@@ -17,6 +18,7 @@ from jointid.models.controllers.filters import (
     as_filter,
 )
 from jointid.models.controllers.laws import PD, PID, Cascade, shift_start
+from jointid.models.controllers.registry import LAWS
 from jointid.models.controllers.running import LawRun, invert, respond, run
 from jointid.models.controllers.sampled import (
     CONSTANT,
@@ -35,8 +37,8 @@ from jointid.models.controllers.servo_base import Controller, DiagramController,
 from jointid.models.controllers.state_space import StateSpaceController
 
 __all__ = [
-    "CONSTANT", "DIRECTION", "INJECTED", "INPUTS", "LIMIT", "LONGEST_DELAY", "PD", "PID", "POSITION", "REFERENCE",
-    "REFERENCE_VELOCITY",
+    "CONSTANT", "DIRECTION", "FILTERS", "INJECTED", "INPUTS", "LAWS", "LIMIT", "LONGEST_DELAY", "PD", "PID",
+    "POSITION", "REFERENCE", "REFERENCE_VELOCITY",
     "Cascade", "Controller", "DiagramController", "DigitalFilter", "Filter", "FirstOrder", "Interpolation",
     "LawRun", "MovingAverage", "Notch", "SampledLaw", "SecondOrder", "ServoController", "StateSpaceController",
     "as_filter", "invert", "number", "numbers_of", "referred", "respond", "run", "scaled", "shift_start",

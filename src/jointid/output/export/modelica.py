@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
-from jointid.estimation.result.estimated import EstimatedParameter
+from jointid.estimation.result.params import EstimatedParameter
 from jointid.models.friction import DIRECTIONS, PARTS
 from jointid.models.transmission import Side
 from jointid.output.export.joint_model import JointModel

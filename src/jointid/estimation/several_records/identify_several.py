@@ -1,4 +1,4 @@
-"""The verb for several records of one joint: they are identified in one fit, after each was identified by itself.
+"""Several records of one joint: identified in one fit, after each was identified by itself.
 
 Two steps. Each record by itself gives a start, the level and the spectrum of its residual, and what it says alone. Then
 bounded least squares over all of them with the exact Jacobian, each record's rows through the filter that makes its own
@@ -19,89 +19,48 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Literal, TypeAlias
 
 import numpy as np
 
 from jointid.common.errors import MethodError
-from jointid.common.progress import Progress, silent
-from jointid.estimation.identify import Method, identify
+from jointid.common.progress import Progress
+from jointid.estimation.identify_record import Method, identify_record
 from jointid.estimation.methods.cross_axis import record_warnings
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.closed_loop import Problem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITIAL_TORQUE
 from jointid.estimation.problems.several_records import several
 from jointid.estimation.result.estimate import Estimate, fingerprint
-from jointid.estimation.several_records.common_estimate import CommonEstimate
 from jointid.estimation.several_records.per_record_fit import BySelf, by_itself, descended, starts, whitened
 from jointid.estimation.several_records.record_layout import Arrangement
+from jointid.estimation.several_records.settings import SeveralRecords, Weighting
 from jointid.estimation.several_records.summarise import concluded
 from jointid.models.parameters import Parameter, adjusted
 from jointid.records.record import Record
 from jointid.records.signals import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 
-Weighting: TypeAlias = Literal["spectrum", "level"]
 
-
-def identify_together(
+def identify_several(
     records: Sequence[Record],
     loops: ClosedLoop | Sequence[ClosedLoop],
-    *,
-    added_inertia: Sequence[float] | None = None,
-    own: Sequence[Sequence[str]] | None = None,
-    free: Sequence[str] = (),
-    method: Method | None = None,
-    filtering: Filtering | None = None,
-    weighting: Weighting = "spectrum",
-    parameters: Mapping[str, Parameter] | None = None,
-    progress: Progress = silent,
-) -> CommonEstimate:
-    """Identify one joint from several records in one fit, from torque and reference.
-
-    Args:
-        records: two or more, each with the torque and what its controller reads.
-        loops: the joint under its controller; or one for each record, of one joint under different gains.
-        added_inertia: for each record, what is known to have been added to the load: kg, or kg m2.
-        own: for each record, names of parameters of its own, which the others do not share: friction, say, which a
-            load changes. The motor's state at the first sample is always its own.
-        free: names of what surrounds the joint and is identified too, see `surroundings`: "drive_gain", the torque
-            that acts over the torque in the log, which needs an added inertia; "kp", "log_delay", ...
-        method: how each record is identified by itself; by default as `identify` does.
-        filtering: see `Filtering`.
-        weighting: of the rows: by the "spectrum" of each record's residual, unless it repeats with the motion, or by
-            its "level" alone.
-        parameters: changes to the joint's parameters by name, of the joint without anything added.
-        progress: is told each step in a sentence.
-
-    Raises:
-        RecordError: a record lacks a channel.
-        MethodError: there is one record only, or one twice; the method is IDIM; lists are not as long as the records;
-            a name is not known; nothing tells the gain of the drive; or a record cannot be identified by itself.
-
-    Example:
-        >>> import jointid as ji
-        >>> loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(kp=100.0, kv=2000.0))
-        >>> reference = ji.trapezoids(speeds=(0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
-        >>> truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
-        >>> heavier = truth | {"inertia": 40.0, "coulomb": 18.0}
-        >>> records = [ji.simulated_record(loop, reference, v, sample_time=1e-3) for v in (truth, heavier)]
-        >>> found = ji.identify_together(records, loop, added_inertia=[0.0, 10.0], own=[(), ("coulomb",)])
-        >>> print(round(found["inertia"].value, 4), round(found["coulomb@2"].value, 4))
-        30.0 18.0
-    """
-    if weighting not in ("spectrum", "level"):
-        raise MethodError(f'The weighting is one of spectrum, level; received "{weighting}".')
+    settings: SeveralRecords,
+    method: Method | None,
+    filtering: Filtering | None,
+    parameters: Mapping[str, Parameter] | None,
+    progress: Progress,
+) -> Estimate:
+    """Return the estimate of one joint from several records in one fit; see `jointid.identify`."""
     if isinstance(method, IDIM):
         raise MethodError("Records are identified together by simulating their loops; IDIM does not, so use DIDIM.")
-    chosen = Arrangement.of(len(records), loops, added_inertia, own, free)
+    chosen = Arrangement.of(len(records), loops, settings.added_inertia, settings.own, settings.free)
     _require_different(records)
     estimates = []
     for k, record in enumerate(records):
         progress(f"record {k + 1}, {record.name}, by itself")
         changes = chosen.changes(parameters or {}, k, acting=False)
         estimates.append(
-            identify(record, chosen.loops[k], method, filtering=filtering, parameters=changes, progress=progress)
+            identify_record(record, chosen.loops[k], method, filtering=filtering, parameters=changes, progress=progress)
         )
     begin = zip(records, starts(estimates), estimates, strict=True)
     alone, problems = [], []
@@ -111,21 +70,21 @@ def identify_together(
         changes = chosen.changes(parameters or {}, k, acting=False)
         surrounding = [name for name in chosen.free if name != "drive_gain"]
         alone.append(by_itself(_problem(record, estimate, chosen.loops[k], changes, surrounding), values))
-    alone, how = _weighed(alone, weighting)
-    criterion = several(problems, own, chosen.added).weighing([one.weights for one in alone])
+    alone, how = _weighed(alone, settings.weighting)
+    criterion = several(problems, settings.own, chosen.added).weighing([one.weights for one in alone])
     gain = _gain(chosen, alone)
     progress(f"{len(records)} records together, {len(criterion.free)} parameters")
     found = [problem.vector(one.acting(gain)) for problem, one in zip(problems, alone, strict=True)]
     end = descended(criterion, criterion.vector(found))
     progress(end.stop)
-    simulations = sum(estimate.simulations for estimate in estimates) + sum(one.simulations for one in alone)
+    simulations = sum(estimate.fit.simulations for estimate in estimates) + sum(one.simulations for one in alone)
     found_together = concluded(records, chosen, criterion, end, alone, simulations, how)
     about = [
         f"record {number}: {said}"
         for number, (record, estimate) in enumerate(zip(records, estimates, strict=True), 1)
         for said in record_warnings(record, estimate)
     ]
-    return replace(found_together, warnings=(*found_together.warnings, *about))
+    return found_together.amended(checks={"warnings": (*found_together.checks.warnings, *about)})
 
 
 def _require_different(records: Sequence[Record]) -> None:
@@ -143,14 +102,14 @@ def _problem(
     record: Record, estimate: Estimate, loop: ClosedLoop, changes: Mapping[str, Parameter], free: Sequence[str]
 ) -> Problem:
     """Return a record's problem, the motor at its first sample resting or moving as its own identification found it."""
-    found = {p.name: p for p in estimate.parameters}
+    found = {p.name: p for p in estimate.params}
     state = tuple(
         replace(p, start=found[p.name].value, free=found[p.name].free)
         for p in (*INITIAL_STATE, INITIAL_TORQUE)
         if p.name in found
     )
     known = adjusted(loop.joint.parameters, changes)
-    return torque_problem(record, loop, estimate.filtering, known, state).freeing(*free)
+    return torque_problem(record, loop, estimate.settings.filtering, known, state).freeing(*free)
 
 
 def _weighed(alone: list[BySelf], weighting: Weighting) -> tuple[list[BySelf], str]:

@@ -1,4 +1,4 @@
-"""The verb for a record that is too long for memory: it is identified in windows, and watched for drift.
+"""A log that is too long for memory: identified in windows, and tested for drift.
 
 An ordinary identification of one window gives the start. Then least squares over all windows, each with a beginning of
 its own (`window`), in two or three passes (`passes`): time grows with the length of the record, memory with that of a
@@ -18,20 +18,21 @@ from itertools import islice
 import numpy as np
 
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.progress import Progress, silent
-from jointid.estimation.identify import Method, default_method, identify
+from jointid.common.progress import Progress
+from jointid.estimation.identify_record import Method, default_method, identify_record
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.problems.closed_loop import Problem
-from jointid.estimation.result.estimate import Estimate, poor_fit
-from jointid.estimation.result.estimated import EstimatedParameter
-from jointid.estimation.streaming.long_estimate import LongEstimate
+from jointid.estimation.result.estimate import Checks, Data, Estimate, Fit, Settings, poor_fit
+from jointid.estimation.result.params import EstimatedParameter, Params
+from jointid.estimation.result.record_fit import Windows
 from jointid.estimation.streaming.position_bins import Places, repeats
 from jointid.estimation.streaming.segments import drift
+from jointid.estimation.streaming.settings import Windowing
 from jointid.estimation.streaming.streaming_gauss_newton import End, Pass, Passes
 from jointid.estimation.streaming.window import Model, motion, moves, settling_of
 from jointid.models.parameters import Parameter, Quantity, adjusted
-from jointid.records.chunks import InMemory, LongRecord, Piece
+from jointid.records.chunks import LongRecord, Piece
 from jointid.records.record import Record
 from jointid.records.signals import Filtering
 from jointid.simulation.loop_input import ClosedLoop
@@ -45,58 +46,22 @@ _CLOCKS = 1000  # a period of the controller is taken to be a fraction of sample
 _AT_LIMIT = 0.01  # of the periods: more is said
 
 
-def identify_long(
-    record: LongRecord | Record,
+def identify_log(
+    source: LongRecord,
     loop: ClosedLoop,
-    *,
-    window: float = 60.0,
-    settling: float | None = None,
-    method: Method | None = None,
-    filtering: Filtering | None = None,
-    parameters: Mapping[str, Parameter] | None = None,
-    progress: Progress = silent,
-) -> LongEstimate:
-    """Identify a joint from a long record, torque and reference only, in bounded memory.
+    settings: Windowing,
+    method: Method | None,
+    filtering: Filtering | None,
+    parameters: Mapping[str, Parameter] | None,
+    progress: Progress,
+) -> Estimate:
+    """Return the estimate of a joint from a long log, torque and reference only, in bounded memory.
 
-    Args:
-        record: a `Log`, which is read in pieces, or a record in memory; all channels at one rate.
-        loop: joint and controller.
-        window: seconds that count in a window, up to whole rows and periods of the controller: a few cycles of the
-            motion, so that one of them tells the joint roughly.
-        settling: seconds that are simulated before and after each window and do not count: what the loop takes to
-            forget how it began. None measures that on the first window, and takes half a window at most.
-        method: `DIDIM` (rigid) or `FlexibleDIDIM`, of the window that is started from; what it has `free` is free here.
-        filtering: see `Filtering`.
-        parameters: changes to the joint's parameters by name: fixed values, starts, bounds.
-        progress: is told each step in a sentence.
-
-    An interrupt of the last passes ends them, and the answer is of what was read of it: `LongEstimate.interrupted`.
-
-    Raises:
-        RecordError: a piece of the record cannot be read, or lacks a channel; the sentence says where.
-        MethodError: the method simulates no loop, no window tells the joint, or a window cannot be simulated.
-
-    Example:
-        >>> import jointid as ji
-        >>> loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(kp=100.0, kv=2000.0))
-        >>> reference = ji.trapezoids((0.1, 0.2), 2.0, 0.1, 1e-3, duration=60.0)
-        >>> truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
-        >>> record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
-        >>> estimate = ji.identify_long(record, loop, window=6.0)
-        >>> print(round(estimate["inertia"].value, 3), estimate.windows)
-        30.0 10
+    See `jointid.identify`. An interrupt of the last passes ends them, and the estimate is of what was read.
     """
     chosen = method or default_method(loop.joint, True)
     if not isinstance(chosen, DIDIM | FlexibleDIDIM):
         raise MethodError("A long record is identified by simulating its loop; give the method didim.")
-    if not 0.0 < window < math.inf:
-        raise MethodError(f"A window lasts a finite time; received {window:g} s.")
-    if settling is not None and not 0.0 < settling <= 0.5 * window:
-        raise MethodError(
-            f"The settling time is more than 0 and at most half a window of {window:g} s; received {settling:g} s. "
-            "Without it, it is measured."
-        )
-    source = InMemory(record) if isinstance(record, Record) else record
     filtering, wanted = filtering or Filtering(), adjusted(loop.joint.parameters, parameters or {})
     sample_time = source.sample_time
     keep = filtering.resolved(sample_time, loop.joint.model).decimation or 1
@@ -106,12 +71,12 @@ def identify_long(
 
     # And whole periods of a controller that is slower than the log: the law's first is at a window's first sample.
     slower = Fraction(loop.controller.law(sample_time).period / sample_time).limit_denominator(_CLOCKS).numerator
-    length = samples(window, math.lcm(keep, slower))
-    model = Model(loop, wanted, chosen.free, filtering, samples(settling or window / 20))
+    length = samples(settings.length, math.lcm(keep, slower))
+    model = Model(loop, wanted, chosen.free, filtering, samples(settings.settling or settings.length / 20))
     piece, start = _started(source, model, chosen, length, progress)
-    known = {p.name: p.value for p in start.parameters if p.value is not None}
+    known = {p.name: p.value for p in start.params if p.value is not None}
     warnings: list[str] = []
-    if settling is None:
+    if settings.settling is None:
         needed = samples(settling_of(model, piece.record, known) * sample_time)
         model = replace(model, settling=min(needed, length // (2 * keep) * keep))
         progress(f"a window forgets how it began in {needed * sample_time:g} s")
@@ -124,7 +89,7 @@ def identify_long(
     passes = Passes(source, model, problem.free, length, places, progress)
     end = passes.down(problem.vector(known))
     found = _concluded(source, piece.record, model, problem, end, length)
-    return replace(found, warnings=(*warnings, *found.warnings))
+    return found.amended(checks={"warnings": (*warnings, *found.checks.warnings)})
 
 
 def _started(
@@ -141,13 +106,13 @@ def _started(
     for piece in islice(moving, _STARTS):
         progress(f"starting from the window that begins at {piece.record.begin:g} s")
         try:
-            found = identify(
+            found = identify_record(
                 piece.record, model.loop, method, filtering=model.filtering, parameters=changes, progress=progress
             )
         except (RecordError, MethodError) as error:
             refusal = error
             continue
-        lost = [p.name for p in found.parameters if p.of_joint and p.value is None]
+        lost = [p.name for p in found.params if p.of_joint and p.value is None]
         if not lost:
             return piece, found
         refusal = MethodError(
@@ -156,9 +121,7 @@ def _started(
     raise refusal or MethodError("In no window of this record does the axis move; give another record.")
 
 
-def _concluded(
-    source: LongRecord, first: Record, model: Model, problem: Problem, end: End, length: int
-) -> LongEstimate:
+def _concluded(source: LongRecord, first: Record, model: Model, problem: Problem, end: End, length: int) -> Estimate:
     """Return the answer that the last pass makes."""
     assert first.torque is not None
     found, joint = end.found, model.loop.joint
@@ -178,34 +141,55 @@ def _concluded(
             f"the controller is at its limit in {100 * at_limit:.1f} % of the periods, where the torque says nothing "
             "of the joint"
         )
-    return LongEstimate(
-        joint=joint,
-        loop=problem.loop_at(end.x),
-        torque_unit=first.torque.unit,
-        parameters=tuple(_row(p, values[p.name], spread.get(p.name), problem, p.name in own) for p in shown),
-        correlation=covariance.correlation,
-        known=identifiability(problem.free, problem.units, end.x, root_of(sums), covariance),
-        repeatable=repeated,
-        drift=drift(found.windows, end.x, problem.free, problem.units),
-        record=source.name,
-        channels=(*model.loop.channels, *(("injected",) if first.injected is not None else ())),
-        sample_time=problem.experiment.sample_time,
-        window=length * problem.experiment.sample_time,
-        settling=model.settling * problem.experiment.sample_time,
-        windows=len(found.windows),
-        still=found.still,
-        duration=found.windows[-1].end - found.windows[0].begin,
-        rows=sums.rows,
-        filtered_error=error,
-        filtering=problem.filtering,
-        at_limit=at_limit,
-        passes=end.passes,
-        simulations=end.simulations,
-        stop=end.stop,
-        converged=end.converged,
-        interrupted=not found.ended,
-        intervals=intervals,
-        warnings=(*warnings, *poor_fit(error)),
+    loop = problem.loop_at(end.x)
+    return Estimate(
+        params=Params(
+            tuple(_row(p, values[p.name], spread.get(p.name), problem, p.name in own) for p in shown),
+            tuple(p.name for p in problem.free),
+            covariance.correlation,
+            intervals,
+        ),
+        fit=Fit(
+            measured=np.zeros(0),
+            predicted=np.zeros(0),
+            borders=(0, 0),
+            relative_error=math.nan,
+            rows=sums.rows,
+            filtered_error=error,
+            at_limit=at_limit,
+            passes=end.passes,
+            simulations=end.simulations,
+            stop=end.stop,
+            converged=end.converged,
+            interrupted=not found.ended,
+        ),
+        checks=Checks(
+            known=identifiability(problem.free, problem.units, end.x, root_of(sums), covariance),
+            repeatable=repeated,
+            drift=drift(found.windows, end.x, problem.free, problem.units),
+            warnings=(*warnings, *poor_fit(error)),
+        ),
+        data=Data(
+            torque_unit=first.torque.unit,
+            record=source.name,
+            channels=(*model.loop.channels, *(("injected",) if first.injected is not None else ())),
+            sample_time=problem.experiment.sample_time,
+            windows=Windows(
+                length=length * problem.experiment.sample_time,
+                settling=model.settling * problem.experiment.sample_time,
+                count=len(found.windows),
+                still=found.still,
+                duration=found.windows[-1].end - found.windows[0].begin,
+            ),
+        ),
+        settings=Settings(
+            method="didim",
+            variant="DIDIM in windows",
+            joint=joint,
+            loop=loop,
+            filtering=problem.filtering,
+            delay=loop.controller.law(problem.experiment.sample_time).delay,
+        ),
     )
 
 
