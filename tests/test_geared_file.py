@@ -111,9 +111,9 @@ def test_three_files_give_one_answer(folder: Path, motor: Estimate) -> None:
     for found in (by_motor.params, by_load.other_side):
         for p, q in zip(found, motor.params, strict=True):
             assert (p.name, p.unit) == (q.name, q.unit)
-            for value, expected in ((p.value, q.value), (p.stderr, q.std)):
+            for value, expected in ((p.value, q.value), (p.stderr, q.stderr)):
                 assert (value or 0.0) == pytest.approx(expected or 0.0, rel=1e-9), p.name
-    assert by_motor.fit.simulations == by_load.fit.simulations == motor.simulations
+    assert by_motor.fit.simulations == by_load.fit.simulations == motor.fit.simulations
 
 
 def test_an_answer_has_both_sides_and_is_read_back(folder: Path, motor: Estimate) -> None:
