@@ -18,7 +18,7 @@ from jointid.common.progress import Progress, silent
 from jointid.estimation.methods.flexible import inverse_model_covariance, refined_least_squares
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.paper.twin import Twin, twin
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.position_dependent_error import uncertainty

@@ -19,8 +19,8 @@ from jointid.controller_id.learned import LearnedLoop
 from jointid.controller_id.structure_moves import canonical
 from jointid.controller_id.structures import ACCELERATION, INTEGRAL, Structure, controller
 from jointid.models.joints import RigidJoint
-from jointid.records.excitation import pulses, trapezoids
 from jointid.records.record import Record, Tap
+from jointid.records.signals.excitation import pulses, trapezoids
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record

@@ -28,8 +28,8 @@ from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade, Controller
 from jointid.models.joints import FlexibleJoint
-from jointid.records.excitation import pulses, trapezoids
 from jointid.records.record import Record
+from jointid.records.signals.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.margins import NAMES

@@ -21,7 +21,7 @@ from jointid.estimation.result.stiffness_identifiability import visible
 from jointid.estimation.search.exploration import frequency_of
 from jointid.estimation.search.multistart import on_band
 from jointid.paper.twin import Twin, twin
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 from jointid.uncertainty.position_dependent_error import uncertainty
 

@@ -85,7 +85,7 @@ def stiff_axis() -> tuple[Record, Estimate]:
     from jointid.estimation.identify import identify
     from jointid.models.joints import FlexibleJoint
     from jointid.paper.twin import CONTROLLERS, SAMPLE_TIME, TABLE_2
-    from jointid.records.excitation import trapezoids
+    from jointid.records.signals.excitation import trapezoids
     from jointid.simulation.loop_input import ClosedLoop
     from jointid.simulation.synthesis import simulated_record
 

@@ -17,7 +17,7 @@ from jointid.estimation.methods.flexible import refined_least_squares
 from jointid.estimation.problems.closed_loop import Problem, torque_problem
 from jointid.paper.twin import twin
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Simulation, require_finished, simulate
 from jointid.simulation.loop_input import ClosedLoop, Experiment, prepare
 

@@ -19,9 +19,9 @@ from jointid.models.joints import RigidJoint
 from jointid.models.transmission import Transmission
 from jointid.output.json import estimate_answer, read_identified, write
 from jointid.records.columns import Column
-from jointid.records.excitation import trapezoids
-from jointid.records.reading import read
+from jointid.records.reading.read import read
 from jointid.records.record import Record
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from tests.geared import LAW, RATE, RIGID, TURNED_SCREW

@@ -40,7 +40,7 @@ from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.records.columns import Column
 from jointid.records.drives.drive import Drive
 from jointid.records.record import InjectionPoint, Tap, Timing
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.records.time_base.resampling import Resampling
 from tests.joint_files import (
     BOTH_ENCODERS,

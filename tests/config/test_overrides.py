@@ -18,7 +18,7 @@ from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import RigidJoint
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from tests.joint_files import (
     BOTH_ENCODERS,
     CASCADE,

@@ -22,7 +22,7 @@ from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.models.transmission import Transmission
 from jointid.records.columns import known_units
 from jointid.records.drives.drive import Drive
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from tests.joint_files import (
     PAGE,
     schema_keys,

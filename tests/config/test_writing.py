@@ -50,7 +50,7 @@ from jointid.records.columns import Column, known_units
 from jointid.records.drives.drive import Drive
 from jointid.records.drives.profiles import profile_names
 from jointid.records.record import InjectionPoint, Tap, Timing
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from tests.joint_files import (
     CASCADE,
     CHANNELS,

@@ -15,7 +15,7 @@ from jointid.controller_id.loop_record import watched
 from jointid.controller_id.noise import by_band, loudness, widths
 from jointid.models.controllers import POSITION, Cascade
 from jointid.models.joints import RigidJoint
-from jointid.records.excitation import trapezoids
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from studies.learned import LoopTwin, loop_twin

@@ -24,8 +24,8 @@ from jointid.controller_id.structures import INTEGRAL, Structure
 from jointid.estimation.identify import identify
 from jointid.models.controllers import Cascade, Controller, FirstOrder
 from jointid.models.joints import RigidJoint
-from jointid.records.excitation import trapezoids
 from jointid.records.record import Injection, InjectionPoint, Record, Timing
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from studies.learned import LoopTwin, learned_twins, loop_twin

@@ -19,8 +19,8 @@ from jointid.controller_id.structure_moves import all_laws, canonical, neighbour
 from jointid.controller_id.structures import LATE, RATES, SLOWER, Structure
 from jointid.models.controllers import INPUTS, PD, POSITION, Cascade, FirstOrder, SecondOrder, run
 from jointid.models.joints import RigidJoint
-from jointid.records.excitation import pulses, trapezoids
 from jointid.records.record import Timing
+from jointid.records.signals.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from studies.learned import loop_twin

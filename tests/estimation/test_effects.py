@@ -16,9 +16,9 @@ from jointid.models.disturbances import Drift, PositionHarmonics, effect_columns
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import Motion, RigidJoint
 from jointid.output import json as answers
-from jointid.records.excitation import trapezoids
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.excitation import trapezoids
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from tests.estimation.conftest import CONTROLLER

@@ -20,9 +20,9 @@ from jointid.models.controllers import Cascade
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, RigidJoint
-from jointid.records.excitation import pulses, trapezoids
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.excitation import pulses, trapezoids
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record

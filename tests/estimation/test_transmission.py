@@ -29,8 +29,8 @@ from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.models.refer import OtherSide
 from jointid.models.transmission import Side, Transmission
 from jointid.output.json import estimate_answer
-from jointid.records.excitation import pulses, trapezoids
 from jointid.records.record import Channel, Record
+from jointid.records.signals.excitation import pulses, trapezoids
 from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.open_loop import OpenLoop

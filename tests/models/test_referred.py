@@ -23,8 +23,8 @@ from jointid.models.controllers import (
     run,
 )
 from jointid.models.joints import FlexibleJoint
-from jointid.records.excitation import trapezoids
 from jointid.records.record import Channel, Injection, InjectionPoint, Record
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import ClosedLoop, prepare
 from tests.geared import FLEXIBLE, RATE

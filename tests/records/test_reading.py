@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from jointid.common.errors import JointidError, RecordError
 from jointid.records.columns import Column
+from jointid.records.files.writing import write
 from jointid.records.formats import Table, read_table, write_table
-from jointid.records.reading import read
+from jointid.records.reading.read import read
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
-from jointid.records.writing import write
 
 NAN = float("nan")
 RATE = 1e-3
@@ -176,7 +176,7 @@ def test_all_faults_are_reported_at_once(saved: Saved) -> None:
     )
     expected = [
         'run.mat has no column "i" (for torque); it has "t", "q", "v".',
-        "The time jumps 1 time: after sample 198",
+        'The time column "t" jumps 1 time: after sample 198',
         'reference (column "q") has 2 samples without a finite number, the first nan at sample 70',
         "reference has tap = filtered",
         'load_position (column "v") is in "rad"; expected one of m, mm',

@@ -15,8 +15,8 @@ from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.models.controllers import PD, PID, REFERENCE, Cascade, FirstOrder, Notch, SecondOrder, begun_later
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
-from jointid.records.excitation import trapezoids
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.simulation.sensitivities import simulate_sensitivities

@@ -23,7 +23,7 @@ from jointid.output.figures.tuning_figure import tuning_figure
 from jointid.output.json import dumps, tuning_answer
 from jointid.paper.twin import TABLE_2, twin
 from jointid.records.drives.drive import Drive
-from jointid.records.excitation import trapezoids
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.interval import interval_of, lowest_mode, reach

@@ -14,7 +14,7 @@ from jointid.models.parameters import TORQUE_UNIT, Kind
 from jointid.models.transmission import Side
 from jointid.records.columns import known_units
 from jointid.records.drives.drive import Drive
-from jointid.records.drives.profiles import side_of
+from jointid.records.drives.profiles import find_side
 
 
 def channel_faults(
@@ -37,7 +37,7 @@ def channel_faults(
                 f"record.channels.{name}.column is missing; expected text in quotes (name of the column in the "
                 "record's file): add it, or give drive.profile."
             )
-        yield from (f"record.channels.{fault}" for fault in table.to_column().misplaced(name))
+        yield from (f"record.channels.{fault}" for fault in table.to_column().misplaced_faults(name))
         yield from _unit_faults(name, table, kinds, transmission, drive)
     if "injected" in channels:
         both = ("injected", "torque")
@@ -103,20 +103,20 @@ def _si_unit(
         return known[0]
     if stated not in known or _lacking(channel, stated, moving, transmission, drive or Drive()):
         return None
-    return (drive or Drive()).resolved(units.unit(stated), moving).si
+    return (drive or Drive()).resolve_unit(units.unit(stated), moving).si
 
 
 def _side(channel: str, table: ChannelTable | None, drive: Drive | None) -> Side:
     """Return the side of a transmission on which a channel is measured."""
     declared = None if table is None else table.to_column()
-    return side_of(channel, declared, drive.traces, drive.axis) if drive else side_of(channel, declared, None, None)
+    return find_side(channel, declared, drive.traces, drive.axis) if drive else find_side(channel, declared, None, None)
 
 
 def _lacking(channel: str, unit: str, kind: Kind, transmission: TransmissionTable | None, drive: Drive) -> str | None:
     """Return the end of the sentence on a unit for which a number of the drive is missing."""
     try:
         geared = transmission is not None and transmission.geared
-        drive.resolved(units.unit(unit), kind, of_load=channel == "load_position", geared=geared)
+        drive.resolve_unit(units.unit(unit), kind, of_load=channel == "load_position", geared=geared)
     except units.UnitError as error:
         return str(error)
     return None

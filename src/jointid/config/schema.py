@@ -37,7 +37,7 @@ from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.open_loop import OpenLoopFit
 from jointid.models.disturbances import Drift, Effect, PositionHarmonics
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 
 OF_IDIM = ("estimator", "harmonics", "period", "drift")
 """The keys of [method] that are IDIM's."""

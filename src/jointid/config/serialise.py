@@ -18,7 +18,7 @@ from jointid.models.gravity import Gravity
 from jointid.models.joints import FRICTIONS, Joint
 from jointid.models.parameters import Parameter
 from jointid.models.transmission import SIDES, Transmission
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.records.time_base.resampling import Resampling
 
 _KINDS: Mapping[type, str] = {made: kind for kind, made in FILTERS.items()}

@@ -8,9 +8,9 @@ from typing import Any
 
 from jointid.common.settings import declare, documented, setting
 from jointid.common.units import units_of
-from jointid.records.checks import CLOCK_TOLERANCE
 from jointid.records.formats import format_of
 from jointid.records.time_base.resampling import Resampling
+from jointid.records.time_base.uniformity import CLOCK_TOLERANCE
 
 
 @documented

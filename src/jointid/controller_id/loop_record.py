@@ -23,8 +23,8 @@ from jointid.models.controllers import (
     SampledLaw,
     run,
 )
-from jointid.records.encoder_step import step_of
 from jointid.records.record import InjectionPoint, Record, Tap, Timing
+from jointid.records.signals.encoder_step import find_encoder_step
 from jointid.simulation.loop_input import at_period, known_memory, law_inputs
 
 _NEEDED = ("torque", "reference", "motor_position")
@@ -187,7 +187,7 @@ def _heard(
     """Return samples of a record with what is known of their errors, and the frequencies that tell of the law."""
     assert record.torque is not None and record.motor_position is not None
     own = inputs[1, False]
-    error = position_error(own[:, POSITION], step_of(record.motor_position))
+    error = position_error(own[:, POSITION], find_encoder_step(record.motor_position))
     told = heard(own, torque, added, kept * _below(torque, plateau), error)
     return Watched(record, record.torque.sample_time, torque, added, kept, plateau, error, told, inputs)
 

@@ -28,9 +28,9 @@ from jointid.models.friction import AsymmetricFriction, SymmetricFriction
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
 from jointid.models.transmission import transmission_lines
-from jointid.records.checks import check_record
+from jointid.records.checks.record_checks import check_record
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 
 

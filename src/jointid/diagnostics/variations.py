@@ -10,8 +10,8 @@ import numpy as np
 
 from jointid.estimation.problems.closed_loop import Problem
 from jointid.models.parameters import TORQUE_UNIT
-from jointid.records.excitation import pulses
 from jointid.records.record import Channel, Injection, Record
+from jointid.records.signals.excitation import pulses
 from jointid.simulation.loop_input import Experiment, prepare
 
 _COULOMB = 5.0  # times the Coulomb friction of the whole joint: the height of a pulse

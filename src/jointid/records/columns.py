@@ -1,4 +1,4 @@
-"""How the channels of a record are found in a table: by which column, in which unit, with which sign."""
+"""Columns of a table that become the channels of a record: name, unit, gain and sign."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 @documented
 @dataclass(frozen=True, slots=True)
 class Column:
-    """How one channel is found in a file: its values are `sign` x `gain` x column, in `unit`.
+    """Column of a file that holds one channel: its values are `sign` x `gain` x column, in `unit`.
 
     Raises:
         RecordError: gain, sample_time, wrap or update_time is not positive and finite, sign is not 1 or -1, there is
@@ -96,7 +96,7 @@ class Column:
         # A gain takes the values from the unit in the name to another one.
         return self.unit if self.unit is not None or self.gain != 1 else unit_in_name(self.column, known)
 
-    def misplaced(self, channel: str) -> list[str]:
+    def misplaced_faults(self, channel: str) -> list[str]:
         """Return the faults of settings that belong to other channels than `channel`."""
         faults = []
         if channel != "torque" and self.tap is not None:

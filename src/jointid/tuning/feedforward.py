@@ -94,8 +94,8 @@ def _in_drive(name: str, value: float, estimate: Estimate, drive: Drive | None) 
     kind = joint.kind if gear is None else gear.motor
     torque = 1.0 if gear is None else gear.torque("motor")
     try:
-        share = drive.resolved(units.unit("permille"), kind).factor
-        per_count = 1.0 if name in ("coulomb", "constant") else drive.resolved(units.unit("counts"), kind).factor
+        share = drive.resolve_unit(units.unit("permille"), kind).factor
+        per_count = 1.0 if name in ("coulomb", "constant") else drive.resolve_unit(units.unit("counts"), kind).factor
     except units.UnitError:  # the drive's numbers are not all known
         return None, ""
     if name in ("inertia", "viscous"):

@@ -121,7 +121,7 @@ def _twin(
 ) -> None:
     from jointid.apps.cli.console import progress, ready, show
     from jointid.paper.twin import twin
-    from jointid.records.writing import write
+    from jointid.records.files.writing import write
 
     ready(progress(quiet), derivatives=False)
     axis = twin(loop, added_mass=added_mass, noise=noise, seed=seed)

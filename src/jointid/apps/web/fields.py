@@ -22,7 +22,7 @@ from jointid.models.transmission import Transmission
 from jointid.records.columns import Column, known_units, unit_in_name
 from jointid.records.drives.drive import Drive
 from jointid.records.record import CHANNELS
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 
 Form: TypeAlias = Literal["number", "numbers", "text", "choice", "column", "unit", "sign", "flag"]
 Draft: TypeAlias = Mapping[str, str]

@@ -23,7 +23,7 @@ _STAND_IN = {"law": "cascade", "kp": 1.0, "kv": 1.0}
 
 _LAW = "controller.law"
 _SEVERAL = {"records": "[[records]]", "together": "[together]"}
-"""Tables of a joint file that read other records than the visitor's."""
+"""Tables of a joint file that read other records than the one that was sent."""
 
 
 @dataclass(frozen=True, slots=True)

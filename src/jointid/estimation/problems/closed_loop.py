@@ -19,7 +19,7 @@ from jointid.models.controllers import number, with_numbers
 from jointid.models.joints import RigidJoint
 from jointid.models.parameters import TORQUE_UNIT, Parameter
 from jointid.records.record import Record
-from jointid.records.signals import Filtering, decimate_all
+from jointid.records.signals.filtering import Filtering, decimate_all
 from jointid.simulation.closed_loop import Initial, Outcome, Response, Simulation, simulate, simulate_torque
 from jointid.simulation.loop_input import ClosedLoop, Experiment, prepare
 from jointid.simulation.sensitivities import Sensitivities, simulate_sensitivities

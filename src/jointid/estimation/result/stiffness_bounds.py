@@ -19,7 +19,7 @@ from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.closed_loop import Problem
 from jointid.estimation.search.exploration import crossover
 from jointid.models.parameters import Parameter, Quantity
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.covariance import robust, white
 from jointid.uncertainty.verdict import StiffnessBound
 

@@ -14,7 +14,7 @@ from jointid.models.disturbances import effect_parameters
 from jointid.models.joints import Joint
 from jointid.output.json.estimates import ESTIMATE_SCHEMA
 from jointid.output.json.parts import Json, gravity_answer, read_effect, transmission_answer
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 
 _LARGEST = 2**26  # bytes

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from jointid.common import units
 from jointid.common.errors import RecordError
 from jointid.common.settings import check_settings, documented, setting
-from jointid.records.drives.profiles import Profile, profile_named, profile_names
+from jointid.records.drives.profiles import Profile, load_profile, profile_names
 
 _AGREES = 0.05  # of a rated torque: nameplates are rounded, and peak and rms ampere differ by 41 %
 
@@ -24,7 +24,7 @@ _COUNTS = {"prismatic": "counts_per_metre", "revolute": "counts_per_turn"}
 @documented
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What is known of a drive: whose traces they are, and the numbers behind its units.
+    """Profile of a drive's traces, and the drive parameters behind its units.
 
     Raises:
         RecordError: there is no such profile, a number is not positive and finite, the axis is not a whole number from
@@ -34,7 +34,7 @@ class Drive:
     profile: str | None = setting(
         None,
         "whose names, units, timing and tap the channels have that the file does not declare; what it declares wins",
-        accept=profile_named,
+        accept=load_profile,
         choices=profile_names(),
     )
     axis: int | None = setting(
@@ -72,7 +72,7 @@ class Drive:
     @property
     def traces(self) -> Profile | None:
         """The profile, None without one."""
-        return None if self.profile is None else profile_named(self.profile)
+        return None if self.profile is None else load_profile(self.profile)
 
     @property
     def _from_current(self) -> float | None:
@@ -80,14 +80,14 @@ class Drive:
             return None
         return self.rated_current * self.torque_constant
 
-    def resolved(self, unit: units.Unit, kind: str, *, of_load: bool = False, geared: bool = False) -> units.Unit:
+    def resolve_unit(self, unit: units.Unit, kind: str, *, of_load: bool = False, geared: bool = False) -> units.Unit:
         """Return a unit with its factor to SI; one that is no drive's own as it is.
 
         Args:
             unit: of a channel.
             kind: of the side on which the channel is measured.
-            of_load: whether it is measured by the load's own encoder.
-            geared: whether that moves like the motor's, but by another amount: its counts are then no guide.
+            of_load: True if it is measured by the load's own encoder.
+            geared: True if the load moves by another amount than the motor, whose counts then do not apply.
 
         Raises:
             UnitError: a number is missing; the message is the end of a sentence that begins with what has the unit.
