@@ -17,8 +17,9 @@ from jointid.config.table import refusal
 from jointid.estimation.methods.inverse_model import idim_channels
 from jointid.estimation.problems.nuisance_parameters import surrounding
 from jointid.models.controllers import Controller, numbers_of, with_numbers
+from jointid.models.friction import FRICTIONS
 from jointid.models.gravity import GRAVITY_PARAMETERS
-from jointid.models.joints import FRICTIONS, Joint
+from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
 
 _NEXT_TO_ZERO = 1e-200
@@ -28,7 +29,7 @@ _BESIDE_LOAD = (
 )
 _KNOWN = " is known, and not identified; give it a value, or change it in gravity.counterbalance."
 _BESIDE_FRICTION = (
-    " cannot be identified beside asymmetric friction: a constant adds to the Coulomb force forwards and takes as much "
+    " cannot be identified beside {} friction: a constant adds to the Coulomb force forwards and takes as much "
     'from it backwards, so the two cannot be told apart; give it a value, or set joint.friction = "symmetric".'
 )
 _OTHER = {"didim": "idim", "idim": "didim", "drive_side": "didim", "open_loop": "didim"}
@@ -210,7 +211,7 @@ def parameter_faults(
         if name not in known:
             yield path + _no_parameter(name, joint, gravity, known)
             continue
-        for key, sentence in _misgiven(known[name], table, gravity):
+        for key, sentence in _misgiven(known[name], table, joint, gravity):
             yield path + (f".{key}" if key and name not in bare else "") + sentence
 
 
@@ -228,10 +229,13 @@ def _bounds(parameter: Parameter, table: ParameterTable) -> tuple[float, float]:
     return lower, upper
 
 
-def _misgiven(parameter: Parameter, table: ParameterTable, gravity: GravityTable | None) -> Iterator[tuple[str, str]]:
+def _misgiven(
+    parameter: Parameter, table: ParameterTable, joint: JointTable, gravity: GravityTable | None
+) -> Iterator[tuple[str, str]]:
     """Yield the key and the rest of the sentence on what a parameter cannot be given."""
     if not parameter.free and table.value is None:
-        beside = _BESIDE_LOAD if gravity is not None and gravity.load == "constant" else _BESIDE_FRICTION
+        constant_load = gravity is not None and gravity.load == "constant"
+        beside = _BESIDE_LOAD if constant_load else _BESIDE_FRICTION.format(joint.friction)
         yield "", beside if parameter.name == "offset" else _KNOWN
         return
     lower, upper = _bounds(parameter, table)

@@ -286,7 +286,7 @@ class JointFile:
         Args:
             method: "didim" or "idim"; another one than the file's comes with its default settings.
             filtering: a preset, "default", "published" or "as-printed".
-            friction: "symmetric" or "asymmetric".
+            friction: name of the friction law, "symmetric" or another of `jointid.models.friction`.
             minimiser: of DIDIM for a flexible joint, "least-squares" or "nelder-mead".
             frequency: in Hz, that DIDIM for a flexible joint starts from.
             estimator: of IDIM, "ols", "weighted", "robust" or "iv".

@@ -10,8 +10,9 @@ from pydantic import Field
 from jointid.config.generate import keys_from
 from jointid.config.table import Table, accept_by, refusal
 from jointid.config.values import Text
+from jointid.models.friction import FRICTIONS, friction_named
 from jointid.models.gravity import Counterbalance, Gravity
-from jointid.models.joints import FRICTIONS, FlexibleJoint, Joint, RigidJoint, friction_named
+from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.models.transmission import Transmission
 
 

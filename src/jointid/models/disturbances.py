@@ -1,4 +1,4 @@
-"""What a torque holds beside inertia and friction law: ripple that follows the position, drift that follows the time.
+"""Disturbance torques beside inertia and friction: ripple over the position, drift over time.
 
 Each effect is linear in its parameters, so that a regression estimates them as further columns. The simulation of a
 loop does not have them.
@@ -22,7 +22,7 @@ from jointid.models.transmission import Side
 
 
 class Effect(Protocol):
-    """What a regression asks of an effect."""
+    """The interface of a disturbance in a regression."""
 
     @property
     def side(self) -> Side:

@@ -22,6 +22,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.settings import check_settings, declare, documented, setting
+from jointid.models.friction import Friction
 from jointid.models.parameters import Kind, Parameter, Quantity
 
 Load: TypeAlias = Literal["constant", "link"]
@@ -102,7 +103,7 @@ class Gravity:
     def __post_init__(self) -> None:
         check_settings(self)
 
-    def require(self, kind: Kind, symmetric: bool) -> None:
+    def require(self, kind: Kind, friction: Friction) -> None:
         """Raise a `MethodError` if a joint of that kind and friction cannot have this load."""
         turning = self.load == "link" or self.counterbalance.cos != 0.0 or self.counterbalance.sin != 0.0
         if kind == "prismatic" and turning:
@@ -110,24 +111,24 @@ class Gravity:
                 "A prismatic joint does not turn its load, so nothing of its gravity follows a cosine or a sine; use "
                 'load = "constant", or a revolute joint.'
             )
-        if self.load == "constant" and not symmetric:
+        if self.load == "constant" and not friction.offset_identifiable:
             raise MethodError(
-                "A constant load cannot be told apart from asymmetric friction: it adds to the Coulomb force forwards "
-                "and takes as much from it backwards; use symmetric friction, or leave gravity out."
+                f"A constant load cannot be told apart from {friction.name} friction: it adds to the Coulomb force "
+                "forwards and takes as much from it backwards; use symmetric friction, or leave gravity out."
             )
 
     @property
     def varies(self) -> bool:
-        """Whether anything of it depends on the position."""
+        """True if any part of it depends on the position."""
         return self.load == "link" or any((self.counterbalance.cos, self.counterbalance.sin, self.counterbalance.rate))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What the load weighs, then the numbers of the counterbalance that are not 0, which are fixed."""
+        """Weight of the load, then the counterbalance's numbers that are not 0, which are fixed."""
         return tuple(one.parameter for one in self._terms)
 
     def columns(self, position: FloatArray) -> FloatArray:
-        """Return what the parameters are the factors of, (samples, parameters), at positions (samples,)."""
+        """Return the regressor of the parameters, (samples, parameters), at positions (samples,)."""
         phase = self.angle * position
         functions = np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase), position], axis=1)
         return np.column_stack([one.sign * functions[:, one.term] for one in self._terms])
@@ -140,8 +141,8 @@ class Gravity:
         constant, cos, sin, rate = total
         return constant, cos, sin, rate
 
-    def hung(self, values: Mapping[str, float], stiffness: float, position: float, drag: float) -> float:
-        """Return how far the load hangs behind a motor at `position`, on a spring, where it is also dragged: by Newton.
+    def static_deflection(self, values: Mapping[str, float], stiffness: float, position: float, drag: float) -> float:
+        """Return the spring's static deflection under gravity and drag, the motor at `position`: by Newton's method.
 
         A load that gravity pushes over faster than the spring rights it hangs nowhere; the result then means nothing.
         """

@@ -80,7 +80,7 @@ class Transmission:
 
     @property
     def motor(self) -> units.Kind:
-        """How the motor moves: with a lead it turns, else it moves as the load does."""
+        """Kind of the motor's motion: with a lead it turns, else it moves as the load does."""
         return self.load if self.lead is None else "revolute"
 
     @property
@@ -90,12 +90,12 @@ class Transmission:
 
     @property
     def kind(self) -> units.Kind:
-        """How the side moves on which the joint is identified."""
+        """Kind of motion of the side on which the joint is identified."""
         return self.kind_of(self.side)
 
     @property
     def geared(self) -> bool:
-        """Whether motor and load move alike, but not by the same amount."""
+        """True if motor and load have the same kind of motion, but not the same amount."""
         return self.motor == self.load and abs(self.motor_per_load) != 1.0
 
     @property
@@ -104,21 +104,21 @@ class Transmission:
         return "motor" if self.side == "load" else "load"
 
     def kind_of(self, side: Side) -> units.Kind:
-        """Return how a side moves."""
+        """Return a side's kind of motion."""
         return self.load if side == "load" else self.motor
 
     def position(self, side: Side) -> float:
-        """Return what takes a position of that side to the joint's side."""
+        """Return the factor from a position of that side to the joint's side."""
         return 1.0 / self.torque(side)
 
     def torque(self, side: Side) -> float:
-        """Return what takes a torque of that side to the joint's side: the inverse of what takes a position there."""
+        """Return the factor from a torque of that side to the joint's side: the inverse of a position's."""
         if side == self.side:
             return 1.0
         return self.motor_per_load if side == "motor" else 1.0 / self.motor_per_load
 
     def __str__(self) -> str:
-        """Return what it is and how it is taken, in a sentence."""
+        """Return its description, in a sentence."""
         size = f"{self.ratio:g}:1" if self.ratio is not None else f"{1e3 * (self.lead or 0.0):g} mm per turn"
         turned = ", turned round" if self.sign < 0 else ""
         return f"{size}{turned}, without loss (efficiency taken as 1); values are on the {self.side} side"

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 from jointid.common import units
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers import Timed
+from jointid.models.controllers import ServoController
 from jointid.models.parameters import Quantity, unit_of
 from jointid.models.transmission import Transmission
 from jointid.records.drives.drive import Drive
-from jointid.tuning.lumped import Total
+from jointid.tuning.lumped import LumpedParameter
 
 _ROWS: tuple[tuple[str, str, Quantity, str, int], ...] = (
     ("inertia", "acceleration_feedforward", Quantity.INERTIA, "J / (g r^2)", 2),
@@ -58,14 +58,14 @@ class FeedForward:
 
 
 def feedforward(
-    estimate: Estimate, controller: Timed, whole: Mapping[str, Total], drive: Drive | None = None
+    estimate: Estimate, controller: ServoController, whole: Mapping[str, LumpedParameter], drive: Drive | None = None
 ) -> tuple[FeedForward, ...]:
     """Return the feed-forwards of an estimate.
 
     Args:
         estimate: of the joint.
         controller: whose units are meant, as the joint sees it.
-        whole: see `totals`.
+        whole: see `lumped_parameters`.
         drive: with the rated torque, and the encoder's counts, if they are known.
     """
     found = []

@@ -21,7 +21,7 @@ def report(
     figures: Path | None = None,
     method: Literal["didim", "idim", "drive_side", "open_loop"] | None = None,
     filtering: Literal["default", "published", "as-printed"] | None = None,
-    friction: Literal["symmetric", "asymmetric"] | None = None,
+    friction: str | None = None,
     no_profiles: Annotated[bool, Parameter(negative=())] = False,
     json: Path | None = None,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,

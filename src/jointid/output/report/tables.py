@@ -168,7 +168,7 @@ def settings(estimate: Estimate) -> Facts:
         ("Method", estimate.settings.variant),
         (
             "Model",
-            f"{joint.model}, {'symmetric' if joint.friction.symmetric else 'asymmetric'} friction",
+            f"{joint.model}, {joint.friction.name} friction",
         ),
         ("Left out of the raw error", borders),
         ("Filter", f"{f.cutoff:g} Hz, one sample in {f.decimation}; positions {position}; timing {f.timing}"),
