@@ -93,7 +93,7 @@ def _facts(estimate: Estimate) -> Iterator[str]:
     if checks.drift is not None:
         yield f"drift         {describe_drift(checks.drift, estimate.params)}"
     if windows is not None and checks.known is not None:
-        yield from (f"limitation    {sentence}" for sentence in checks.known.sentences)
+        yield from (f"limitation    {sentence}" for sentence in checks.known.limitations)
     if checks.verdicts:
         yield from ["", "verdicts", *map(str, checks.verdicts), ""]
     yield from (f"test          {test.name}: {test.sentence}" for test in checks.tests)

@@ -45,7 +45,7 @@ class Listing:
 class Verdicts:
     """Questions, each with its answer (None where it cannot be said) and why."""
 
-    rows: tuple[tuple[str, bool | None, str], ...]
+    rows: tuple[tuple[str, bool | None, tuple[str, ...]], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +159,7 @@ def _points(block: Listing | Verdicts | Facts) -> list[str]:
     if isinstance(block, Listing):
         return [_plain(item) for item in block.items]
     if isinstance(block, Verdicts):
-        return [f"**{MARKS[good]}** — {_plain(asked)} {_plain(said)}" for asked, good, said in block.rows]
+        return [f"**{MARKS[good]}** — {_plain(asked)} {_plain('; '.join(said))}" for asked, good, said in block.rows]
     return [f"{_plain(name)}: {_plain(value)}" for name, value in block.pairs]
 
 

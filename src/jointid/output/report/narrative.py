@@ -6,16 +6,18 @@ from jointid.common.text import interval, number
 from jointid.diagnostics.report_data import Dossier
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import frequencies
+from jointid.uncertainty.combination import Kind
+from jointid.uncertainty.verdict import Subject
 
 QUESTIONS = {
-    "solver": "Did the search end well?",
-    "fit": "Does the model explain the torque?",
-    "whiteness": "Is what remains white noise?",
-    "repeatable residual": "Is what remains free of anything that repeats with the motion?",
-    "identifiability": "Does the record tell every parameter?",
-    "bounds": "Is every parameter free of its bounds?",
-    "stiffness": "Does the record show the spring?",
-    "loop": "Are loop and log as declared?",
+    Subject.SOLVER: "Did the search end well?",
+    Subject.FIT: "Does the model explain the torque?",
+    Subject.WHITENESS: "Is what remains white noise?",
+    Subject.REPEATABLE: "Is what remains free of anything that repeats with the motion?",
+    Subject.IDENTIFIABILITY: "Does the record tell every parameter?",
+    Subject.BOUNDS: "Is every parameter free of its bounds?",
+    Subject.STIFFNESS: "Does the record show the spring?",
+    Subject.LOOP: "Are loop and log as declared?",
 }
 _CHANNELS = {"injected": "injected signal"}
 _FRICTIONS = (("viscous", "viscous"), ("coulomb", "Coulomb"))
@@ -123,7 +125,7 @@ def _sums(estimate: Estimate) -> tuple[str, ...]:
     told = [
         f"{one.combination.formula} = {interval(one.value, 2 * one.std)} {one.combination.unit}"
         for one in estimate.checks.known.physical
-        if one.combination.name.startswith("total") and one.verdict == "well"
+        if one.combination.kind is Kind.SUM and one.verdict == "well"
     ]
     return (f"Known best are the sums of both sides: {'; '.join(told)}.",) if told else ()
 
@@ -131,7 +133,7 @@ def _sums(estimate: Estimate) -> tuple[str, ...]:
 def _verdicts(estimate: Estimate) -> str:
     if not estimate.checks.verdicts:
         return "No question beyond the fit is answered for this method."
-    bad = [v.subject for v in estimate.checks.verdicts if v.good is False]
+    bad = [str(v.subject) for v in estimate.checks.verdicts if v.good is False]
     asked = len(estimate.checks.verdicts)
     good = sum(v.good is True for v in estimate.checks.verdicts)
     if not bad:

@@ -93,15 +93,9 @@ def _environment() -> Environment:
         "stem": lambda name: Path(name).stem,
         "as_is": Markup,
         "id": id,
-        "clauses": _clauses,
     }
     made.filters.update(filters)
     return made
-
-
-def _clauses(text: str) -> list[str]:
-    """Return a verdict's clauses, which semicolons separate but for those in brackets."""
-    return re.split(r"; (?![^(]*\))", text)
 
 
 def _hash(text: str) -> str:

@@ -67,9 +67,7 @@ def _result(given: Dossier, picture: object) -> list[Block]:
     found: list[Block] = [Heading("Result"), Paragraph(first, lead=True), *map(Paragraph, others)]
     found.append(Heading("Verdicts"))
     if estimate.checks.verdicts:
-        asked = tuple(
-            (QUESTIONS.get(v.subject, v.subject.capitalize()), v.good, v.said) for v in estimate.checks.verdicts
-        )
+        asked = tuple((QUESTIONS[v.subject], v.good, tuple(map(str, v.reasons))) for v in estimate.checks.verdicts)
         found.append(Verdicts(asked))
     else:
         found.append(
