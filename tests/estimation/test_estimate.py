@@ -90,30 +90,43 @@ ESTIMATE = Estimate(
 
 TABLE = """\
 Rigid joint, DIDIM in residual form from an inversion start, of run 1
-read: torque, reference
+read          torque, reference
 
-symbol  parameter              value  2 sigma  sigma %  unit
--------------------------------------------------------------
-ZZ      inertia               94.903     0.22     0.12  kg
-Fv      viscous               207.53      2.5     0.60  N s/m
-Fc      coulomb             > 12.500        -        -  N
-offset  offset                     0    fixed        -  N
-q(0)    initial position  3.2000e-07  4.4e-06   687.50  m
+symbol  parameter     value  2 sigma  sigma %  unit
+----------------------------------------------------
+ZZ      inertia      94.903     0.22     0.12  kg
+Fv      viscous      207.53      2.5     0.60  N s/m
+Fc      coulomb    > 12.500        -        -  N
+offset  offset            0    fixed        -  N
 
 torque error  4.0000 % raw (50 + 50 samples at the ends left out), 3.9700 % filtered (31 rows)
+
+warning       something to know"""
+
+DETAILS = """
 effort        1 iterations, 14 simulations
 stopped       converged: nothing changes any more
 intervals     for a white residual
-warning       something to know"""
+"""
 
 
 def test_the_table_to_the_letter() -> None:
     assert str(ESTIMATE) == TABLE
+    assert ESTIMATE.summary() == TABLE
+    assert DETAILS in ESTIMATE.summary(details=True)
+
+
+def test_a_notebook_shows_the_table_and_no_tag_of_a_name() -> None:
+    html = ESTIMATE.amended(data={"record": "<script>alert(1)</script>"})._repr_html_()
+    assert "<script" not in html
+    assert '<th scope="row">ZZ</th><td class=text>inertia</td><td>94.903</td>' in html
 
 
 def test_conditioning_is_printed_three_ways() -> None:
     regressed = ESTIMATE.amended(fit={"conditioning": Conditioning(25.98830347, 4.33, 12.294)})
-    assert "conditioning  25.9883 raw, 4.33 normalised, 12.29 scaled by the parameters" in str(regressed)
+    assert "conditioning  25.9883 raw, 4.33 normalised, 12.29 scaled by the parameters" in regressed.summary(
+        details=True
+    )
 
 
 def test_a_parameter_is_found_by_name_or_symbol() -> None:

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import jointid as ji
+from jointid.common.document.html import inert
 from jointid.output.figures.charts import thinned
-from jointid.output.report.page import inert
 from tests.apps.cli.test_commands import EMPS, run
 from tests.browser import opened
 from tests.output.report import reports

@@ -11,6 +11,7 @@ from jointid.common.progress import Progress, silent
 from jointid.common.text import printable
 
 if TYPE_CHECKING:
+    from jointid.common.document import Documented
     from jointid.config import JointFile
     from jointid.estimation.result.estimate import Estimate
     from jointid.records.record import Record
@@ -21,6 +22,17 @@ _PATIENCE = 2.0  # seconds after which the simulation is not being loaded but co
 def show(text: object = "") -> None:
     """Print an answer; nothing that a name in a file may hold reaches the terminal as a command."""
     print(printable(str(text)))  # noqa: T201
+
+
+def show_result(result: Documented, *, details: bool = False) -> None:
+    """Print a result: in colour where the output is a terminal, else as plain text, which is the same everywhere."""
+    document = result.document(details=details)
+    if not sys.stdout.isatty():
+        show(document.text())
+        return
+    from jointid.apps.cli.terminal import print_document
+
+    print_document(document)
 
 
 def tell(message: str) -> None:

@@ -24,6 +24,7 @@ def identify(
     drift: Literal["force", "viscous", "both"] | None = None,
     json: Path | None = None,
     figure: Path | None = None,
+    details: Annotated[bool, Parameter(negative=())] = False,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
 ) -> None:
     """Identify a joint from a record.
@@ -45,9 +46,10 @@ def identify(
         drift: of idim, what changes linearly in time.
         json: also write the answer as JSON to this file.
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
+        details: print every verdict with all its reasons, the method's tests, effort and settings.
         quiet: say nothing of the progress.
     """
-    from jointid.apps.cli.console import check_outputs, identified, progress, show
+    from jointid.apps.cli.console import check_outputs, identified, progress, show, show_result
     from jointid.config import load
     from jointid.diagnostics.check_loop import with_loop_verdict
 
@@ -67,7 +69,7 @@ def identify(
     logged, estimate = identified(file, record, listener)
     if file.tells_of_its_loop:
         estimate = with_loop_verdict(estimate, logged)
-    show(estimate)
+    show_result(estimate, details=details)
     if json is not None:
         from jointid.output import json as answers
 

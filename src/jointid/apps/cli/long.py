@@ -28,7 +28,7 @@ def long(
         json: also write the answer as JSON to this file.
         quiet: say nothing of the progress.
     """
-    from jointid.apps.cli.console import check_outputs, progress, ready, show
+    from jointid.apps.cli.console import check_outputs, progress, ready, show_result
     from jointid.common.errors import MethodError
     from jointid.config import load
     from jointid.estimation.identify import identify
@@ -50,7 +50,7 @@ def long(
         parameters=file.parameters,
         progress=listener,
     )
-    show(estimate)
+    show_result(estimate)
     if json is not None:
         from jointid.output import json as answers
 

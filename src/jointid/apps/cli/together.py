@@ -24,7 +24,7 @@ def together(
         json: also write the answer as JSON to this file.
         quiet: say nothing of the progress.
     """
-    from jointid.apps.cli.console import check_outputs, progress, ready, show
+    from jointid.apps.cli.console import check_outputs, progress, ready, show_result
     from jointid.common.errors import MethodError
     from jointid.config import load
     from jointid.estimation.identify import identify
@@ -56,7 +56,7 @@ def together(
         parameters=file.parameters,
         progress=listener,
     )
-    show(estimate)
+    show_result(estimate)
     if json is not None:
         from jointid.output import json as answers
 

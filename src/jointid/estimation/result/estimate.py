@@ -10,6 +10,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.document import Document
 from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.methods.regression import Conditioning
 from jointid.estimation.result.params import EstimatedParameter, Params
@@ -289,15 +290,27 @@ class Estimate:
         """Return the estimate with some entries of its parts exchanged: ``amended(checks={"warnings": ()})``."""
         return replace(self, **{name: replace(getattr(self, name), **entries) for name, entries in parts.items()})
 
-    def summary(self) -> str:
-        """Return the estimate as text: table, combinations, errors, verdicts and warnings."""
-        from jointid.estimation.result.summary import summarise
+    def document(self, *, details: bool = False) -> Document:
+        """Return the estimate as a document, from which every printed form is made; see `summary`."""
+        from jointid.estimation.result.summary import estimate_document
 
-        return summarise(self)
+        return estimate_document(self, details=details)
+
+    def summary(self, *, details: bool = False) -> str:
+        """Return the estimate as text: the table, combinations, errors, verdicts that did not pass, and warnings.
+
+        Args:
+            details: whether to add the verdicts that passed, all reasons, tests, effort and settings.
+        """
+        return self.document(details=details).text()
 
     def __str__(self) -> str:
         """Return the summary."""
         return self.summary()
+
+    def _repr_html_(self) -> str:
+        """Return the summary as a notebook shows it."""
+        return self.document().html()
 
 
 def fingerprint(torque: FloatArray) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from jointid.common.document import Document
 from jointid.common.errors import RecordError
 from jointid.common.progress import Progress, silent
 from jointid.config import JointFile
@@ -16,9 +17,8 @@ from jointid.output.figures.charts import Chart
 from jointid.output.figures.matplotlib_backend import png, svg
 from jointid.output.json import dumps
 from jointid.output.json.reports import report_answer
-from jointid.output.report.document import Document, written
 from jointid.output.report.narrative import title
-from jointid.output.report.page import page
+from jointid.output.report.page import page, written
 from jointid.output.report.pictures import charts
 from jointid.output.report.reproducibility import Repetition
 from jointid.output.report.sections import blocks

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from jointid.diagnostics.report_data import Dossier
-from jointid.output.figures.bokeh_backend import plot
-from jointid.output.figures.charts import Cells, Chart
-from jointid.output.figures.matplotlib_backend import svg
-from jointid.output.report import tables
-from jointid.output.report.document import (
+from jointid.common.document import (
     Block,
     Code,
     Facts,
@@ -18,6 +13,18 @@ from jointid.output.report.document import (
     Table,
     Verdicts,
 )
+from jointid.diagnostics.report_data import Dossier
+from jointid.estimation.result.tables import (
+    bands_table,
+    bounds_table,
+    combinations_table,
+    parameters_table,
+    settings_facts,
+)
+from jointid.output.figures.bokeh_backend import plot
+from jointid.output.figures.charts import Cells, Chart
+from jointid.output.figures.matplotlib_backend import svg
+from jointid.output.report import tables
 from jointid.output.report.narrative import QUESTIONS, result
 from jointid.output.report.reproducibility import Repetition
 
@@ -48,7 +55,7 @@ def blocks(given: Dossier, charts: dict[str, Chart], repetition: Repetition, *, 
     return (
         *_result(given, picture),
         *_section("Position" if given.estimate.fit.compared == "position" else _TITLES["torque"], picture("torque")),
-        *_section(_TITLES["residual"], picture("residual"), tables.bands_table(given.estimate)),
+        *_section(_TITLES["residual"], picture("residual"), bands_table(given.estimate, "The residual by frequency")),
         *_section(_TITLES["spectra"], picture("spectra"), tables.modes_table(given)),
         *_section(_TITLES["response"], picture("response")),
         *_section(_TITLES["correlation"], picture("correlation")),
@@ -79,9 +86,13 @@ def _result(given: Dossier, picture: object) -> list[Block]:
         found.append(Listing(tuple(f"{test.name}: {test.sentence}" for test in estimate.checks.tests)))
     if estimate.checks.warnings:
         found += [Heading("Warnings", 3), Listing(tuple(_sentence(warning) for warning in estimate.checks.warnings))]
-    found += [Heading("Parameters"), tables.parameters_table(estimate)]
-    found += [table for table in (tables.sums_table(estimate),) if table is not None]
-    bounds = tables.bounds_table(estimate)
+    gear = estimate.settings.joint.transmission
+    side = "" if gear is None else f", on the {gear.side} side"
+    found += [Heading("Parameters"), parameters_table(estimate, f"The parameters{side}")]
+    said = "Combinations: sums and differences of both sides, then the singular directions, best known first"
+    known = combinations_table(estimate, said, directions=True)
+    found += [] if known is None else [known]
+    bounds = bounds_table(estimate, "With 95 % confidence, for a lightly damped mode")
     if bounds is not None:
         found += [Heading("How soft the spring may be"), bounds, *picture("bounds")]
         if given.revealing is not None:
@@ -111,7 +122,7 @@ def _tests(given: Dossier) -> list[Block]:
 
 def _repeated(given: Dossier, repetition: Repetition) -> list[Block]:
     estimate = given.estimate
-    found: list[Block] = [Heading("Settings and data"), tables.settings(estimate), tables.channels_table(given)]
+    found: list[Block] = [Heading("Settings and data"), settings_facts(estimate), tables.channels_table(given)]
     hashes = [("Torque, SHA-256 of its samples", estimate.data.fingerprint), *repetition.facts]
     found += [Heading("To do it again", 3), Facts(tuple(hashes))]
     if repetition.command:
