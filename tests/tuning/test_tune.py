@@ -235,7 +235,7 @@ def test_what_cannot_be_tuned_is_refused_in_a_sentence(estimate: Estimate) -> No
 
 
 def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estimate) -> None:
-    wide = tuple(replace(p, stderr=6 * p.stderr) if p.std else p for p in estimate.params)
+    wide = tuple(replace(p, stderr=6 * p.stderrerr) if p.std else p for p in estimate.params)
     assert estimate.settings.loop is not None
     controller = estimate.settings.loop.controller
     assert isinstance(controller, Cascade)
