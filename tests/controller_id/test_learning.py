@@ -18,6 +18,7 @@ from jointid.controller_id.learn import covariance, learn_loop
 from jointid.controller_id.learned import LearnedLoop
 from jointid.controller_id.loop_record import watched
 from jointid.controller_id.noise import position_error
+from jointid.controller_id.search import Found
 from jointid.controller_id.structure_moves import canonical
 from jointid.controller_id.structures import INTEGRAL, Structure
 from jointid.estimation.identify import identify
@@ -49,6 +50,7 @@ def emps(emps_path: Path) -> tuple[Record, LearnedLoop]:
     return record, learn_loop(record, gain=35.15065188)
 
 
+@pytest.mark.slow
 def test_the_public_record_gives_its_law(emps: tuple[Record, LearnedLoop]) -> None:
     _, learned = emps
     assert learned.words == "P-P, velocity filter mean of 2 samples"
@@ -60,6 +62,7 @@ def test_the_public_record_gives_its_law(emps: tuple[Record, LearnedLoop]) -> No
     assert any("limit is not reached" in said for said in learned.sentences)
 
 
+@pytest.mark.slow
 def test_the_learned_law_identifies_what_the_given_one_does(emps: tuple[Record, LearnedLoop]) -> None:
     record, learned = emps
     assert EMPS.loop is not None
@@ -71,6 +74,7 @@ def test_the_learned_law_identifies_what_the_given_one_does(emps: tuple[Record, 
             assert abs(found[parameter.name].value - parameter.value) <= 0.2 * parameter.stderr, parameter.name
 
 
+@pytest.mark.slow
 def test_the_learned_table_is_a_joint_file_s(emps: tuple[Record, LearnedLoop], tmp_path: Path) -> None:
     _, learned = emps
     save(learned, EMPS, tmp_path / "joint.toml")
@@ -84,6 +88,7 @@ def test_the_learned_table_is_a_joint_file_s(emps: tuple[Record, LearnedLoop], t
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("controller", "words"),
     [
@@ -105,12 +110,14 @@ def test_a_law_is_found_with_its_numbers(controller: Cascade, words: str) -> Non
         assert one.value == pytest.approx(getattr(controller, name), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_limit_is_read_from_the_log() -> None:
     learned = learn_loop(made(Cascade(kp=60.0, kv=500.0, limit=19.0)))
     assert learned["limit"].value == pytest.approx(19.0, rel=1e-3)
     assert learned["kv"].value == pytest.approx(500.0, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_a_slower_position_loop_counts_from_the_first_sample_of_the_file() -> None:
     """The record was cut by two samples at its begin, as a torque that is refreshed slowly has it cut."""
     record = made(Cascade(kp=60.0, kv=500.0, position_period=4 * T, position_offset=T))
@@ -120,10 +127,33 @@ def test_a_slower_position_loop_counts_from_the_first_sample_of_the_file() -> No
     assert learned.controller.position_offset == pytest.approx(3 * T)
 
 
+@pytest.mark.slow
 def test_a_coarse_position_does_not_bend_the_gains() -> None:
     learned = learn_loop(made(Cascade(kp=60.0, kv=500.0), step=2e-6))
     assert 0.0 < learned.position_noise < 2e-6
     assert all(abs(learned[n].value - v) <= 3 * learned[n].std for n, v in (("kp", 60.0), ("kv", 500.0)))
+
+
+@pytest.mark.parametrize("number", [600, 601])
+def test_what_is_told_of_a_law_that_a_search_found(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search itself takes long; here it finds the law of a twin at once, or the law of another torque."""
+    twin = loop_twin(number)
+
+    def found(task: Task, *_: object) -> Found:
+        law = fit(task, twin.structure, twin.numbers, task.noise(twin.structure, twin.numbers), steps=12)
+        return Found(law or Fitted(twin.structure, twin.numbers, 0.0, task.noise(twin.structure, twin.numbers)), ())
+
+    monkeypatch.setattr("jointid.controller_id.learn.search", found)
+    learned = learn_loop(twin.record)
+    assert learned.words == twin.structure.words
+    for name in ("kp", "kv"):
+        if name in twin.numbers:
+            assert abs(learned[name].value - twin.numbers[name]) <= 4 * learned[name].std, name
+    assert learned.share < 0.05
+    assert twin.record.torque is not None
+    turned = replace(twin.record, torque=replace(twin.record.torque, values=-twin.record.torque.values))
+    with pytest.raises(MethodError, match="Check units, signs and sides"):
+        learn_loop(turned)
 
 
 def test_one_law_has_one_name() -> None:
@@ -133,6 +163,7 @@ def test_one_law_has_one_name() -> None:
     assert canonical(filtered) == filtered
 
 
+@pytest.mark.slow
 def test_a_torque_with_the_wrong_sign_is_refused() -> None:
     record = made(Cascade(kp=60.0, kv=500.0))
     assert record.torque is not None
@@ -231,7 +262,7 @@ def test_what_is_added_is_as_late_in_a_late_log_as_the_output() -> None:
     assert np.std(task.residual(twin.structure, twin.numbers)) < 0.02 * np.std(task.watched.torque)
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_random_loops_are_mostly_right() -> None:
     """`python -m studies.learned` makes the table of 200."""
     found = learned_twins(range(8))
@@ -239,6 +270,7 @@ def test_random_loops_are_mostly_right() -> None:
     assert found.covered >= 0.85  # of 30 numbers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [1, 2, 3])
 def test_no_law_is_made_up_where_the_record_shows_none(data_dir: Path, number: int) -> None:
     """The KR300's axes: a robot's controller looks at all of them, and at its model."""
@@ -247,6 +279,7 @@ def test_no_law_is_made_up_where_the_record_shows_none(data_dir: Path, number: i
         learn_loop(file.record(data_dir / "kr300" / "rec_A.mat"))
 
 
+@pytest.mark.slow
 def test_what_the_record_does_not_show_is_kept_as_declared() -> None:
     loop = ClosedLoop(RigidJoint(), Cascade(kp=60.0, kv=500.0))
     reference = trapezoids([0.1, 0.3], 2.0, 0.2, 1e-3, 0.1, 6.0)

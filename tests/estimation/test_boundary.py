@@ -106,6 +106,7 @@ def test_the_best_of_several_shares_counts_in_the_draws_too() -> None:
     assert single.significant
 
 
+@pytest.mark.slow
 def test_what_repeats_with_the_motion_is_not_taken_for_a_spring() -> None:
     """Two functions of the place that have nothing to do with each other: over time one seems to explain the other."""
     random = np.random.default_rng(7)

@@ -133,6 +133,7 @@ def test_bands_see_a_gain_that_falls_with_frequency() -> None:
     assert band_deviations(J, J, error)[0] > 5 * by_rows
 
 
+@pytest.mark.statistical
 def test_white_noise_on_the_log_is_no_endogeneity() -> None:
     probabilities = []
     for seed in range(1, 6):
@@ -148,6 +149,19 @@ def test_white_noise_on_the_log_is_no_endogeneity() -> None:
     assert max(probabilities) > 0.2
 
 
+def test_a_disturbance_in_the_loop_is_noticed() -> None:
+    record = twin("L30", seed=1).record
+    problem = problem_of(record, log_delay=-1e-3)
+    bottom = descend(problem, [problem.vector(TABLE_2)], 1e-8, silent)
+    verdict = judged(record, problem, bottom, "tested", silent)
+    assert verdict.x is not None
+    assert "Durbin-Wu-Hausman" in verdict.warnings[0]
+    at = [p.name for p in problem.free].index("stiffness")
+    truth = TABLE_2["stiffness"]
+    assert abs(verdict.x[at] / truth - 1) < abs(bottom.x[at] / truth - 1)
+
+
+@pytest.mark.statistical
 def test_a_disturbance_in_the_loop_is_noticed_and_mended() -> None:
     plain, mended = [], []
     for seed in range(1, 6):
@@ -165,7 +179,7 @@ def test_a_disturbance_in_the_loop_is_noticed_and_mended() -> None:
     assert np.all(np.abs(np.mean(mended, axis=0)) < 0.003)
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_pulses_keep_a_coloured_disturbance_from_biasing_the_answer() -> None:
     found = []
     for seed in range(8):
@@ -177,7 +191,7 @@ def test_pulses_keep_a_coloured_disturbance_from_biasing_the_answer() -> None:
     assert np.all(np.abs(np.mean(found, axis=0)[chosen] / truth[chosen] - 1) < 0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_without_pulses_every_answer_says_that_it_is_biased_or_cannot_be_tested() -> None:
     plain = []
     for seed in range(6):
@@ -300,6 +314,7 @@ def test_an_answer_goes_to_json_and_back_but_is_not_validated(tmp_path: Path) ->
         ji.validate(back, record)
 
 
+@pytest.mark.slow
 def test_instruments_that_leave_every_inertia_at_its_bound_are_too_weak(data_dir: Path) -> None:
     """A slow motion among others: the instruments' solution has no inertia and no stiffness inside their bounds."""
     record = ji.read(data_dir / "kr300" / "rec_A.mat", drive=ji.Drive("kuka", axis=5), kind="revolute")

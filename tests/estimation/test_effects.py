@@ -71,6 +71,7 @@ def test_beside_asymmetric_friction() -> None:
     assert abs(half - TRUTH["offset"]) <= 1.75 * np.hypot(forwards.stderr or 0.0, backwards.stderr or 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", ["ols", "iv"])
 def test_a_period_that_is_not_known_is_found_with_its_deviation(estimator: str) -> None:
     found = []

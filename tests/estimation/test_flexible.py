@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -76,9 +77,11 @@ def torque_only(axis: Twin) -> Record:
 
 @pytest.mark.parametrize("loop", ["L19", "L30"])
 @pytest.mark.parametrize("noise", ["disturbance", "white"])
-def test_didim_finds_stiffness_inertias_and_the_sums_of_friction_from_torque_alone(loop: str, noise: str) -> None:
+def test_didim_finds_stiffness_inertias_and_the_sums_of_friction_from_torque_alone(
+    loop: str, noise: str, identified: Callable[..., Estimate]
+) -> None:
     axis = twin(loop, noise=noise)  # type: ignore[arg-type]
-    estimate = identify(torque_only(axis), axis.loop)
+    estimate = identified(loop, noise=noise)
     assert estimate.settings.method == "didim"
     assert estimate.data.channels == ("torque", "reference", "injected")
     assert estimate.fit.filtered_error == pytest.approx(0.08, abs=0.002)
@@ -98,29 +101,30 @@ def test_didim_finds_stiffness_inertias_and_the_sums_of_friction_from_torque_alo
 
 @pytest.mark.parametrize("loop", ["L19", "L30"])
 @pytest.mark.parametrize("settings", [FlexibleDIDIM(), FlexibleDIDIM(frequency=30.0)], ids=["grid", "30 Hz"])
-def test_didim_recovers_the_noise_free_twin(loop: str, settings: FlexibleDIDIM) -> None:
+def test_didim_recovers_the_noise_free_twin(
+    loop: str, settings: FlexibleDIDIM, identified: Callable[..., Estimate]
+) -> None:
     axis = twin(loop, noise="none")  # type: ignore[arg-type]
-    estimate = identify(torque_only(axis), axis.loop, settings)
+    estimate = identified(loop, settings, noise="none")
     assert all(abs(value / axis.truth[name] - 1) <= 1e-4 for name, value in estimate.values.items())
     assert not estimate["initial_velocity"].free
 
 
 @pytest.mark.parametrize("loop", ["L19", "L30"])
-def test_any_known_frequency_leads_to_the_same_answer(loop: str) -> None:
+def test_any_known_frequency_leads_to_the_same_answer(loop: str, identified: Callable[..., Estimate]) -> None:
     """On L30 the halved inertia of (13) is an unstable loop: other load shares must be tried."""
     axis = twin(loop, noise="white")  # type: ignore[arg-type]
-    record = torque_only(axis)
-    stiffness = [
-        identify(record, axis.loop, FlexibleDIDIM(frequency=f)).values["stiffness"] for f in (22.0, 30.0, 38.0)
-    ]
+    found = [identified(loop, FlexibleDIDIM(frequency=f), noise="white") for f in (22.0, 30.0, 38.0)]
+    stiffness = [estimate.values["stiffness"] for estimate in found]
     assert max(stiffness) / min(stiffness) - 1 <= 1e-4
     assert abs(stiffness[0] / axis.truth["stiffness"] - 1) <= 0.01
 
 
-def test_nelder_mead_finds_its_way_on_the_fast_loop_too() -> None:
+@pytest.mark.slow
+def test_nelder_mead_finds_its_way_on_the_fast_loop_too(identified: Callable[..., Estimate]) -> None:
     axis = twin("L30", noise="white")
-    simplex = identify(torque_only(axis), axis.loop, FlexibleDIDIM.paper())
-    best = identify(torque_only(axis), axis.loop)
+    simplex = identified("L30", FlexibleDIDIM.paper(), noise="white")
+    best = identified("L30", noise="white")
     assert (simplex.fit.filtered_error / best.fit.filtered_error) ** 2 - 1 <= 1e-3
     assert abs(simplex.values["stiffness"] / axis.truth["stiffness"] - 1) <= 0.01
 
@@ -168,9 +172,9 @@ def test_a_friction_of_zero_is_not_known_to_a_millionth() -> None:
     assert float(found.stderr or 0.0) > 1e-3
 
 
-def test_a_sum_has_the_deviation_of_a_sum() -> None:
+def test_a_sum_has_the_deviation_of_a_sum(identified: Callable[..., Estimate]) -> None:
     axis = twin(noise="white")
-    estimate = identify(torque_only(axis), axis.loop, FlexibleDIDIM(frequency=30.0))
+    estimate = identified("L19", FlexibleDIDIM(frequency=30.0), noise="white")
     total, std = estimate.params.total(("Fv1", "load_viscous"))
     assert total == estimate.values["motor_viscous"] + estimate.values["load_viscous"]
     assert std < 0.4 * float(estimate["Fv1"].stderr or 0.0)
@@ -192,7 +196,7 @@ def test_the_starts_said_to_end_together_are_different_ones(frequency: float, mo
     assert "; 2 of 2 starts led there" in estimate.fit.stop
 
 
-@pytest.mark.parametrize("noise", ["disturbance", "white"])
+@pytest.mark.parametrize("noise", [pytest.param("disturbance", marks=pytest.mark.slow), "white"])
 def test_nelder_mead_reaches_the_minimum_after_one_restart(noise: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """By ``fminsearch`` rules, from (13) at 30 Hz; the best known is least squares from four starts."""
     from jointid.simulation.kernels import drive as kernels
@@ -215,7 +219,14 @@ def test_nelder_mead_reaches_the_minimum_after_one_restart(noise: str, monkeypat
     assert "inverse model" in simplex.params.basis
 
 
-@pytest.mark.parametrize("method", [IDIM(), FlexibleDIDIM(), FlexibleDIDIM.paper()], ids=["idim", "ls", "simplex"])
+@pytest.mark.parametrize(
+    "method",
+    [
+        pytest.param(IDIM(), id="idim"),
+        pytest.param(FlexibleDIDIM(), id="ls"),
+        pytest.param(FlexibleDIDIM.paper(), id="simplex", marks=pytest.mark.slow),
+    ],
+)
 def test_ten_kilograms_on_the_load_are_found_there(method: IDIM | FlexibleDIDIM) -> None:
     before, after = twin(seed=1), twin(seed=2, added_mass=True)
     first, second = (identify(axis.record, axis.loop, method) for axis in (before, after))

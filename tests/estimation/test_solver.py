@@ -68,7 +68,16 @@ def outcome(make: Callable[[int], Case], seed: int, spread: float = 0.0) -> Outc
     return Outcome(seed, cost(case, record, estimate), search_of(estimate))
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize("make", [prismatic, rotary])
+def test_a_plant_is_identified_from_nothing(make: Callable[[int], Case]) -> None:
+    """One of each family; below there are sixty."""
+    found = outcome(make, 2)
+    assert not found.error
+    assert found.ratio <= 1.01
+    assert found.simulations <= 250
+
+
+@pytest.mark.statistical
 @pytest.mark.parametrize("make", [prismatic, rotary])
 def test_random_plants_are_identified_from_nothing(make: Callable[[int], Case]) -> None:
     """Of 60 of each family 98 % end at the noise floor, whatever their size; a refused stiffness counts as lost."""
@@ -81,7 +90,7 @@ def test_random_plants_are_identified_from_nothing(make: Callable[[int], Case]) 
     assert np.percentile(effort, 95) <= 250
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 @pytest.mark.parametrize("make", [prismatic, rotary])
 def test_starts_within_a_factor_of_ten_lead_there_too(make: Callable[[int], Case]) -> None:
     found = in_threads(lambda seed: outcome(make, seed, spread=10.0), range(24))
@@ -100,10 +109,11 @@ def test_a_poor_rigid_start_is_not_the_end_of_it(seed: int) -> None:
 
 @pytest.mark.parametrize("loop", ["L19", "L30"])
 @pytest.mark.parametrize("frequency", [15.0, 22.0, 30.0, 45.0, 60.0, None])
-def test_any_start_from_15_to_60_hz_ends_at_the_truth(loop: str, frequency: float | None) -> None:
+def test_any_start_from_15_to_60_hz_ends_at_the_truth(
+    loop: str, frequency: float | None, identified: Callable[..., Estimate]
+) -> None:
     axis = twin(loop, noise="none")  # type: ignore[arg-type]
-    record = axis.record.without("motor_position", "load_position")
-    estimate = identify(record, axis.loop, FlexibleDIDIM(frequency=frequency))
+    estimate = identified(loop, FlexibleDIDIM(frequency=frequency), noise="none")
     for name, value in axis.truth.items():
         assert estimate.values[name] == pytest.approx(value, rel=1e-4), name
     assert estimate.fit.simulations <= 700

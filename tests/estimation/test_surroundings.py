@@ -98,7 +98,7 @@ def test_torque_alone_finds_the_delay_of_the_real_axis(emps: Record, emps_pulses
     assert float(plain.value or 0.0) < 2 * float(plain.stderr or 0.0)
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 @pytest.mark.parametrize("noise", ["white", "disturbance"])
 def test_a_wrong_loop_biases_nothing_where_it_is_free_and_is_flagged_where_it_is_not(noise: Noise) -> None:
     """kp +3 %, kv -4 %, 0.4 ms and no offset declared, over 200 runs of the twin."""

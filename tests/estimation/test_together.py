@@ -244,7 +244,7 @@ def differences(noise: Noise, seed: int) -> tuple[float, float]:
     return apart, float(found["load_inertia@2"] - found["load_inertia@1"])
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 @pytest.mark.parametrize(("noise", "apart"), [("white", 0.161), ("disturbance", 0.22)])
 def test_ten_kilograms_more_by_records_apart_and_together(noise: Noise, apart: float) -> None:
     """Apart: what the sensitivities foretell, which for white noise no estimator betters. Together: 0.07 kg."""
@@ -274,7 +274,7 @@ def gain_of(noise: Noise, seed: int) -> tuple[float, float, bool]:
     return (float(told.value or 0.0) / gain - 1, float(told.stderr or 0.0) / gain, found.checks.agreement.differs)
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 @pytest.mark.parametrize("noise", ["disturbance", "white"])
 def test_the_gain_of_a_drive_by_a_known_mass(noise: Noise) -> None:
     """A drive whose torque is 3 % more than its log says, two records, 10 kg on the load, friction free in each."""

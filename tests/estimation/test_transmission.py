@@ -162,6 +162,7 @@ def test_sums_of_one_direction_are_of_the_other_behind_a_gear_that_turns_round()
     assert [k.combination.name for k in there] == ["total viscous forwards", "total viscous backwards"]
 
 
+@pytest.mark.slow
 def test_a_refused_stiffness_is_bounded_on_both_sides() -> None:
     gear = replace(GEAR, side="load")
     law = replace(LAW, ratio=gear.torque("motor"))
@@ -182,7 +183,7 @@ def test_a_refused_stiffness_is_bounded_on_both_sides() -> None:
 
 
 @pytest.mark.parametrize("side", ["load", "motor"])
-@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("sign", [pytest.param(1, marks=pytest.mark.slow), -1])
 def test_a_link_in_gravity_is_the_same_on_either_side_of_its_gear(side: Side, sign: int) -> None:
     """An arm of 40 and 15 N m, a counterbalance of 10 N m on it, behind a gear of 100:1: its motor swings 200 rad."""
     gear = Transmission(load="revolute", ratio=100.0, sign=sign, side=side)

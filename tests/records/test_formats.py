@@ -150,6 +150,7 @@ def test_what_a_format_cannot_hold_is_refused(name: str, table: Table, part: str
 # -------------------------------
 
 
+@pytest.mark.hostile
 @pytest.mark.parametrize("name", LOGGED)
 def test_a_spoiled_file_is_one_sentence_or_a_table(name: str, tmp_path: Path) -> None:
     """Over all formats these are 369 files; what carries a checksum is never read as other numbers."""

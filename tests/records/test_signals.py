@@ -107,10 +107,10 @@ def test_the_published_preset() -> None:
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"cutoff": -1.0}, "positive numbers of Hz"),
-        ({"decimation": 0}, "1 or more; received 0"),
+        ({"cutoff": -1.0}, r"Filtering\.cutoff is -1\.0; expected a positive number"),
+        ({"decimation": 0}, "decimation is 0; expected a whole number, 1 or more"),
         ({"borders": (-1, 0)}, "0 or more"),
-        ({"timing": "guessed"}, 'received "guessed"'),
+        ({"timing": "guessed"}, 'timing is "guessed"; expected "respected" or "as_sampled"'),
     ],
 )
 def test_wrong_settings_are_refused(settings: dict[str, object], sentence: str) -> None:

@@ -41,6 +41,7 @@ def record(
     return Record(torque=torque, reference=Channel(reference, "m", period, commanded), **more)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_the_measuring_stick_and_the_reference_agree_over_25_seconds(bench_dir: Path) -> None:
     """All 230 events, 1e-9 of peak torque: against C with gcc, and against DOP853 (a quarter of a minute)."""
     sys.path.insert(0, str(bench_dir))

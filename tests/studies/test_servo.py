@@ -42,7 +42,7 @@ def test_it_is_found_without_a_start() -> None:
     assert estimate["initial_torque"].free
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_it_scatters_as_the_sensitivities_foretell() -> None:
     found = accuracy(RUNS)
     for name, spread in found.spread.items():

@@ -61,6 +61,7 @@ def rigid(controller: Cascade | PD | StateSpaceController, joint: RigidJoint | N
     return identify(record.without("motor_position", "load_position"), loop)
 
 
+@pytest.mark.slow
 def test_nothing_in_the_interval_is_worse_than_what_is_stated(estimate: Estimate, tuned: Tuned) -> None:
     interval = interval_of(estimate, 0.95, PERIOD)
     points = np.random.default_rng(9).standard_normal((3000, len(interval.names)))

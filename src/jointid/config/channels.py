@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 
-from jointid.common import units
-from jointid.config import messages
+from jointid.common import messages, units
 from jointid.config.gearing import TransmissionTable, kind_of
 from jointid.config.record_table import ChannelTable
 from jointid.models.parameters import TORQUE_UNIT, Kind

@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
-from jointid.config import messages
+from jointid.common import messages
 from jointid.config.mechanics import GravityTable, JointTable
 from jointid.config.schema import CLOSINGS, OF_IDIM, MethodTable, ParameterTable, RunTable
 from jointid.config.table import refusal

@@ -6,12 +6,14 @@ import json
 import os
 import re
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
 from jointid.common.errors import JointFileError
+from jointid.config.changes import apply_changes
 from jointid.config.contents import JointFile
 from jointid.config.serialise import controller_table
 from jointid.models.controllers import Controller
@@ -28,11 +30,12 @@ _FILE = re.compile(r"""^(\s*file\s*=\s*)("(?:[^"\\\n]|\\.)*"|'[^'\n]*')""", re.M
 _HEADING = r"\s*\[{{1,2}}\s*({0}|\"{0}\"|'{0}')\s*[.\]]"
 
 
-def load(path: str | os.PathLike[str]) -> JointFile:
+def load(path: str | os.PathLike[str], changes: Iterable[str] = ()) -> JointFile:
     """Load a joint file, checked completely.
 
     Args:
         path: of the TOML file, in UTF-8.
+        changes: keys to set before it is checked, each as ``method.frequency=30``.
 
     Raises:
         JointFileError: the file cannot be read, is no TOML, or has faults; `faults` has a sentence for each.
@@ -48,17 +51,18 @@ def load(path: str | os.PathLike[str]) -> JointFile:
         raise JointFileError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
     except UnicodeDecodeError as error:
         raise JointFileError(f"{path} is not text in UTF-8 (byte {error.start}); save it as UTF-8.") from error
-    return JointFile.of(_parsed(text), path)
+    return JointFile.of(apply_changes(_parsed(text), changes), path)
 
 
-def loads(text: str, folder: str | os.PathLike[str] = ".") -> JointFile:
+def loads(text: str, folder: str | os.PathLike[str] = ".", changes: Iterable[str] = ()) -> JointFile:
     """Load a joint file from its text; see `load`.
 
     Args:
         text: TOML.
         folder: from which the path of the record is taken.
+        changes: keys to set before it is checked, each as ``method.frequency=30``.
     """
-    return JointFile.of(_parsed(text), Path(folder) / "joint.toml")
+    return JointFile.of(apply_changes(_parsed(text), changes), Path(folder) / "joint.toml")
 
 
 def dumps(file: JointFile) -> str:

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeA
 from pydantic import AfterValidator, BaseModel, ConfigDict, ModelWrapValidatorHandler, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from jointid.common import messages
 from jointid.common.errors import JointidError
-from jointid.config import messages
-from jointid.config.messages import Says
+from jointid.common.messages import Says
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -50,10 +50,19 @@ class Table(BaseModel):
         keys = [key for key in type(self).model_fields if key in self.model_fields_set and key not in without]
         return {key: getattr(self, key) for key in keys}
 
+    def settings(self, *without: str) -> dict[str, Any]:
+        """Return the values that stand in the file as the settings of a dataclass, by key, without those named."""
+        given = self.given(*without)
+        return {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
+
     def lacks(self, key: str) -> str:
         """Return the rest of the sentence on a key that is needed beside the others and not there."""
         field = type(self).model_fields[key]
         return messages.missing(_said(field).expected, field.description or "")
+
+    if TYPE_CHECKING:  # keys that are generated
+
+        def __getattr__(self, name: str) -> Any: ...
 
     @model_validator(mode="wrap")
     @classmethod

@@ -16,7 +16,7 @@ from jointid.common.errors import JointFileError
 from jointid.config.channels import channel_faults, reachable
 from jointid.config.consistency import free_faults, gravity_refusal, method_faults, parameter_faults, record_faults
 from jointid.config.gearing import TransmissionTable, side_faults, transmission_faults
-from jointid.config.laws import LAWS, LawTable
+from jointid.config.laws import LAW_TABLES, LawTable
 from jointid.config.mechanics import GravityTable, JointTable
 from jointid.config.record_table import ChannelsTable, ChannelTable, DriveTable
 from jointid.config.schema import DIDIMS, FileTable, MethodTable, ParameterTable, RunTable, TogetherTable
@@ -101,7 +101,7 @@ class _Draft:
         drives = _part(DriveTable, raw.get("drive", {}))
         drive = drives.drive() if drives else None
         channels, parameters = _table(raw, "record", "channels"), _table(raw, "parameters")
-        law = next(filter(None, (_part(law, controller) for law in LAWS)), None)
+        law = next(filter(None, (_part(law, controller) for law in LAW_TABLES)), None)
         return cls(
             joint=_part(JointTable, raw.get("joint")),
             gravity=_part(GravityTable, raw.get("gravity")),

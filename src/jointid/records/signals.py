@@ -10,12 +10,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
+from jointid.common.settings import check_settings, documented, setting
 from jointid.records.modes import Modes, Thinning
 from jointid.records.record import Channel, Timing
 
@@ -30,44 +31,45 @@ _RIPPLE = 0.05  # dB of the decimation filter
 _ORDER = 8  # of the decimation filter
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class Filtering:
-    """How measured and simulated signals are filtered before they are compared.
+    """How measured and simulated signals are filtered before they are compared."""
 
-    Attributes:
-        position_cutoff: Hz, of the Butterworth low-pass on measured positions (IDIM only), at least 5 times the
-            highest mode to be seen; when None 10 % of the sampling frequency, 15 % for a flexible joint.
-        cutoff: Hz, edge of the decimation filter on torque and columns; when None 4 % of the sampling frequency, 6 %
-            for a flexible joint.
-            A rigid model of a flexible joint needs an edge below a fifth of the first mode.
-        decimation: keep one sample in so many; the most that leaves `cutoff` within 80 % of the new Nyquist
-            frequency when None.
-        borders: samples dropped at the start and at the end of the filtered, differentiated positions.
-        aliasing: a decimation that leaves the cut-off above 80 % of the new Nyquist frequency is "refused", or only
-            "warned" of, to repeat what others did.
-        timing: "respected" looks at torque and motion through one window, whatever the torque's timing;
-            "as_sampled" reads a held torque as sampled, half a period early, as the EMPS benchmark's authors did.
-    """
-
-    position_cutoff: float | None = None
-    cutoff: float | None = None
-    decimation: int | None = None
-    borders: tuple[int, int] = (50, 50)
-    timing: str = "respected"
-    aliasing: str = "refused"
+    position_cutoff: float | None = setting(
+        None,
+        "cut-off of the Butterworth low-pass on measured positions, which only IDIM needs; at least five times the "
+        "highest mode to be seen; without it 10 % of the sampling frequency, for a flexible joint 15 %",
+        unit="Hz",
+        above=0,
+    )
+    cutoff: float | None = setting(
+        None,
+        "cut-off of the decimation filter on torque and columns; for a rigid model below a fifth of the first mode, "
+        "for a flexible one above the mode; without it 4 % of the sampling frequency, for a flexible joint 6 %",
+        unit="Hz",
+        above=0,
+    )
+    decimation: int | None = setting(
+        None,
+        "one sample is kept in so many; without it as many as leave the cut-off within 80 % of the new Nyquist "
+        "frequency",
+        at_least=1,
+    )
+    borders: tuple[int, int] = setting((50, 50), "samples dropped at the start and at the end")
+    timing: Literal["respected", "as_sampled"] = setting(
+        "respected",
+        "whether a held or averaged torque is brought to the instants of the positions, or read half a period early, "
+        "as published results were",
+    )
+    aliasing: Literal["refused", "warned"] = setting(
+        "refused",
+        "whether a decimation that leaves the cut-off above 80 % of the new Nyquist frequency is refused, or done; "
+        "where it is above that frequency itself, DIDIM of a flexible joint warns of it",
+    )
 
     def __post_init__(self) -> None:
-        cutoffs = (self.position_cutoff, self.cutoff)
-        if any(value is not None and not (math.isfinite(value) and value > 0) for value in cutoffs):
-            raise MethodError(f"Cut-off frequencies are positive numbers of Hz; received {cutoffs}.")
-        if self.decimation is not None and self.decimation < 1:
-            raise MethodError(f"Decimation keeps one sample in 1 or more; received {self.decimation}.")
-        if len(self.borders) != 2 or any(not isinstance(b, int) or b < 0 for b in self.borders):
-            raise MethodError(f"The borders are two whole numbers of samples, 0 or more; received {self.borders}.")
-        if self.timing not in ("respected", "as_sampled"):
-            raise MethodError(f'Timing is "respected" or "as_sampled"; received "{self.timing}".')
-        if self.aliasing not in ("refused", "warned"):
-            raise MethodError(f'Aliasing is "refused" or "warned"; received "{self.aliasing}".')
+        check_settings(self)
 
     @classmethod
     def published(cls) -> Self:

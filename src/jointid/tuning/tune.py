@@ -94,7 +94,7 @@ def tune(
         raise MethodError(
             f"Margins are of a loop, and the controller of {estimate.data.record} is not known; identify with "
             "one, or learn "
-            "it with jointid loop."
+            "it with jointid controller."
         )
     controller = estimate.settings.loop.controller
     if not isinstance(controller, Timed):
@@ -154,7 +154,7 @@ def _proposed(
             return layout, case.judged(layout.controller), []
         points = np.concatenate([points, found.points])
     said = "no gains of this structure were found that keep the asked margins for all joints of the interval"
-    return None, None, [f"{said}; ask for less, or narrow the interval (jointid advise says how)"]
+    return None, None, [f"{said}; ask for less, or narrow the interval (jointid diagnose sensors says how)"]
 
 
 def _gains(estimate: Estimate, before: Controller, layout: Layout) -> tuple[Gain, ...]:

@@ -111,7 +111,7 @@ def test_what_is_filled_in_is_what_is_written() -> None:
         ({"controller.velocity_filter": "0,5; 0,5"}, "controller.velocity_filter", "write 0.5."),
         ({"extra": "[parameters"}, "extra", "is not TOML"),
         ({"extra": '[[records]]\nfile = "/etc/passwd"'}, "extra", "says [[records]], and this page identifies one"),
-        ({"extra": "[together]"}, "extra", "use jointid together for several records"),
+        ({"extra": "[together]"}, "extra", "use jointid identify for several records"),
         ({"extra": "[controller]\nkp = 3.0"}, "controller.kp", "further lines and in its field"),
     ],
 )

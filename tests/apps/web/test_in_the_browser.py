@@ -16,6 +16,8 @@ import pytest
 from jointid.apps.cli.app import main
 from tests.browser import browser_path
 
+pytestmark = pytest.mark.browser
+
 ARGUMENTS = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-background-networking", "--disable-component-update",
     "--disable-sync", "--no-first-run",

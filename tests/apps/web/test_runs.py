@@ -25,6 +25,8 @@ from tests.apps.web.asking import LAW, ORIGIN, Asker, ended, running
 from tests.apps.web.conftest import TRUTH
 from tests.apps.web.testclient import TestClient
 
+pytestmark = pytest.mark.slow
+
 
 def process(client: TestClient, run: Run) -> int:
     """Return the process of an identification that runs."""
@@ -83,7 +85,6 @@ def test_the_report_is_shown_in_a_sandbox(client: TestClient, asker: Asker, log:
     assert "id: 1\n" in later
 
 
-@pytest.mark.slow
 def test_a_controller_that_nobody_knows_is_learned(client: TestClient, asker: Asker, log: bytes) -> None:
     run = asker.identify(log, **{"controller.law": "learn"})
     assert ended(run) == "done", run.status
@@ -227,7 +228,7 @@ def test_a_record_that_takes_too_much_memory_is_refused_in_a_sentence(folder: Pa
         asker.post("/draft", {"extra": '[record]\nresample = {method = "linear", sample_time = 1e-6}'})
         code, said = asker.post("/channels", {"record.channels.torque.unit@prismatic": "N"})
         assert code == 422
-        assert "jointid long" in said
+        assert "jointid identify --window" in said
 
 
 def reading(client: TestClient) -> int:

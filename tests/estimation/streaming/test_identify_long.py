@@ -93,6 +93,7 @@ def stored(path: Path, record: Record) -> Log:
     return Log(path, {"torque": "torque", "reference": "reference"}, {"sample_time": PERIOD})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".csv", ".npy"])
 def test_memory_does_not_grow_with_the_record(tmp_path: Path, suffix: str) -> None:
     short = stored(tmp_path / f"short{suffix}", rigid(50.0))

@@ -13,8 +13,8 @@ import tomli_w
 from jointid.apps.web.fields import EXTRA, EXTRA_LAW, FIELDS, LAWS, LEARN, NAMES, WITHOUT, Draft, Field, usual
 from jointid.apps.web.values import no_number, shown_as, value_of
 from jointid.common.errors import JointFileError
+from jointid.common.messages import dotted
 from jointid.config import JointFile, dumps
-from jointid.config.messages import dotted
 
 LONGEST = {EXTRA: 100_000}
 _LONGEST = 300  # characters of any other field
@@ -265,6 +265,6 @@ def _parsed(text: str, place: str) -> dict[str, Any]:
     if several := [written for key, written in _SEVERAL.items() if key in said]:
         raise JointFileError(
             f"{place} says {' and '.join(several)}, and this page identifies one record, the one that was sent; remove "
-            "that, or use jointid together for several records."
+            "that, or use jointid identify for several records."
         )
     return said

@@ -26,8 +26,8 @@ REFUSED = 2
 
 _TOO_LARGE = (
     "The record, or what is asked of it, is too large for the memory that this page gives one visitor; cut the record "
-    "or resample it slower, or use the command line, which has no such bound: jointid identify, or jointid long for a "
-    "record of hours."
+    "or resample it slower, or use the command line, which has no such bound: jointid identify, with "
+    "--window for a record of hours."
 )
 
 

@@ -20,8 +20,8 @@ from typing import Literal
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
+from jointid.common.settings import check_settings, documented, setting
 from jointid.estimation.problems.closed_loop import Problem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.result.build_estimate import answer
@@ -47,47 +47,52 @@ _TOLERANCE, _SIMPLEX_TOLERANCE = 1e-8, 1e-4  # the latter is that of fminsearch
 _NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class FlexibleDIDIM:
-    """Settings of DIDIM for a flexible joint.
+    """Settings of DIDIM for a flexible joint."""
 
-    Attributes:
-        minimiser: "least-squares", or the paper's "nelder-mead".
-        frequency: free-free frequency in Hz the stiffness starts from; several load shares are tried with it, and
-            for Nelder-Mead the inertia is halved as in (13) unless that loop is unstable. None tries a grid of both,
-            a simulation each.
-        rigid_cutoff: Hz, of the rigid identification that gives the start; 0.5 % of the sampling frequency when None.
-        tolerance: relative, on the parameters and the criterion; when None 1e-8, and 1e-4 for Nelder-Mead.
-        simulations: at most, of one descent.
-        restarts: of Nelder-Mead, each from where the last one stopped; it ends when one gains nothing.
-        statistics: "sensitivities" for the deviations of the output sensitivities, or the paper's "inverse-model".
-        free: what surrounds the joint and is identified with it, from what is declared: "kp", "kv", "delay", ...; see
-            `surroundings`. The offset is one of the joint's own parameters, and free by default.
-    """
-
-    minimiser: Literal["least-squares", "nelder-mead"] = "least-squares"
-    frequency: float | None = None
-    rigid_cutoff: float | None = None
-    tolerance: float | None = None
-    simulations: int = 6000
-    restarts: int = 3
-    statistics: Literal["sensitivities", "inverse-model"] = "sensitivities"
-    free: tuple[str, ...] = ()
+    minimiser: Literal["least-squares", "nelder-mead"] = setting(
+        "least-squares", "least squares with the output sensitivities, or the paper's simplex by MATLAB's fminsearch"
+    )
+    frequency: float | None = setting(
+        None,
+        "free-free frequency from which the stiffness starts, with the inertia halved; without it the best of a "
+        "grid, a simulation each",
+        unit="Hz",
+        above=0,
+    )
+    rigid_cutoff: float | None = setting(
+        None,
+        "cut-off of the rigid identification that gives the start; without it 0.5 % of the sampling frequency",
+        unit="Hz",
+        above=0,
+    )
+    tolerance: float | None = setting(
+        None,
+        "change of the criterion or the parameters to stop at, as a share; without it 1e-8, and 1e-4 with Nelder-Mead",
+        above=0,
+    )
+    simulations: int = setting(6000, "simulations of one descent of Nelder-Mead at most", at_least=1)
+    restarts: int = setting(
+        3,
+        "restarts of Nelder-Mead at most, each from where the last one stopped; it ends when one gains nothing",
+        at_least=0,
+    )
+    statistics: Literal["sensitivities", "inverse-model"] = setting(
+        "sensitivities",
+        "whether the standard deviations are those of the output sensitivities, or the paper's of the inverse model, "
+        "far too small",
+    )
+    free: tuple[str, ...] = setting(
+        (),
+        "what surrounds the joint and is identified with it, by least squares from where DIDIM ends, from what is "
+        'declared: a number of the law such as "kp", "delay" or "torque_filters.0.frequency", or "log_gain", '
+        '"log_delay"',
+    )
 
     def __post_init__(self) -> None:
-        choices = {
-            "minimiser": (self.minimiser, ("least-squares", "nelder-mead")),
-            "statistics": (self.statistics, ("sensitivities", "inverse-model")),
-        }
-        for name, (value, allowed) in choices.items():
-            if value not in allowed:
-                raise MethodError(f'The {name} is one of {", ".join(allowed)}; received "{value}".')
-        positive = (self.frequency or 1.0, self.rigid_cutoff or 1.0, self.tolerance or 1.0, float(self.simulations))
-        if min(positive) <= 0 or self.tolerance == 0 or self.restarts < 0:
-            raise MethodError(
-                "Frequencies, tolerance and simulations are positive, restarts 0 or more; received "
-                f"{self.frequency}, {self.rigid_cutoff}, {self.tolerance}, {self.simulations} and {self.restarts}."
-            )
+        check_settings(self)
 
     @classmethod
     def paper(cls, frequency: float | None = 30.0) -> FlexibleDIDIM:

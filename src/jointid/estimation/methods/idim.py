@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.settings import check_settings, documented, setting
 from jointid.estimation.methods.harmonic_period import PeriodColumn, is_searched, moved, with_periods
 from jointid.estimation.methods.instruments import Instrumented, by_instruments, simulated_instruments
 from jointid.estimation.methods.inverse_model import InverseModel, idim_channels, motion_of
@@ -52,25 +53,21 @@ _SETTLED = 1e-3  # deviations of the period
 _ALIKE = 0.99  # a correlation that says two forces are known only together
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class IDIM:
-    """Settings of IDIM.
+    """Settings of IDIM; its effects are further columns, `PositionHarmonics` or `Drift`."""
 
-    Attributes:
-        estimator: "ols", ordinary least squares; "weighted", each equation of a flexible joint by the size of its
-            error; "robust", rows that do not fit weigh less or nothing; "iv", instrumental variables, right where
-            noise enters the loop too, for which the controller must be known.
-        effects: further columns, `PositionHarmonics` or `Drift`.
-    """
-
-    estimator: Estimator = "ols"
+    estimator: Estimator = setting(
+        "ols",
+        "ordinary least squares; weighted, each equation of a flexible joint by the size of its error; robust, rows "
+        "that do not fit weigh less or nothing; iv, instruments from the simulated loop, for which the controller is "
+        "needed",
+    )
     effects: tuple[Effect, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.estimator not in get_args(Estimator):
-            raise MethodError(
-                f"An estimator of IDIM is one of {', '.join(get_args(Estimator))}; received {self.estimator!r}."
-            )
+        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
+from jointid.common.settings import check_settings, documented, setting
 from jointid.estimation.methods.drive_side import (
     DriveSideFit,
     covariance_of,
@@ -59,29 +59,30 @@ _AWAY = 20.0  # times the record's travel: a motor that leaves never turns round
 _FAILED = 1e3  # times the position: the error of a candidate that cannot be simulated
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class OpenLoopFit:
-    """Settings of the open-loop identification.
+    """Settings of the open-loop identification."""
 
-    Attributes:
-        log_delay: seconds by which the log shows the torque later than it acts; estimated when None.
-        highpass: Hz, below which the position is drift; 3 % of the cut-off when None.
-        frequency: motor-locked, Hz, for the start; a grid is tried when None.
-        tolerance: relative, on the parameters and the criterion.
-    """
-
-    log_delay: float | None = None
-    highpass: float | None = None
-    frequency: float | None = None
-    tolerance: float = 1e-8
+    log_delay: float | None = setting(
+        None,
+        "how much later than it acts the log shows the torque, negative for a command that comes first; without it "
+        "estimated",
+        unit="s",
+    )
+    highpass: float | None = setting(
+        None,
+        "frequency below which the position is drift, and not compared; without it 3 % of the cut-off",
+        unit="Hz",
+        above=0,
+    )
+    frequency: float | None = setting(
+        None, "motor-locked frequency of the start; without it the best of a grid", unit="Hz", above=0
+    )
+    tolerance: float = setting(1e-8, "change of the criterion or the parameters to stop at, as a share", above=0)
 
     def __post_init__(self) -> None:
-        given = [value for value in (self.highpass, self.frequency, self.tolerance) if value is not None]
-        if not min(given) > 0:
-            raise MethodError(
-                "Frequencies and the tolerance are positive; received "
-                f"{self.highpass}, {self.frequency} and {self.tolerance}."
-            )
+        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

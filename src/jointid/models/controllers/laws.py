@@ -14,10 +14,12 @@ All sums are those of earlier periods, all differences backward ones. What is ar
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias
 
 from jointid.common.errors import MethodError
+from jointid.common.settings import Setting, declare, documented, setting
 from jointid.models.controllers.block_diagram import Diagram, Signal
 from jointid.models.controllers.sampled import POSITION, REFERENCE_VELOCITY, SampledLaw
 from jointid.models.controllers.servo_base import Controller, Drawn
@@ -27,48 +29,53 @@ _DRIFT = 1e-2  # of a period: how far clocks may drift apart before an instant i
 _SLOWEST = 64  # periods in a cycle at most
 
 
+AntiWindup: TypeAlias = Literal["hold", "track", "none"]
+
+_ANTI_WINDUP = (
+    "what becomes of the integral at the limit: it stops where it would push further; loses what was cut off; runs on"
+)
+
+
+def _gain(help: str, unit: str) -> Mapping[str, Setting]:  # noqa: A002
+    """Return the declaration of a gain of the loop, which no sign turns round."""
+    remedy = "turn the torque or the positions round, with sign = -1 on their channels"
+    return declare(help, unit=unit, at_least=0, negative=remedy)
+
+
+@documented
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cascade(Drawn):
-    """A position loop around a velocity loop: P-P, or P-PI where `ki` is not 0 (the module's equations).
+    """A position loop around a velocity loop: P-P, or P-PI where `ki` is not 0 (the module's equations)."""
 
-    Attributes:
-        kp: position gain in 1/s.
-        kv: velocity gain in controller units per m/s (rad/s).
-        ki: integral gain of the velocity loop in 1/s, the inverse of its integral time; 0 for a proportional one.
-        anti_windup: what becomes of the integral while the torque is at its limit: "hold" stops it where it would push
-            further, "track" takes from it what the limit cut off, "none" lets it run.
-        velocity_feedforward: share of the reference's velocity that is added to the velocity command.
-        velocity_feedforward_delay: seconds by which it sees the reference later.
-        reference_velocity: of the feed-forward: "difference" of the reference, or a "channel" of its own.
-        velocity_limit: of the velocity command, m/s (rad/s).
-        position_period: of the position loop, a multiple of `period`; the same when None.
-        position_offset: seconds from the first sample of the record's file to the position loop's next evaluation,
-            which is at the controller's instant there, or at the next one.
-        velocity_filter, torque_filters, filters_at, ..., gain, limit, period, delay, ...: see `Drawn` and `Timed`.
-    """
-
-    kp: float
-    kv: float
-    ki: float = 0.0
-    anti_windup: Literal["hold", "track", "none"] = "hold"
-    velocity_feedforward: float = 0.0
-    velocity_feedforward_delay: float = 0.0
-    reference_velocity: Literal["difference", "channel"] = "difference"
-    velocity_limit: float = math.inf
-    position_period: float | None = None
-    position_offset: float = 0.0
-
-    def __post_init__(self) -> None:
-        shares = {
-            "velocity_feedforward": self.velocity_feedforward,
-            "velocity_feedforward_delay": self.velocity_feedforward_delay,
-            "position_offset": self.position_offset,
-        }
-        self._check(kp=self.kp, kv=self.kv, ki=self.ki, **shares)
-        if not self.velocity_limit > 0:
-            raise MethodError(f"A velocity limit is positive; received {self.velocity_limit}.")
-        _one_of("anti_windup", self.anti_windup, ("hold", "track", "none"))
-        _one_of("reference_velocity", self.reference_velocity, ("difference", "channel"))
+    kp: float = field(metadata=_gain("position gain", "1/s"))
+    kv: float = field(metadata=_gain("velocity gain", "controller units per m/s or rad/s"))
+    ki: float = field(
+        default=0.0, metadata=_gain("integral gain of the velocity loop, the inverse of its integral time", "1/s")
+    )
+    anti_windup: AntiWindup = setting("hold", _ANTI_WINDUP)
+    velocity_feedforward: float = setting(
+        0.0, "share of the reference's velocity that is added to the velocity command", at_least=0
+    )
+    velocity_feedforward_delay: float = setting(0.0, "by which this sees the reference later", unit="s", at_least=0)
+    reference_velocity: Literal["difference", "channel"] = setting(
+        "difference", "whether that velocity is the reference's difference, or a channel of its own"
+    )
+    velocity_limit: float = setting(
+        math.inf, "limit of the velocity command, both ways", unit="m/s or rad/s", above=0, infinite=True
+    )
+    position_period: float | None = setting(
+        None,
+        "period of the position loop, a multiple of the controller's up to 64 times; without it the same",
+        unit="s",
+        above=0,
+    )
+    position_offset: float = setting(
+        0.0,
+        "from the first sample of the record's file, whatever update_time leaves out of it, to the position loop's "
+        "next evaluation; the controller's next instant counts",
+        unit="s",
+        at_least=0,
+    )
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -116,27 +123,20 @@ class Cascade(Drawn):
         return drawn.difference(reference, slow=True) * self.velocity_feedforward
 
 
+@documented
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PD(Drawn):
     """``u = kp (reference - position) + kd (reference velocity - velocity)`` (the module's equations).
 
     The reference's velocity is the same filtered difference, of the reference, or the record's own channel, or none
     (damping on the position only).
-
-    Attributes:
-        kp: controller units per m (rad).
-        kd: controller units per m/s (rad/s).
-        reference_velocity: "difference", "channel" or "none".
-        velocity_filter, torque_filters, filters_at, ..., gain, limit, period, delay, ...: see `Drawn` and `Timed`.
     """
 
-    kp: float
-    kd: float
-    reference_velocity: Literal["difference", "channel", "none"] = "difference"
-
-    def __post_init__(self) -> None:
-        self._check(kp=self.kp, kd=self.kd)
-        _one_of("reference_velocity", self.reference_velocity, ("difference", "channel", "none"))
+    kp: float = field(metadata=_gain("position gain", "controller units per m or rad"))
+    kd: float = field(metadata=_gain("velocity gain", "controller units per m/s or rad/s"))
+    reference_velocity: Literal["difference", "channel", "none"] = setting(
+        "difference", "whether the reference's velocity is its difference, a channel of its own, or not used"
+    )
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -163,24 +163,13 @@ class PD(Drawn):
         return error, controlled
 
 
+@documented
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PID(PD):
-    """``u = kp e + ki (sum of T e) + kd (reference velocity - velocity)`` (the module's equations).
+    """``u = kp e + ki (sum of T e) + kd (reference velocity - velocity)`` (the module's equations)."""
 
-    Attributes:
-        ki: controller units per m s (rad s).
-        anti_windup: see `Cascade`.
-        kp, kd, reference_velocity: see `PD`.
-        velocity_filter, torque_filters, filters_at, ..., gain, limit, period, delay, ...: see `Drawn` and `Timed`.
-    """
-
-    ki: float
-    anti_windup: Literal["hold", "track", "none"] = "hold"
-
-    def __post_init__(self) -> None:
-        PD.__post_init__(self)
-        self._check(ki=self.ki)
-        _one_of("anti_windup", self.anti_windup, ("hold", "track", "none"))
+    ki: float = field(metadata=_gain("integral gain", "controller units per m s or rad s"))
+    anti_windup: AntiWindup = setting("hold", _ANTI_WINDUP)
 
     def law(self, sample_time: float) -> SampledLaw:
         """Return the state-space form."""
@@ -214,9 +203,3 @@ def _unwound(drawn: Diagram, into: Signal, limit: int, anti_windup: str, weight:
         return drawn.gated(into, limit)
     # An integral of no weight has no share in what was cut off.
     return into + drawn.excess(limit) * (1.0 / weight) if anti_windup == "track" and weight else into
-
-
-def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
-        expected = ", ".join(f'"{one}"' for one in known)
-        raise MethodError(f'A controller\'s {name} is one of {expected}; got "{value}".')

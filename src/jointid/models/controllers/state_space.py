@@ -42,7 +42,7 @@ class StateSpaceController(Timed):
     D: dict[str, float]
 
     def __post_init__(self) -> None:
-        self._check()
+        Timed.__post_init__(self)
         order = np.size(self.C)
         shapes = {"A": np.shape(self.A), **{f"B.{name}": np.shape(column) for name, column in self.B.items()}}
         wrong = [

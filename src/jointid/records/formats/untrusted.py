@@ -49,7 +49,7 @@ def require_size(path: Path, numbers: int, limit: int = WHOLE) -> None:
     """
     if numbers * _NUMBER > limit:
         advice = (
-            "choose columns with jointid convert --columns, or read it in pieces with jointid long"
+            "choose columns with jointid data convert --columns, or read it in pieces with jointid identify --window"
             if limit == WHOLE
             else "cut it into shorter files"
         )

@@ -1,4 +1,4 @@
-"""`jointid advise`: which sensor, or which other motion, would narrow the intervals of an estimate."""
+"""`jointid diagnose sensors`: which sensor, or which other motion, would narrow the intervals of an estimate."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from jointid.apps.cli.options import Changes
 
-def advise(
+
+def sensors(
     joint: Path,
     /,
     *,
     record: Path | None = None,
+    changes: Changes = (),
     encoder_step: float | None = None,
     noise: Literal["loop", "log"] | None = None,
     json: Path | None = None,
@@ -23,6 +26,7 @@ def advise(
     Args:
         joint: the joint file (TOML); its method is didim.
         record: the record, instead of the one the joint file names.
+        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         encoder_step: of the encoders, in m or rad, on the side of a transmission that is reported; without it that of
             the record's own, or a millionth of the travel.
         noise: where the torque's residual comes from, a force in the loop or the log itself; without it as the tap of
@@ -38,7 +42,7 @@ def advise(
 
     listener = progress(quiet)
     check_outputs(None, json)
-    file = load(joint).overridden(method="didim")
+    file = load(joint, changes).overridden(method="didim")
     logged, estimate = identified(file, record, listener)
     if estimate.checks.bounds:
         found = revealing(estimate, logged, encoder_step=encoder_step, noise=noise, progress=listener)

@@ -1,4 +1,4 @@
-"""`jointid convert`: a file of one format into a file of another."""
+"""`jointid data convert`: a file of one format into a file of another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`jointid intervals`: profiles and bootstraps of what a record says."""
+"""`jointid diagnose intervals`: profile likelihoods and bootstraps."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from jointid.apps.cli.options import Changes
+
 
 def intervals(
     joint: Path,
     /,
     *,
     record: Path | None = None,
+    changes: Changes = (),
     of: Annotated[list[str] | None, Parameter(negative=())] = None,
     bootstrap: Annotated[bool, Parameter(negative=())] = False,
     refit: Annotated[bool, Parameter(negative=())] = False,
@@ -23,6 +26,7 @@ def intervals(
     Args:
         joint: the joint file (TOML).
         record: the record, instead of the one the joint file names.
+        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         of: a parameter, a sum such as "motor_viscous + load_viscous", or compliance; may be given several times.
         bootstrap: draw over blocks of time, and over stretches of position, direction and speed.
         refit: every draw is a whole fit, which takes minutes; otherwise it is one linear step.
@@ -37,7 +41,7 @@ def intervals(
     if not of and not bootstrap:
         raise MethodError("There is nothing to do without --of or --bootstrap; give --of stiffness, say.")
     listener = progress(quiet)
-    file = load(joint).overridden(method="didim")
+    file = load(joint, changes).overridden(method="didim")
     if file.loop is not None:
         require_quantities(of or (), file.loop)
     logged, estimate = identified(file, record, listener)

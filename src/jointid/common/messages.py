@@ -1,4 +1,4 @@
-"""The words in which the joint file's faults are told: what a key is called, how a value looks, what was expected."""
+"""The words in which faults of settings and of files are told: a value as it looks, what was expected, the remedy."""
 
 from __future__ import annotations
 

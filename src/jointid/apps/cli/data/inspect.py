@@ -1,4 +1,4 @@
-"""`jointid inspect`: what is in a file, as a table with a small picture of every channel."""
+"""`jointid data inspect`: what is in a file, as a table with a small picture of every channel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`jointid loop`: a joint file and a record with the motor position in, the controller out."""
+"""`jointid controller`: a joint file and a record with the motor position in, the controller out."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from jointid.apps.cli.options import Changes
 
-def loop(
+
+def controller(
     joint: Path,
     /,
     *,
     record: Path | None = None,
+    changes: Changes = (),
     json: Path | None = None,
     write: Path | None = None,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
@@ -23,6 +26,7 @@ def loop(
         joint: the joint file (TOML); of its [controller], if it has one, the gain is read, and what the
             record does not show of limit and delay.
         record: the record, instead of the one the joint file names.
+        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         json: also write the answer as JSON to this file.
         write: also write the joint file, with the learned [controller], to this file; all else, comments too, stays as
             it is, but for the paths of records, which from another folder lead to the same files.
@@ -34,7 +38,7 @@ def loop(
     from jointid.controller_id.learn import learn_loop
 
     check_outputs(None, json, write)
-    file = load(joint)
+    file = load(joint, changes)
     gain = 1.0 if file.controller is None else getattr(file.controller, "gain", 1.0)
     learned = learn_loop(
         file.record(record),
