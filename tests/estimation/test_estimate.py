@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from jointid.common.errors import RecordError
+from jointid.common.errors import ExtraError, RecordError
 from jointid.common.text import interval, number
 from jointid.estimation.methods.regression import Conditioning, least_squares
 from jointid.estimation.result.estimate import (
@@ -120,6 +121,33 @@ def test_a_notebook_shows_the_table_and_no_tag_of_a_name() -> None:
     html = ESTIMATE.amended(data={"record": "<script>alert(1)</script>"})._repr_html_()
     assert "<script" not in html
     assert '<th scope="row">ZZ</th><td class=text>inertia</td><td>94.903</td>' in html
+
+
+def test_an_estimate_is_saved_as_the_command_writes_it(tmp_path: Path) -> None:
+    path = ESTIMATE.save(tmp_path / "out.json")
+    assert path.read_text(encoding="utf-8") == answers.dumps(ESTIMATE.to_dict())
+    assert ESTIMATE.to_dict() == answers.estimate_answer(ESTIMATE)
+    with pytest.raises(RecordError, match="cannot be written"):
+        ESTIMATE.save(tmp_path / "nowhere" / "out.json")
+
+
+def test_a_data_frame_has_a_row_for_each_parameter() -> None:
+    pytest.importorskip("pandas")
+    frame = ESTIMATE.to_dataframe()
+    assert list(frame.index) == [p.name for p in ESTIMATE.params]
+    assert frame.loc["inertia", "value"] == ESTIMATE["inertia"].value
+    assert tuple(frame.loc["inertia", ["lower", "upper"]]) == ESTIMATE["inertia"].interval
+    assert np.isnan(frame.loc["coulomb", "value"])
+
+
+def test_without_pandas_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ExtraError, match=r"jointid\[dataframe\]"):
+        ESTIMATE.to_dataframe()
+
+
+def test_the_figure_of_the_torque_is_at_hand() -> None:
+    assert [axes.get_ylabel() for axes in ESTIMATE.plot.torque().axes] == ["force [N]", "force [N]"]
 
 
 def test_conditioning_is_printed_three_ways() -> None:
