@@ -64,7 +64,7 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
         yield _errors(estimate)
         return
     yield parameters_table(estimate, initial=details)
-    known = combinations_table(estimate, "known together", well=not details)
+    known = combinations_table(estimate, "known together", differences=details)
     if known is not None:
         yield known
     bounds = bounds_table(estimate, "the stiffness is refused; its lower bound (95 %, lightly damped mode)")

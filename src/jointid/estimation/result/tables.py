@@ -9,6 +9,7 @@ from jointid.common.text import number
 from jointid.estimation.problems.nuisance_parameters import INITIAL
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.params import EstimatedParameter, known_on_other_side
+from jointid.uncertainty.combination import Kind
 from jointid.uncertainty.verdict import StiffnessBound
 
 _LOST = 1000.0  # %: a deviation so much larger than its value says nothing in percent
@@ -49,7 +50,7 @@ def parameters_table(estimate: Estimate, caption: str = "", *, initial: bool = T
 
 
 def combinations_table(
-    estimate: Estimate, caption: str = "", *, directions: bool = False, well: bool = False
+    estimate: Estimate, caption: str = "", *, directions: bool = False, differences: bool = True
 ) -> Table | None:
     """Return sums and differences of both sides; None where there are none.
 
@@ -57,7 +58,7 @@ def combinations_table(
         estimate: whose combinations are shown.
         caption: of the table.
         directions: whether to add the singular directions of the sensitivities.
-        well: whether to leave out what is known poorly or not at all.
+        differences: whether to show the differences of both sides, too; else only their sums.
     """
     known = estimate.checks.known
     if known is None:
@@ -65,7 +66,7 @@ def combinations_table(
     there = known_on_other_side(known.physical, estimate.other)
     told = {id(one): f"{number(o.value)} {o.combination.unit}" for one, o in zip(known.physical, there, strict=False)}
     every = (*known.physical, *(known.directions if directions else ()))
-    shown = [one for one in every if not well or one.verdict == "well"]
+    shown = [one for one in every if differences or one.combination.kind is not Kind.DIFFERENCE]
     if not shown:
         return None
     rows: list[tuple[str, ...]] = [
