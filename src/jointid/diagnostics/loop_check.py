@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from jointid.common.document import Document, Documented, Listing, Table
 from jointid.common.message import Message
-from jointid.common.text import aligned, number
+from jointid.common.text import number
 from jointid.diagnostics.fault_signatures import INJECTED_GAIN, LIMIT, OFFSET, PRESLIDING, STRIBECK
 from jointid.models.transmission import Side
 from jointid.uncertainty.verdict import Reason
@@ -72,7 +73,7 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True)
-class LoopCheck:
+class LoopCheck(Documented):
     """Whether the loop and the log are as declared.
 
     Attributes:
@@ -111,14 +112,16 @@ class LoopCheck:
         """The words of the reasons."""
         return tuple(map(str, self.reasons))
 
-    def __str__(self) -> str:
-        """Return the sentences, and the table of all tests."""
-        table = aligned(
-            ("suspect", "more than declared", "2 sigma", "statistic", "p"),
-            [_row(s) for s in self.suspects],
-            (False, True, True, True, True),
+    def document(self, *, details: bool = False) -> Document:
+        """Return what was found, and the table of all tests; there are no further details."""
+        del details
+        return Document("Loop and log", (Listing(self.sentences), self.table()))
+
+    def table(self, caption: str = "") -> Table:
+        """Return the table of all tests, each as if nothing else were wrong."""
+        return Table(
+            ("suspect", "more than declared", "2 sigma", "statistic", "p"), tuple(map(_row, self.suspects)), caption
         )
-        return "\n".join([*self.sentences, "", table])
 
     def _told(self, finding: Finding) -> str:
         s = finding.suspect

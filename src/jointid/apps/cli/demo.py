@@ -29,7 +29,7 @@ def demo(
         seed: of the noise.
         quiet: say nothing of the progress.
     """
-    from jointid.apps.cli.console import make_folder, progress, ready, show, show_result
+    from jointid.apps.cli.console import make_folder, progress, ready, show
     from jointid.common.errors import RecordError
     from jointid.common.text import aligned, number
     from jointid.config import load
@@ -60,7 +60,7 @@ def demo(
     estimate = with_loop_verdict(estimate, logged)
     answers.write(answers.estimate_answer(estimate), made / "estimate.json")
     save(torque_figure(estimate), made / "torque.png")
-    show_result(estimate)
+    show(estimate)
     rows = []
     for name, truth in (axis.truth | _sums(axis.truth)).items():
         value, std, symbol, unit = _found(estimate, name)

@@ -65,7 +65,7 @@ def identify(
         details: print every verdict with all its reasons, the method's tests, effort and settings.
         quiet: say nothing of the progress.
     """
-    from jointid.apps.cli.console import check_outputs, identified, progress, show, show_result
+    from jointid.apps.cli.console import check_outputs, identified, progress, show
     from jointid.config import load
     from jointid.diagnostics.check_loop import with_loop_verdict
     from jointid.estimation.streaming.settings import Windowing
@@ -93,7 +93,7 @@ def identify(
         logged, estimate = identified(file, records[0] if records else None, listener)
         if file.tells_of_its_loop:
             estimate = with_loop_verdict(estimate, logged)
-    show_result(estimate, details=details)
+    show(estimate, details=details)
     if json is not None:
         from jointid.output import json as answers
 

@@ -12,6 +12,7 @@ from jointid.common.document.blocks import (
     Picture,
     Table,
     Verdicts,
+    common_facts,
 )
 
 __all__ = [
@@ -26,4 +27,5 @@ __all__ = [
     "Picture",
     "Table",
     "Verdicts",
+    "common_facts",
 ]

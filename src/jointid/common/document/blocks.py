@@ -5,8 +5,9 @@ A result becomes a document once; terminal, Markdown, page and notebook are rend
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias, runtime_checkable
+from typing import TypeAlias
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,9 +130,29 @@ class Document:
         return {block.name: block.image for block in self.blocks if isinstance(block, Picture)}
 
 
-@runtime_checkable
-class Documented(Protocol):
-    """A result that becomes a document; `details` is all there is to say rather than a screen of it."""
+class Documented(ABC):
+    """A result that becomes a document, from which every printed form of it is made."""
 
+    __slots__ = ()
+
+    @abstractmethod
     def document(self, *, details: bool = False) -> Document:
-        """Return the result as a document."""
+        """Return the result as a document; with details all there is to say rather than a screen of it."""
+
+    def summary(self, *, details: bool = False) -> str:
+        """Return the document as text."""
+        return self.document(details=details).text()
+
+    def __str__(self) -> str:
+        """Return the summary."""
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        """Return the document as a notebook shows it."""
+        return self.document().html()
+
+
+def common_facts(resampled: object | None, transmission: object | None) -> tuple[tuple[str, str], ...]:
+    """Return how a record was brought to a uniform clock, and on which side of a transmission values are; if so."""
+    found = (("resampled", resampled), ("transmission", transmission))
+    return tuple((name, str(value)) for name, value in found if value is not None)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Document
+from jointid.common.document import Document, Documented
 from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.methods.regression import Conditioning
 from jointid.estimation.result import shortcuts
@@ -218,7 +218,7 @@ class Settings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
+class Estimate(Documented):
     """The result of an identification.
 
     Attributes:
@@ -298,22 +298,14 @@ class Estimate:
         return replace(self, **{name: replace(getattr(self, name), **entries) for name, entries in parts.items()})
 
     def document(self, *, details: bool = False) -> Document:
-        """Return the estimate as a document, from which every printed form is made; see `summary`."""
-        from jointid.estimation.result.summary import estimate_document
-
-        return estimate_document(self, details=details)
-
-    def summary(self, *, details: bool = False) -> str:
-        """Return the estimate as text: the table, combinations, errors, verdicts that did not pass, and warnings.
+        """Return the estimate as a document: table, combinations, errors, verdicts that did not pass, and warnings.
 
         Args:
             details: whether to add the verdicts that passed, all reasons, tests, effort and settings.
         """
-        return self.document(details=details).text()
+        from jointid.estimation.result.summary import estimate_document
 
-    def __str__(self) -> str:
-        """Return the summary."""
-        return self.summary()
+        return estimate_document(self, details=details)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the estimate as JSON has it: what `jointid identify --json` writes, see docs/answers.md."""
@@ -349,10 +341,6 @@ class Estimate:
             profiles: quantities whose criterion is followed; all free parameters when None, none when empty.
         """
         return shortcuts.report(self, record, name=name, profiles=profiles)
-
-    def _repr_html_(self) -> str:
-        """Return the summary as a notebook shows it."""
-        return self.document().html()
 
 
 def fingerprint(torque: FloatArray) -> str:

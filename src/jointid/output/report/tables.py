@@ -46,15 +46,11 @@ def suspects_table(given: Dossier) -> Table | None:
     """Return every test of loop and log; None where they were not checked."""
     if given.loop is None:
         return None
-    rows = tuple(
-        (s.words, f"{s.size:+.3g}", number(2 * s.std, 2), f"{s.statistic:+.1f}", number(s.p_value, 2))
-        for s in given.loop.suspects
-    )
     said = (
         "Every test of loop and log, each as if nothing else were wrong; the sentences above take in, one after the "
         "other, what was found before them. Friction towards standstill is tested one way only"
     )
-    return Table(("suspect", "more than declared", "± 2 sigma", "statistic", "p"), rows, said)
+    return given.loop.table(said)
 
 
 def checks_table(checks: tuple[Validation, ...]) -> Table | None:
