@@ -115,7 +115,7 @@ class LoopCheck(Documented):
     def document(self, *, details: bool = False) -> Document:
         """Return what was found, and the table of all tests; there are no further details."""
         del details
-        return Document("Loop and log", (Listing(self.sentences), self.table()))
+        return Document("Controller and log", (Listing(self.sentences), self.table()))
 
     def table(self, caption: str = "") -> Table:
         """Return the table of all tests, each as if nothing else were wrong."""

@@ -75,7 +75,7 @@ def _square(chart: Chart) -> bool:
 def _panel(axes: Axes, panel: Panel) -> None:
     axes.set_xlabel(panel.x_label, fontsize=9)
     axes.set_ylabel(panel.y_label, fontsize=9)
-    axes.set_title(panel.title, fontsize=9, loc="left")
+    axes.set_title(panel.title, fontsize=9, loc="left").set_parse_math(False)  # a name is no formula
     axes.tick_params(labelsize=8)
     axes.grid(color="0.92")
     axes.set_axisbelow(True)

@@ -1,4 +1,4 @@
-"""What a report says first: the result in sentences, and the answer to each question."""
+"""The result in sentences, with which a report begins, and the questions of its verdicts."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from jointid.uncertainty.verdict import Subject
 QUESTIONS = {
     Subject.SOLVER: "Did the search end well?",
     Subject.FIT: "Does the model explain the torque?",
-    Subject.WHITENESS: "Is what remains white noise?",
-    Subject.REPEATABLE: "Is what remains free of anything that repeats with the motion?",
-    Subject.IDENTIFIABILITY: "Does the record tell every parameter?",
-    Subject.BOUNDS: "Is every parameter free of its bounds?",
-    Subject.STIFFNESS: "Does the record show the spring?",
-    Subject.LOOP: "Are loop and log as declared?",
+    Subject.WHITENESS: "Is the residual white noise?",
+    Subject.REPEATABLE: "Is the residual free of anything that repeats with the motion?",
+    Subject.IDENTIFIABILITY: "Does the record determine every parameter?",
+    Subject.BOUNDS: "Is no parameter at its bound?",
+    Subject.STIFFNESS: "Does the record show the stiffness?",
+    Subject.LOOP: "Are controller and log as declared?",
 }
 _CHANNELS = {"injected": "injected signal"}
 _FRICTIONS = (("viscous", "viscous"), ("coulomb", "Coulomb"))
@@ -29,13 +29,13 @@ _METHODS = {
 }
 
 
-def title(estimate: Estimate, name: str = "") -> str:
+def report_title(estimate: Estimate, name: str = "") -> str:
     """Return the title of a report."""
     settings = estimate.settings
     return f"{name or estimate.data.record}: {settings.joint.model} joint, identified by {_METHODS[settings.method]}"
 
 
-def result(given: Dossier) -> tuple[str, ...]:
+def report_result(given: Dossier) -> tuple[str, ...]:
     """Return the result in sentences, the most important first."""
     estimate = given.estimate
     channels = _listed([_CHANNELS.get(name, name.replace("_", " ")) for name in estimate.data.channels])
@@ -132,16 +132,13 @@ def _sums(estimate: Estimate) -> tuple[str, ...]:
 
 def _verdicts(estimate: Estimate) -> str:
     if not estimate.checks.verdicts:
-        return "No question beyond the fit is answered for this method."
+        return "This method has no checks beyond the fit."
     bad = [str(v.subject) for v in estimate.checks.verdicts if v.good is False]
     asked = len(estimate.checks.verdicts)
     good = sum(v.good is True for v in estimate.checks.verdicts)
     if not bad:
-        return f"Of {asked} questions asked of this answer, {good} are answered well and none badly."
-    return (
-        f"Of {asked} questions asked of this answer, {good} are answered well and {len(bad)} not "
-        f"({_listed(bad)}); below, each with its reason."
-    )
+        return f"{good} of {asked} checks passed, and none failed."
+    return f"{good} of {asked} checks passed; {len(bad)} did not ({_listed(bad)}): below, each with its reason."
 
 
 def _listed(words: list[str]) -> str:

@@ -17,7 +17,7 @@ from jointid.output.figures.charts import Chart
 from jointid.output.figures.matplotlib_backend import png, svg
 from jointid.output.json import dumps
 from jointid.output.json.reports import report_answer
-from jointid.output.report.narrative import title
+from jointid.output.report.narrative import report_title
 from jointid.output.report.page import page, written
 from jointid.output.report.pictures import charts
 from jointid.output.report.reproducibility import Repetition
@@ -106,7 +106,7 @@ class Report:
 
     def _document(self, *, interactive: bool) -> Document:
         told = blocks(self.dossier, self.charts, self.repetition, interactive=interactive)
-        return Document(title(self.estimate, self.name), told, self.answer() if interactive else "")
+        return Document(report_title(self.estimate, self.name), told, self.answer() if interactive else "")
 
 
 def report_estimate(
