@@ -71,11 +71,6 @@ class Resampled:
         return f"to {1e3 * self.sample_time:g} ms ({how}); stamps of {logged}"
 
 
-def resampled_lines(resampled: Resampled | None) -> tuple[str, ...]:
-    """Return the line of a table that says that a record was resampled; none where it was not."""
-    return () if resampled is None else (f"resampled: {resampled}",)
-
-
 def irregularity(stamps: NDArray[np.float64]) -> Irregularity:
     """Return how far stamps [s], shape (samples,), two or more and finite, are from a uniform clock.
 
