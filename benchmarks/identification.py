@@ -27,7 +27,7 @@ from jointid.estimation.problems.closed_loop import Problem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.search.descent import Descent, by_simplex, refined
 from jointid.paper.twin import Twin, twin
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 
 STARTS = 100
 FACTOR = 3.0

@@ -16,7 +16,7 @@ from hypothesis import settings
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from jointid.estimation.identify import Method
+    from jointid.estimation.identify_record import Method
     from jointid.estimation.result.estimate import Estimate
     from jointid.records.record import Record
 
@@ -85,7 +85,7 @@ def stiff_axis() -> tuple[Record, Estimate]:
     from jointid.estimation.identify import identify
     from jointid.models.joints import FlexibleJoint
     from jointid.paper.twin import CONTROLLERS, SAMPLE_TIME, TABLE_2
-    from jointid.records.excitation import trapezoids
+    from jointid.records.signals.excitation import trapezoids
     from jointid.simulation.loop_input import ClosedLoop
     from jointid.simulation.synthesis import simulated_record
 

@@ -19,9 +19,9 @@ from jointid.models.joints import RigidJoint
 from jointid.models.transmission import Transmission
 from jointid.output.json import estimate_answer, read_identified, write
 from jointid.records.columns import Column
-from jointid.records.excitation import trapezoids
-from jointid.records.reading import read
+from jointid.records.reading.read import read
 from jointid.records.record import Record
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from tests.geared import LAW, RATE, RIGID, TURNED_SCREW
@@ -111,9 +111,9 @@ def test_three_files_give_one_answer(folder: Path, motor: Estimate) -> None:
     for found in (by_motor.params, by_load.other_side):
         for p, q in zip(found, motor.params, strict=True):
             assert (p.name, p.unit) == (q.name, q.unit)
-            for value, expected in ((p.value, q.value), (p.stderr, q.std)):
+            for value, expected in ((p.value, q.value), (p.stderr, q.stderr)):
                 assert (value or 0.0) == pytest.approx(expected or 0.0, rel=1e-9), p.name
-    assert by_motor.fit.simulations == by_load.fit.simulations == motor.simulations
+    assert by_motor.fit.simulations == by_load.fit.simulations == motor.fit.simulations
 
 
 def test_an_answer_has_both_sides_and_is_read_back(folder: Path, motor: Estimate) -> None:
@@ -229,11 +229,11 @@ def test_a_fault_is_one_sentence(text: str, sentence: str) -> None:
     [
         ({"ratio": 1.0, "lead": 1.0}, "either a ratio .* or a lead"),
         ({}, "either a ratio .* or a lead"),
-        ({"ratio": -100.0}, "sign = -1 to turn round"),
+        ({"ratio": -100.0}, "sign = -1 to turn the load round"),
         ({"ratio": math.nan}, "a positive number"),
         ({"lead": 0.01}, "of a revolute one give the ratio"),
-        ({"ratio": 3.0, "sign": 0}, "received 0, load and revolute"),
-        ({"ratio": 3.0, "side": "gear"}, "received 1, gear and revolute"),
+        ({"ratio": 3.0, "sign": 0}, "sign is 0; expected 1 or -1"),
+        ({"ratio": 3.0, "side": "gear"}, 'side is "gear"; expected "motor" or "load"'),
     ],
 )
 def test_a_transmission_that_cannot_be_is_refused(wrong: dict[str, float], sentence: str) -> None:
@@ -286,7 +286,7 @@ def test_a_side_needs_a_transmission(folder: Path) -> None:
         RecordError, match='has side = "load", but no transmission is given; give it, or leave side out'
     ):
         read(folder / "run.csv", {"reference": Column("x [mm]", side="load")})
-    with pytest.raises(RecordError, match='is "motor" or "load"; got "gear"'):
+    with pytest.raises(RecordError, match='side is "gear"; expected "motor" or "load"'):
         Column("x", side="gear")  # type: ignore[arg-type]
 
 

@@ -76,18 +76,18 @@ from .output.json import (
 )
 from .output.report.report import Report, report_estimate, report_file
 from .paper.twin import Twin, twin
-from .records.checks import check_record
-from .records.chunks import Log
+from .records.checks.record_checks import check_record
 from .records.columns import Column
-from .records.converting import Conversion, convert
 from .records.drives.drive import Drive
-from .records.excitation import pulses, trapezoids
-from .records.inspection import Inspection, inspect
-from .records.reading import read
+from .records.files.converting import Conversion, convert
+from .records.files.inspection import Inspection, inspect
+from .records.files.writing import write
+from .records.reading.chunks import Log
+from .records.reading.read import read
 from .records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, record_of
-from .records.signals import Filtering
+from .records.signals.excitation import pulses, trapezoids
+from .records.signals.filtering import Filtering
 from .records.time_base.resampling import Resampling
-from .records.writing import write
 from .simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_many
 from .simulation.drive_side import DriveSide
 from .simulation.loop_input import ClosedLoop, prepare

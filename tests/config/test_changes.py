@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from cyclopts import App
 
-from jointid.apps.cli.app import app
 from jointid.common.errors import JointFileError
 from jointid.config import loads
 from jointid.config.changes import apply_changes
+from tests.apps.commands import commands
 
 FILE = """
 [joint]
@@ -102,10 +104,18 @@ def test_a_key_that_is_not_known_is_answered_with_the_nearest() -> None:
 
 def test_every_command_that_takes_a_joint_file_takes_changes_of_it() -> None:
     taking = set()
-    for name in (name for name in app if not name.startswith("-")):
-        arguments = app[name].assemble_argument_collection(parse_docstring=True)
+    for name, arguments in commands().items():
         names = {word for argument in arguments for word in argument.names}
         if "JOINT" in names:
             taking.add(name)
             assert "--set" in names, name
-    assert {"identify", "report", "simulate", "tune"} <= taking
+    assert {"identify", "report", "simulate", "tune", "diagnose loop"} <= taking
+
+
+def _commands(group: App, before: str = "") -> Iterator[tuple[str, App]]:
+    """Yield the commands of a program by name, those of its groups, too."""
+    for name in (name for name in group if not name.startswith("-")):
+        if group[name].default_command is None:
+            yield from _commands(group[name], f"{before}{name} ")
+        else:
+            yield before + name, group[name]

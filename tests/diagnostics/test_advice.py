@@ -23,8 +23,8 @@ from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.output.json import advice_answer, dumps, revealing_answer
 from jointid.paper.twin import CONTROLLERS, SAMPLE_TIME, Twin, twin
-from jointid.records.encoder_step import step_of
 from jointid.records.record import Channel, Record, Tap
+from jointid.records.signals.encoder_step import find_encoder_step
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 
@@ -175,10 +175,10 @@ def test_the_step_of_an_encoder_is_read_off_its_positions() -> None:
     smooth = 0.1 * np.sin(np.arange(2000) / 300)
     for step in (5e-8, 1e-5):
         rounded = Channel(np.round(smooth / step) * step, "m", 1e-3)
-        assert step_of(rounded) == pytest.approx(step, rel=1e-3)
-    assert step_of(Channel(smooth, "m", 1e-3)) is None
-    assert step_of(Channel(np.zeros(10), "m", 1e-3)) is None
-    assert step_of(None) is None
+        assert find_encoder_step(rounded) == pytest.approx(step, rel=1e-3)
+    assert find_encoder_step(Channel(smooth, "m", 1e-3)) is None
+    assert find_encoder_step(Channel(np.zeros(10), "m", 1e-3)) is None
+    assert find_encoder_step(None) is None
 
 
 def test_the_advice_is_printed_and_written(advice: Advice) -> None:

@@ -14,7 +14,7 @@ from jointid.estimation.methods.regression import least_squares
 from jointid.models.joints import FlexibleJoint
 from jointid.models.parameters import Parameter, Quantity
 from jointid.records.record import Channel, Record, Tap, Timing
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 
 PERIOD = 4e-4
 JOINT = FlexibleJoint("revolute", torque_unit="A")

@@ -11,7 +11,7 @@ from jointid.models.controllers import Cascade
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.paper.twin import CONTROLLERS, twin
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.uncertainty.flexible_vs_rigid_test import BoundarySettings, BoundaryTest, flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import cells

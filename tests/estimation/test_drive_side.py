@@ -212,7 +212,7 @@ def coloured(pulses: bool, seed: int) -> Record:
     """A run of loop L30 with a disturbance of 15 to 25 Hz that makes 8 % of the filtered torque."""
     from scipy.signal import butter, sosfiltfilt
 
-    from jointid.records.signals import decimate
+    from jointid.records.signals.filtering import decimate
 
     loop = ji.ClosedLoop(JOINT, CONTROLLERS["L30"])
     reference = ji.trapezoids(

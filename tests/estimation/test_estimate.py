@@ -28,7 +28,7 @@ from jointid.models.controllers import Cascade
 from jointid.models.joints import RigidJoint
 from jointid.output import json as answers
 from jointid.output.figures.figures import save, torque_figure
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from tests.estimation.conftest import CONTROLLER
 

@@ -20,7 +20,7 @@ from jointid.estimation.search import multistart
 from jointid.models.joints import RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Injection, Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 
@@ -252,7 +252,7 @@ def test_the_filter_as_printed_warns() -> None:
 
 
 def test_settings_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(MethodError, match="minimiser is one of least-squares, nelder-mead"):
+    with pytest.raises(MethodError, match=r'minimiser is "simplex"; expected "least-squares" or "nelder-mead"'):
         FlexibleDIDIM(minimiser="simplex")  # type: ignore[arg-type]
     with pytest.raises(MethodError, match="positive"):
         FlexibleDIDIM(frequency=-3.0)

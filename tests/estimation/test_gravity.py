@@ -20,9 +20,9 @@ from jointid.models.controllers import Cascade
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, RigidJoint
-from jointid.records.excitation import pulses, trapezoids
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.excitation import pulses, trapezoids
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
@@ -199,9 +199,9 @@ def test_what_gravity_cannot_be_is_refused() -> None:
         FlexibleJoint(gravity=Gravity("constant", Counterbalance(sin=1.0)))
     with pytest.raises(MethodError, match="cannot be told apart from asymmetric friction"):
         FlexibleJoint(friction=AsymmetricFriction(), gravity=Gravity("constant"))
-    with pytest.raises(MethodError, match='"constant" or "link"; received "arm"'):
+    with pytest.raises(MethodError, match='load is "arm"; expected "constant" or "link"'):
         Gravity("arm")  # type: ignore[arg-type]
-    with pytest.raises(MethodError, match=r"and not 0; received 0\.0"):
+    with pytest.raises(MethodError, match=r"angle is 0\.0; expected a number other than 0"):
         Gravity("link", angle=0.0)
-    with pytest.raises(MethodError, match="rate is a finite number; received nan"):
+    with pytest.raises(MethodError, match="rate is nan; expected a number"):
         Counterbalance(rate=float("nan"))

@@ -16,8 +16,8 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade
 from jointid.models.joints import RigidJoint
 from jointid.paper.twin import Twin, twin
-from jointid.records.excitation import trapezoids
 from jointid.records.record import Record
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from jointid.uncertainty.endogeneity_test import durbin_wu_hausman

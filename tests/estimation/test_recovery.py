@@ -16,9 +16,9 @@ from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.models.parameters import Parameter, Quantity
-from jointid.records.excitation import pulses, trapezoids
 from jointid.records.record import Channel, Record, Tap, Timing
-from jointid.records.signals import Filtering
+from jointid.records.signals.excitation import pulses, trapezoids
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial, simulate
 from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.simulation.synthesis import simulated_record

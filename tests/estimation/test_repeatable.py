@@ -13,7 +13,7 @@ from jointid.estimation.problems.closed_loop import Problem, torque_problem
 from jointid.models.joints import RigidJoint
 from jointid.paper.twin import twin
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.uncertainty.covariance import sandwich
 from jointid.uncertainty.position_dependent_error import Cells, Uncertainty, by_place, cells, repeatable, uncertainty

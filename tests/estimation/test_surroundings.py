@@ -14,8 +14,8 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM, refined_least_squares
 from jointid.models.controllers import Cascade, FirstOrder, Notch, SecondOrder, numbers_of, with_numbers
 from jointid.models.joints import RigidJoint
-from jointid.records.excitation import trapezoids
 from jointid.records.record import Record
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record

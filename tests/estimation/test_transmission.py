@@ -29,8 +29,8 @@ from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.models.refer import OtherSide
 from jointid.models.transmission import Side, Transmission
 from jointid.output.json import estimate_answer
-from jointid.records.excitation import pulses, trapezoids
 from jointid.records.record import Channel, Record
+from jointid.records.signals.excitation import pulses, trapezoids
 from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.open_loop import OpenLoop
@@ -228,7 +228,7 @@ def test_several_records_are_told_on_both_sides() -> None:
     assert motor["inertia"].value == pytest.approx(2e-4, rel=0.01)
     assert apart(values_of(motor.params), values_of(there.other_side)) < 1e-8
     # At the bottom a last step that changes the criterion by 1e-12 is taken on one side, and made shorter on the other.
-    assert abs(there.fit.simulations - motor.fit.simulations) <= 0.1 * motor.simulations
+    assert abs(there.fit.simulations - motor.fit.simulations) <= 0.1 * motor.fit.simulations
     text, answer = str(there), estimate_answer(there)
     assert "values are on the load side\n" in text
     assert "0.50000 kg m2 added to the load" in text

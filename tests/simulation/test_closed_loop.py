@@ -14,8 +14,8 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.models.controllers import PD, Cascade, DigitalFilter, StateSpaceController
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
-from jointid.records.excitation import pulses, trapezoids
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
+from jointid.records.signals.excitation import pulses, trapezoids
 from jointid.simulation.closed_loop import Initial, Outcome, require_finished, simulate, simulate_many, simulate_torque
 from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.simulation.synthesis import simulated_record

@@ -11,8 +11,8 @@ import pytest
 from jointid.models.controllers import Cascade
 from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, RigidJoint
-from jointid.records.excitation import trapezoids
 from jointid.records.record import Channel, Record, Timing
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_torque
 from jointid.simulation.drive_side import prescribed_motion, simulate_drive_side
 from jointid.simulation.kernels import drive as kernels

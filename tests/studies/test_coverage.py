@@ -18,7 +18,7 @@ from scipy.signal import fftconvolve
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.paper.published import SYMBOLS
 from jointid.paper.twin import TABLE_2, twin
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from studies.coverage import Coverage, coverage
 
 RUNS, FEWER = 1000, 300

@@ -24,16 +24,16 @@ from jointid.output.figures.tuning_figure import tuning_figure
 from jointid.output.json import dumps, tuning_answer
 from jointid.paper.twin import TABLE_2, twin
 from jointid.records.drives.drive import Drive
-from jointid.records.excitation import trapezoids
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
-from jointid.tuning.interval import interval_of, lowest_mode, reach
+from jointid.tuning.interval import ellipsoid_radius, lowest_mode, possible_joints
 from jointid.tuning.margins import NAMES
-from jointid.tuning.proposals import laid_out
+from jointid.tuning.proposals import with_gains
 from jointid.tuning.settings import Tuning
 from jointid.tuning.tune import tune
 from jointid.tuning.tuned import Tuned
-from jointid.tuning.worst_case import bench
+from jointid.tuning.worst_case import joint_set
 from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 from studies.margins import random_drive, true_margins
 
@@ -63,21 +63,21 @@ def rigid(controller: Cascade | PD | StateSpaceController, joint: RigidJoint | N
 
 @pytest.mark.slow
 def test_nothing_in_the_interval_is_worse_than_what_is_stated(estimate: Estimate, tuned: Tuned) -> None:
-    interval = interval_of(estimate, 0.95, PERIOD)
+    interval = possible_joints(estimate, 0.95, PERIOD)
     points = np.random.default_rng(9).standard_normal((3000, len(interval.names)))
     points /= np.linalg.norm(points, axis=1)[:, np.newaxis]
     for loop in (tuned.present, tuned.proposed):
         assert loop is not None
         law = loop.controller.law(PERIOD)
-        margins = bench(interval.joint, interval.at(points), law).margins(law)
+        margins = joint_set(interval.joint, interval.at(points), law).margins(law)
         stated = np.array([getattr(loop.worst, name) for name in NAMES])
         assert np.all(margins >= 0.995 * stated)
         assert np.all(np.min(margins, axis=0) <= 1.05 * stated)  # and it is no smaller than it must be
 
 
 def test_the_interval_reaches_where_chi_square_says() -> None:
-    assert reach(1, 0.95) == pytest.approx(1.95996, abs=1e-4)
-    assert reach(6, 0.95) == pytest.approx(math.sqrt(12.5916), abs=1e-4)
+    assert ellipsoid_radius(1, 0.95) == pytest.approx(1.95996, abs=1e-4)
+    assert ellipsoid_radius(6, 0.95) == pytest.approx(math.sqrt(12.5916), abs=1e-4)
 
 
 def test_a_twin_bears_what_is_stated_of_it(tuned: Tuned) -> None:
@@ -85,7 +85,7 @@ def test_a_twin_bears_what_is_stated_of_it(tuned: Tuned) -> None:
     for loop in (tuned.present, tuned.proposed):
         assert loop is not None
         law = loop.controller.law(PERIOD)
-        true = bench(FlexibleJoint(), [truth], law).margins(law)[0]
+        true = joint_set(FlexibleJoint(), [truth], law).margins(law)[0]
         assert np.all(true >= np.array([getattr(loop.worst, name) for name in NAMES]))
 
 
@@ -98,7 +98,7 @@ def test_what_is_proposed_keeps_the_margins_and_could_not_be_much_stiffer(estima
     controller = tuned.proposed.controller
     assert isinstance(controller, Cascade)
     faster = replace(controller, kp=1.1 * controller.kp, kv=1.1 * controller.kv).law(PERIOD)
-    nominal = bench(estimate.settings.joint, [estimate.values], faster).margins(faster)[0]
+    nominal = joint_set(estimate.settings.joint, [estimate.values], faster).margins(faster)[0]
     assert np.any(nominal < asked.asked)
     assert controller.kp * controller.kv > 1.2 * 160.18 * 243.45  # stiffer than it was, and with more phase
 
@@ -144,15 +144,15 @@ def test_a_notch_is_proposed_where_the_mode_limits_the_loop() -> None:
 )
 def test_a_layout_has_the_poles_that_its_formula_says(controller: Cascade | PD, damping: float) -> None:
     inertia, rate, slow = 100.0, 10.0, 1e-5
-    made = laid_out(replace(controller, ki=0.0) if type(controller) is not PD else controller, inertia, rate, damping)
+    made = with_gains(replace(controller, ki=0.0) if type(controller) is not PD else controller, inertia, rate, damping)
     # Slow against its period the law is -(proportional + derivative s).
     response = made.law(slow).feedback(np.array([1e-3, 1.0]))
     proportional, derivative = -response[0].real, -response[1].imag / (2 * math.pi)
     assert derivative / inertia == pytest.approx(rate, rel=1e-3)
     assert proportional / inertia == pytest.approx(rate**2 / (4 * damping**2), rel=1e-3)
-    again = laid_out(laid_out(controller, inertia, rate, damping), inertia, 2 * rate, damping)
+    again = with_gains(with_gains(controller, inertia, rate, damping), inertia, 2 * rate, damping)
     if isinstance(again, PID | Cascade):
-        first = laid_out(controller, inertia, rate, damping)
+        first = with_gains(controller, inertia, rate, damping)
         assert isinstance(first, PID | Cascade)
         assert again.ki == pytest.approx(first.ki * (8 if isinstance(again, PID) else 2))
 
@@ -236,7 +236,7 @@ def test_what_cannot_be_tuned_is_refused_in_a_sentence(estimate: Estimate) -> No
 
 
 def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estimate) -> None:
-    wide = tuple(replace(p, stderr=6 * p.stderrerr) if p.std else p for p in estimate.params)
+    wide = tuple(replace(p, stderr=6 * p.stderr) if p.stderr else p for p in estimate.params)
     assert estimate.settings.loop is not None
     controller = estimate.settings.loop.controller
     assert isinstance(controller, Cascade)
@@ -282,11 +282,11 @@ def test_the_figure_shows_joint_and_loops_in_their_units(tuned: Tuned) -> None:
 
 def test_an_interval_stops_short_of_a_joint_without_a_spring(estimate: Estimate) -> None:
     wide = tuple(replace(p, stderr=p.value) if p.name == "stiffness" else p for p in estimate.params)
-    interval = interval_of(estimate.amended(params={"rows": wide}), 0.95, PERIOD)
+    interval = possible_joints(estimate.amended(params={"rows": wide}), 0.95, PERIOD)
     joints = interval.at(interval.points(0))
     assert min(one["stiffness"] for one in joints) == pytest.approx(1e-3 * estimate.values["stiffness"])
     law = Cascade(kp=10.0, kv=10.0, gain=35.0).law(PERIOD)
-    assert np.all(np.isfinite(bench(interval.joint, joints, law).margins(law)[:, -1]))
+    assert np.all(np.isfinite(joint_set(interval.joint, joints, law).margins(law)[:, -1]))
 
 
 def without_stiffness(estimate: Estimate) -> Estimate:
@@ -308,13 +308,13 @@ def test_of_a_refused_stiffness_the_worst_is_over_all_springs_that_are_left(esti
     assert "30.0 Hz at 0.3; 95 % each" in found.interval
     assert "a share of 0.5 is not looked at" in found.interval
     assert 'what stands "at the estimate" is of the softest spring' in str(found)
-    interval = interval_of(without_stiffness(estimate), 0.95, PERIOD)
+    interval = possible_joints(without_stiffness(estimate), 0.95, PERIOD)
     modes = [frequencies(one)["free_free"] for one in interval.others]
     assert min(modes) == pytest.approx(30.0) and max(modes) == pytest.approx(500.0)
     shares = {round(one["load_inertia"] / (one["motor_inertia"] + one["load_inertia"]), 9) for one in interval.others}
     assert shares == {0.3}
     law = found.present.controller.law(PERIOD)
-    margins = bench(interval.joint, interval.others, law).margins(law)
+    margins = joint_set(interval.joint, interval.others, law).margins(law)
     stated = [getattr(found.present.worst, name) for name in NAMES]
     np.testing.assert_allclose(np.min(margins, axis=0), stated)
     inertia = next(one for one in found.feedforward if one.key == "acceleration_feedforward")

@@ -64,12 +64,14 @@ def _matches(name: str, pattern: str) -> bool:
 
 
 def _compared(stored: dict[str, Any], found: dict[str, Any], chosen: list[str]) -> int:
-    """Print every difference and return 1 where there is one."""
-    lines = [line for name in found if name in stored for line in differences(stored[name], found[name], name)]
+    """Print every difference and return 1 where one counts."""
+    apart = [one for name in sorted(found) if name in stored for one in differences(stored[name], found[name], name)]
+    lines = [one.text for one in apart if not one.reason]
     lines += [f"{name}: not in the stored numbers" for name in found if name not in stored]
     lines += [f"{name}: stored, but no case has this name" for name in stored if name not in CASES]
-    print("\n".join(lines))
-    print(f"{len(found)} of {len(chosen)} cases compared, {len(lines)} differences")
+    rounded = [f"{one.text} (another rounding: {one.reason})" for one in apart if one.reason]
+    print("\n".join([*rounded, *lines]))
+    print(f"{len(found)} of {len(chosen)} cases compared: {len(lines)} differences, {len(rounded)} of another rounding")
     return int(bool(lines))
 
 

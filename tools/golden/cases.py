@@ -6,6 +6,7 @@ booleans and short codes.
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 from collections.abc import Callable
@@ -23,17 +24,55 @@ class Skipped(Exception):  # noqa: N818
 
 
 class Loosened(NamedTuple):
-    """Numbers that are compared less strictly than the others."""
+    """Numbers in which another rounding shows as more than the tolerance."""
 
     pattern: str
-    """Of their paths, as `fnmatch` has it."""
+    """Of their paths, as `fnmatch` has it; its star crosses slashes."""
     tolerance: float
-    """Relative, of the number or of what it is small beside."""
+    """Relative, of the number or of what it is small beside; infinite where even a truth may change."""
     reason: str
 
 
-LOOSENED: tuple[Loosened, ...] = ()
-"""What is not reproduced to 1e-9, and why."""
+_FLAT = "the stiffness is refused, and the descents of a search along a flat valley end where rounding lets them"
+_NEAR = "the search ends within its own tolerance of the minimum"
+_SCORES = "scores are small changes of a residual that is nearly orthogonal to them, and a fit that ends at 1e-6"
+
+LOOSENED: tuple[Loosened, ...] = (
+    Loosened("*/repeatable/p", 0.05, "counted among sign flips, of which some tie but for rounding"),
+    Loosened("*/loop/suspects/*", 0.2, _SCORES),
+    Loosened("*/loop/findings/*", 0.02, _SCORES),
+    Loosened("emps_flexible/stiffness_bounds/*", 1e-6, _NEAR),
+    Loosened("emps_flexible/revealing/*", 1e-4, _NEAR),
+    Loosened("emps_flexible/combinations/*/value", 1e-6, _NEAR),
+    Loosened("emps_flexible/verdicts/stiffness", 0.0, "it is refused, wherever the search ends"),
+    Loosened("emps_flexible/parameters/*/free", 0.0, "it does not depend on the search"),
+    Loosened("emps_flexible/rows", 0.0, "it does not depend on the search"),
+    Loosened("emps_flexible/filtering/*", 0.0, "it does not depend on the search"),
+    Loosened("emps_flexible/record/*", 0.0, "it does not depend on the search"),
+    Loosened("emps_flexible/measured/*", 1e-9, "it does not depend on the search"),
+    Loosened("emps_flexible/*", math.inf, _FLAT),
+    Loosened("emps_free_*", 1e-5, "a delay that is nearly 0, and gains that are known poorly"),
+    Loosened("emps_idim_harmonics/condition/scaled", 1e-2, "scaled by a parameter that is nearly 0"),
+    Loosened("gravity_flexible_lift/trace/*", 1e-7, _NEAR),
+    Loosened("gravity_link/open_loop/*", 1e-6, _NEAR),
+    Loosened("intervals_emps/profiles/*/evaluations", 0.1, _NEAR),
+    Loosened("intervals_*/profiles/*", 1e-6, _NEAR),
+    Loosened("law_of_three_rates/residuals/repeatable/*", 1e-5, "nearly nothing repeats"),
+    Loosened("learn_*/alternatives/*", 1e-2, "of a filter that the law does not have, little is known"),
+    Loosened("learn_*", 1e-6, _NEAR),
+    Loosened("motorbench_both_encoders_weighted/*", 1e-7, "weights are iterated"),
+    Loosened("motorbench_open_loop/*", 1e-5, "the search does not converge"),
+    Loosened("reproduction/*/initial/position", 1e-2, "it is nearly 0, and has no deviation beside it"),
+    Loosened("reproduction/*", 1e-7, _NEAR),
+    Loosened("twin_drive_side/*", 1e-7, _NEAR),
+    Loosened("twin_free_gains/*", 1e-7, _NEAR),
+    Loosened("twin_open_loop/*", 1e-3, "the search does not converge"),
+)
+"""What is reproduced on one machine, but carries another order of sums beyond 1e-9; the first that matches counts.
+
+Found by running all of it with the kernels of linear algebra of another processor (OPENBLAS_CORETYPE=Haswell). Such a
+difference is listed, with its reason, and does not fail a check.
+"""
 
 
 class Workspace:

@@ -19,7 +19,7 @@ _WITHOUT_QUOTES = re.compile(r"\s*([+-]?(\d[\d_]*)?\.?\d+([eE][+-]?\d+)?|true|fa
 
 @dataclass(frozen=True, slots=True)
 class Says:
-    """What is expected of a value.
+    """The value that is expected, in words, and a remedy.
 
     Attributes:
         expected: in words, such as "a positive number".
@@ -30,7 +30,7 @@ class Says:
     negative: str = ""
 
 
-def dotted(location: Iterable[int | str]) -> str:
+def dot_path(location: Iterable[int | str]) -> str:
     """Return the path of a key, its parts quoted where TOML quotes them; tables of one name are counted from 1.
 
     Filters are counted from 0, as in the names of their numbers.
@@ -41,7 +41,7 @@ def dotted(location: Iterable[int | str]) -> str:
     return ".".join(key if _BARE.fullmatch(key) else json.dumps(key) for key in parts)
 
 
-def shown(value: object) -> str:
+def format_value(value: object) -> str:
     """Return a value as the file writes it, shortened."""
     match value:
         case dict():
@@ -49,7 +49,7 @@ def shown(value: object) -> str:
         case list() if any(isinstance(item, list | dict) for item in value):
             text = "a list of lists or tables"
         case list():
-            text = _short(f"[{', '.join(map(shown, value))}]")
+            text = _short(f"[{', '.join(map(format_value, value))}]")
         case str():
             text = f'"{_short(json.dumps(value, ensure_ascii=False)[1:-1])}"'
         case bool():
@@ -67,7 +67,7 @@ def either(choices: Iterable[str]) -> str:
     return f"{', '.join(most)} or {last}" if most else last
 
 
-def guessed(word: object, known: Iterable[str], otherwise: str) -> str:
+def suggest(word: object, known: Iterable[str], otherwise: str) -> str:
     """Return the question whether the nearest of the known words was meant; `otherwise`, if none is near."""
     # Of short words such as kp a wrong case is half the letters: it is not to count.
     spelt = {one.casefold(): one for one in known}
@@ -87,7 +87,7 @@ def missing(expected: str, meaning: str) -> str:
 def unknown(key: str, known: Iterable[str]) -> str:
     """Return the rest of the sentence on a key that is not known."""
     keys = list(known)
-    return f" is not a known key; expected one of {', '.join(keys)}: {guessed(key, keys, 'leave it out')}"
+    return f" is not a known key; expected one of {', '.join(keys)}: {suggest(key, keys, 'leave it out')}"
 
 
 def foreign(kind: str, known: Iterable[str]) -> str:
@@ -98,18 +98,18 @@ def foreign(kind: str, known: Iterable[str]) -> str:
 def no_choice(value: object, choices: Iterable[str]) -> str:
     """Return the rest of the sentence on a value that is not among the choices."""
     choices = list(choices)
-    nearest = guessed(shown(value), [f'"{choice}"' for choice in choices], "choose one of them")
-    return f" is {shown(value)}; expected {either(choices)}: {nearest}"
+    nearest = suggest(format_value(value), [f'"{choice}"' for choice in choices], "choose one of them")
+    return f" is {format_value(value)}; expected {either(choices)}: {nearest}"
 
 
 def no_table(value: object) -> str:
     """Return the rest of the sentence on a value where a table belongs."""
-    return f" is {shown(value)}; expected a table: put its keys below a [heading], or in braces."
+    return f" is {format_value(value)}; expected a table: put its keys below a [heading], or in braces."
 
 
 def beside_preset(value: object, preset: str) -> str:
     """Return the rest of the sentence on a value that a preset sets already."""
-    return f' is {shown(value)} beside preset = "{preset}", which sets it: leave one of them out.'
+    return f' is {format_value(value)} beside preset = "{preset}", which sets it: leave one of them out.'
 
 
 def unexpected(value: object, says: Says, optional: bool) -> str:
@@ -119,7 +119,7 @@ def unexpected(value: object, says: Says, optional: bool) -> str:
         remedy = says.negative
     elif isinstance(value, str) and _WITHOUT_QUOTES.fullmatch(value):
         remedy = "write it without quotes"
-    return f" is {shown(value)}; expected {says.expected}: {remedy}."
+    return f" is {format_value(value)}; expected {says.expected}: {remedy}."
 
 
 def _short(text: str) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields
 from enum import StrEnum
 from functools import lru_cache
 from numbers import Integral, Real
@@ -83,6 +83,7 @@ class Declared:
         optional: whether its value may be None.
         default: of the field; `dataclasses.MISSING` where it has none.
         setting: its declaration.
+        factory: makes its default, where that is not a value.
     """
 
     name: str
@@ -90,6 +91,7 @@ class Declared:
     optional: bool
     default: Any
     setting: Setting
+    factory: Callable[[], Any] | None = None
 
     @property
     def choices(self) -> tuple[str, ...]:
@@ -102,12 +104,12 @@ class Declared:
 
     @property
     def required(self) -> bool:
-        """Whether it has no default."""
-        return self.default is MISSING
+        """True if it has no default."""
+        return self.default is MISSING and self.factory is None
 
     @property
     def says(self) -> Says:
-        """What is expected of a value, in words."""
+        """The value that is expected, in words."""
         return Says(self.setting.expected or self._expected, self.setting.negative)
 
     @property
@@ -176,32 +178,32 @@ _WORDS: Mapping[Any, str] = {
 def settings_of(owner: type) -> tuple[Declared, ...]:
     """Return the settings of a dataclass, in its order; a field that is not declared as one is none."""
     hints = get_type_hints(owner)
-    return tuple(
-        _declared(one.name, hints[one.name], one.default, one.metadata[_KEY])
-        for one in fields(owner)
-        if _KEY in one.metadata
-    )
+    return tuple(_declared(one, hints[one.name]) for one in fields(owner) if _KEY in one.metadata)
 
 
-def _declared(name: str, hint: Any, default: Any, declaration: Setting) -> Declared:
+def _declared(one: Field[Any], hint: Any) -> Declared:
     parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     kept = [part for part in parts if part is not NoneType]
-    return Declared(name, kept[0] if len(kept) == 1 else hint, len(kept) < len(parts), default, declaration)
+    factory = None if one.default_factory is MISSING else one.default_factory
+    kind = kept[0] if len(kept) == 1 else hint
+    return Declared(one.name, kind, len(kept) < len(parts), one.default, one.metadata[_KEY], factory)
 
 
-def check_settings(owner: Any, error: type[JointidError] = MethodError) -> None:
+def check_settings(owner: Any, error: type[JointidError] = MethodError, called: str = "") -> None:
     """Refuse a dataclass a setting of which has a value that its declaration does not allow.
 
     Args:
         owner: the dataclass, from its ``__post_init__``.
         error: that is raised.
+        called: what sentences call it, instead of by its type.
 
     Raises:
         JointidError: of that type, with a sentence for each such setting.
     """
     kind: Any = type(owner)  # mypy does not take a type for something with a hash
     found = ((one.name, one.fault(getattr(owner, one.name))) for one in settings_of(kind))
-    faults = [f"{kind.__name__}.{name}{fault}" for name, fault in found if fault is not None]
+    before = f"{called}: " if called else f"{kind.__name__}."
+    faults = [f"{before}{name}{fault}" for name, fault in found if fault is not None]
     if faults:
         raise error(faults if issubclass(error, FaultsError) else "\n".join(faults))  # type: ignore[arg-type]
     for one in settings_of(kind):

@@ -46,19 +46,20 @@ def _parse(change: str) -> tuple[list[str], Any]:
         JointFileError: it is not ``key=value``.
     """
     key, equals, text = change.partition("=")
+    quoted = messages.format_value(change)
     if not equals or not key.strip():
-        raise JointFileError(f'--set {messages.shown(change)} is not key=value; write it as "method.frequency=30".')
+        raise JointFileError(f'--set {quoted} is not key=value; write it as "method.frequency=30".')
     try:
         path = list(_path(tomllib.loads(f"{key} = 0")))
     except tomllib.TOMLDecodeError:
         raise JointFileError(
-            f"--set {messages.shown(change)} names no key; expected one with points, as method.frequency: correct it."
+            f"--set {quoted} names no key; expected one with points, as method.frequency: correct it."
         ) from None
     try:
         value = text.strip() if _WORD.fullmatch(text) and text.strip() not in _CONSTANTS else _value(text)
     except (tomllib.TOMLDecodeError, RecursionError, ValueError):
         raise JointFileError(
-            f"--set {messages.shown(change)} has no value that TOML knows; expected a number, true, false, a word, "
+            f"--set {quoted} has no value that TOML knows; expected a number, true, false, a word, "
             'a list as [1, 2], a table as {lower = 1.0} or text in "quotes": correct it.'
         ) from None
     return path, value
@@ -90,7 +91,7 @@ def _put(tables: dict[str, Any], path: list[str], value: Any) -> None:
     """
     here: Any = tables
     for place, key in enumerate(path):
-        last, at = place == len(path) - 1, messages.dotted(path[:place])
+        last, at = place == len(path) - 1, messages.dot_path(path[:place])
         if isinstance(here, list):
             first = 0 if path[place - 1] in _FROM_ZERO else 1
             if not key.isdecimal() or not first <= int(key) < len(here) + first:
@@ -101,8 +102,9 @@ def _put(tables: dict[str, Any], path: list[str], value: Any) -> None:
         elif isinstance(here, dict):
             index = key
         else:
+            found = messages.format_value(here)
             raise JointFileError(
-                f"{messages.dotted(path)} is set, but {at} is {messages.shown(here)} and no table; set {at} as a whole."
+                f"{messages.dot_path(path)} is set, but {at} is {found} and no table; set {at} as a whole."
             )
         if last:
             here[index] = value

@@ -12,15 +12,16 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AfterValidator, Field, create_model
 
 from jointid.common.settings import Declared, settings_of
-from jointid.config.table import Table, accepted
-from jointid.config.values import MOST, Borders, Coefficients, Flag, Names, Text
+from jointid.config.table import Table, accept_by
+from jointid.config.values import MOST, Borders, Coefficients, ControllerNumbers, Flag, Names, Text
 
 T = TypeVar("T", bound=Table)
 Typed = tuple[Any, Any]
-"""The annotation of a key, and its default; ... for one that is required."""
+"""The annotation of a key, and its default, or what makes it; ... for one that is required."""
 
 _PLAIN: Mapping[Any, Any] = {
     bool: Flag, str: Text, tuple[str, ...]: Names, tuple[int, int]: Borders, tuple[float, ...]: Coefficients,
+    Mapping[str, float]: ControllerNumbers,
 }  # fmt: skip
 
 
@@ -41,7 +42,7 @@ def keys_from(
         for one in settings_of(owner):
             if one.name not in without:
                 declared.setdefault(one.name, []).append(one)
-    return _completed({name: _key(same, (types or {}).get(name)) for name, same in declared.items()})
+    return _complete_with({name: _key(same, (types or {}).get(name)) for name, same in declared.items()})
 
 
 def keys_of_kinds(kinds: Mapping[str, type]) -> Callable[[type[T]], type[T]]:
@@ -62,10 +63,10 @@ def keys_of_kinds(kinds: Mapping[str, type]) -> Callable[[type[T]], type[T]]:
             annotation_of(same[0][1]) | None,
             Field(None, description=f"{described} [{unit}]" if unit else described),
         )
-    return _completed(keys)
+    return _complete_with(keys)
 
 
-def _completed(keys: Mapping[str, Typed]) -> Callable[[type[T]], type[T]]:
+def _complete_with(keys: Mapping[str, Typed]) -> Callable[[type[T]], type[T]]:
     def complete(table: type[T]) -> type[T]:
         make: Any = create_model
         made: type[T] = make(table.__name__, __base__=table, __module__=table.__module__, __doc__=table.__doc__, **keys)
@@ -78,6 +79,8 @@ def _key(same: Sequence[Declared], typed: Typed | None) -> Typed:
     """Return annotation and field of a key, from its declarations."""
     described = "; ".join(dict.fromkeys(one.setting.description for one in same))
     annotation, default = typed or (annotation_of(same[0]), _default(same))
+    if callable(default):
+        return annotation, Field(default_factory=default, description=described)
     return annotation if default is not None else annotation | None, Field(default, description=described)
 
 
@@ -88,6 +91,8 @@ def _default(same: Sequence[Declared]) -> Any:
         return None
     if same[0].required:
         return ...
+    if same[0].factory is not None:
+        return same[0].factory
     return _plain(same[0].default)
 
 
@@ -104,13 +109,13 @@ def annotation_of(one: Declared) -> Any:
     """Return what pydantic is to check of a setting's value."""
     found = _annotation_of(one)
     if one.setting.accept is not None:
-        found = Annotated[found, accepted(one.setting.accept)]
+        found = Annotated[found, accept_by(one.setting.accept)]
     return found | Literal[one.setting.none] if one.setting.none else found
 
 
 def _annotation_of(one: Declared) -> Any:
     declared = one.setting
-    if declared.choices:
+    if declared.choices and declared.accept is not None:
         return Annotated[Text, Field(json_schema_extra={"enum": list(declared.choices)})]
     if one.choices:
         return Literal[*one.choices]
@@ -120,13 +125,13 @@ def _annotation_of(one: Declared) -> Any:
         ]
     if one.type is float:
         bounds = Field(gt=declared.above, ge=declared.at_least, le=declared.at_most, allow_inf_nan=declared.infinite)
-        return Annotated[float, bounds, AfterValidator(_allowed(one)), one.says]
+        return Annotated[float, bounds, AfterValidator(_check_allowed(one)), one.says]
     if one.type is int:
         return Annotated[int, Field(gt=declared.above, ge=declared.at_least, le=declared.at_most or MOST), one.says]
     return _PLAIN[one.type]
 
 
-def _allowed(one: Declared) -> Callable[[float], float]:
+def _check_allowed(one: Declared) -> Callable[[float], float]:
     """Return the validator of what bounds do not say: that a number is one, and not 0."""
 
     def check(value: float) -> float:

@@ -20,7 +20,7 @@ _NO_KEYS = ("ratio",)  # which the transmission and `side` say
 
 
 class LawTable(Table):
-    """What all laws have beside their settings."""
+    """A law: which one it is, and the side of its numbers."""
 
     law: str = Field(description="the controller's law")
     side: Side = Field("motor", description="of the transmission, in whose positions and torque the law's numbers are")
@@ -29,7 +29,7 @@ class LawTable(Table):
     def controller(self) -> Controller:
         """Return the controller, on its own side."""
 
-    def referred(self, transmission: Transmission | None) -> Controller:
+    def refer(self, transmission: Transmission | None) -> Controller:
         """Return the controller as a joint sees it through its transmission."""
         made = self.controller()
         if transmission is None:

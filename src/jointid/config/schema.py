@@ -19,15 +19,14 @@ from jointid.config.gearing import TransmissionTable
 from jointid.config.generate import keys_from
 from jointid.config.laws import ControllerTable
 from jointid.config.mechanics import GravityTable, JointTable
-from jointid.config.record_table import DriveTable, RecordFile, RecordTable
+from jointid.config.record_table import DriveTable, RecordTable
+from jointid.config.sources import Run
 from jointid.config.table import Table
 from jointid.config.values import (
     Bound,
-    ControllerNumbers,
     Flag,
     Names,
     Natural,
-    NotNegative,
     Number,
     Positive,
 )
@@ -38,7 +37,7 @@ from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.open_loop import OpenLoopFit
 from jointid.models.disturbances import Drift, Effect, PositionHarmonics
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 
 OF_IDIM = ("estimator", "harmonics", "period", "drift")
 """The keys of [method] that are IDIM's."""
@@ -51,10 +50,10 @@ FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
 """The presets of [filtering]."""
 
 DIDIMS: Mapping[str, type[DIDIM] | type[FlexibleDIDIM]] = {"rigid": DIDIM, "flexible": FlexibleDIDIM}
-"""What [method] becomes with the name "didim", by the joint's model."""
+"""Settings of the method "didim", by the joint's model."""
 
 CLOSINGS: Mapping[str, type[DriveSideFit] | type[OpenLoopFit]] = {"drive_side": DriveSideFit, "open_loop": OpenLoopFit}
-"""What [method] becomes with the other names that simulate, by the name; neither needs the controller."""
+"""Settings of the other methods that simulate, by their name; neither needs the controller."""
 
 
 @keys_from(Filtering)
@@ -108,12 +107,12 @@ class MethodTable(Table):
         return models[0] if len(models) == 1 else None
 
     def is_of(self, key: str, name: str) -> bool:
-        """Whether a key is a setting of the method of that name."""
+        """True if a key is a setting of the method of that name."""
         made = [CLOSINGS[name]] if name in CLOSINGS else list(DIDIMS.values())
         return any(key in {field.name for field in fields(one)} for one in made)
 
     def of_closing(self, key: str) -> bool:
-        """Whether a key is only for the methods that prescribe a motion or a torque."""
+        """True if a key is only for the methods that prescribe a motion or a torque."""
         return any(self.is_of(key, name) for name in CLOSINGS) and not self.is_of(key, "didim")
 
     def beside_preset(self) -> dict[str, Any]:
@@ -159,17 +158,13 @@ class ParameterTable(Table):
             yield "value", " is missing; a parameter that is not free needs the value that it keeps: add it."
 
 
+@keys_from(Run)
 class RunTable(Table):
     """[[records]]: one of several records that are identified together, and what is known to differ in it."""
 
-    file: RecordFile = Field(description="path of the record, from the joint file's folder")
-    added_inertia: NotNegative = Field(
-        0.0, description="known, on the load, beyond what is shared [kg or kg m2, load side]"
-    )
-    own: Names = Field([], description="names of parameters that the other records do not share")
-    controller: ControllerNumbers = Field(
-        default_factory=dict, description="numbers of the controller that were others, by key"
-    )
+    def run(self) -> Run:
+        """Return the record."""
+        return Run(**self.settings())
 
 
 class TogetherTable(Table):

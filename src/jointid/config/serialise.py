@@ -14,11 +14,12 @@ from jointid.estimation.identify_record import Method
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import FILTERS, LAWS, Controller, DigitalFilter
 from jointid.models.disturbances import Drift, Effect, PositionHarmonics
+from jointid.models.friction import FRICTIONS
 from jointid.models.gravity import Gravity
-from jointid.models.joints import FRICTIONS, Joint
+from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
 from jointid.models.transmission import SIDES, Transmission
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.records.time_base.resampling import Resampling
 
 _KINDS: Mapping[type, str] = {made: kind for kind, made in FILTERS.items()}

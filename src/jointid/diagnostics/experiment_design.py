@@ -30,8 +30,8 @@ from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITI
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.models.parameters import POSITION_UNIT
 from jointid.models.transmission import Transmission
-from jointid.records.encoder_step import step_of
 from jointid.records.record import Record, Tap
+from jointid.records.signals.encoder_step import find_encoder_step
 from jointid.simulation.closed_loop import Outcome
 from jointid.uncertainty.covariance import covariance_of, stationary
 
@@ -221,8 +221,8 @@ def steps(record: Record, given: float | None) -> tuple[float, float]:
             raise MethodError(f"The step of an encoder is a positive number; received {given}.")
         return given, given
     assert record.reference is not None
-    motor = step_of(record.motor_position) or usual_step(record.reference.values)
-    return motor, step_of(record.load_position) or motor
+    motor = find_encoder_step(record.motor_position) or usual_step(record.reference.values)
+    return motor, find_encoder_step(record.load_position) or motor
 
 
 def _sensors(

@@ -25,12 +25,12 @@ from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.params import EstimatedParameter
-from jointid.models.friction import AsymmetricFriction, SymmetricFriction
+from jointid.models.friction import friction_named
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
-from jointid.records.checks import check_record
+from jointid.records.checks.record_checks import check_record
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 
 
@@ -141,15 +141,13 @@ def _methods(
         yield "IDIM-WLS", model, IDIM("weighted")
     yield "IDIM-IRLS", model, IDIM("robust")
     yield "IDIM-IV", model, IDIM("iv")
-    if joint.gravity is not None and joint.gravity.load == "constant":  # which asymmetric friction would hide
+    if joint.gravity is not None and joint.gravity.load == "constant":  # not identifiable beside the other law
         return
-    other, word = (
-        (AsymmetricFriction(), "asymmetric") if joint.friction.symmetric else (SymmetricFriction(), "symmetric")
-    )
+    other = friction_named(joint.friction.contrast)
     turned = replace(joint, friction=other)
     variant = ClosedLoop(turned, model.controller) if isinstance(model, ClosedLoop) else turned
-    yield f"DIDIM {word}", variant, torque_only
-    yield f"IDIM-LS {word}", variant, IDIM()
+    yield f"DIDIM {other.name}", variant, torque_only
+    yield f"IDIM-LS {other.name}", variant, IDIM()
 
 
 def _disagreements(tried: list[Compared]) -> tuple[str, ...]:

@@ -25,7 +25,7 @@ from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import Motion
 from jointid.records.record import Channel, Record
-from jointid.records.signals import derivative, lowpass
+from jointid.records.signals.filtering import differentiate, lowpass
 from jointid.uncertainty.profile import Profile
 from jointid.uncertainty.verdict import Subject
 
@@ -178,5 +178,5 @@ def _from(channel: Channel, estimate: Estimate, size: int) -> Motion:
     position: FloatArray = np.interp(period * np.arange(size), channel.time, channel.values)
     if cutoff is not None and cutoff < 0.5 / period:
         position = lowpass(position, cutoff, period)
-    velocity = derivative(position, period)
-    return Motion(position, velocity, derivative(velocity, period))
+    velocity = differentiate(position, period)
+    return Motion(position, velocity, differentiate(velocity, period))

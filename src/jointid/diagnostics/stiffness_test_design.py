@@ -34,7 +34,7 @@ from jointid.models.joints import acts_on_whole
 from jointid.models.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.models.transmission import Transmission, transmission_lines
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome
 from jointid.uncertainty.covariance import stationary
 from jointid.uncertainty.verdict import StiffnessBound

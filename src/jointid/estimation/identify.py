@@ -14,9 +14,9 @@ from jointid.estimation.streaming.identify_log import identify_log
 from jointid.estimation.streaming.settings import Windowing
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
-from jointid.records.chunks import InMemory, LongRecord
+from jointid.records.reading.chunks import InMemory, LongRecord
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.open_loop import OpenLoop

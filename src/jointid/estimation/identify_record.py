@@ -16,10 +16,10 @@ from jointid.estimation.methods.open_loop import OpenLoopFit, identify_open_loop
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter, Quantity, adjusted
-from jointid.records.checks import check_record
+from jointid.records.checks.record_checks import check_record
+from jointid.records.checks.record_warnings import find_record_warnings
 from jointid.records.record import Record
-from jointid.records.record_warnings import record_notes
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.open_loop import OpenLoop
@@ -71,7 +71,7 @@ def _beyond(record: Record, estimate: Estimate, wanted: tuple[Parameter, ...]) -
     found = [(estimate.values[p.name], p) for p in wanted if p.free and p.name in estimate.values]
     for value, p in found:
         if p.quantity is Quantity.INERTIA and value <= 0:
-            known = "".join(f"; {note}" for note in record_notes(record, estimate.data.channels))
+            known = "".join(f"; {note}" for note in find_record_warnings(record, estimate.data.channels))
             raise MethodError(
                 f"The record gives {p.name} = {value:.4g}, which no joint has: the torque or the motion has the wrong "
                 f"sign (set sign = -1), or they do not belong together{known}."

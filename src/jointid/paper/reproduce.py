@@ -24,7 +24,7 @@ from jointid.models.joints import RigidJoint
 from jointid.paper.recomputed import DENOMINATORS, Denominator
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 
 

@@ -1,4 +1,4 @@
-"""What to do with an estimate: the answer, complete, and its tables."""
+"""The result of tuning, and its tables."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from jointid.tuning.settings import Tuning
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Band:
+class ResponseBand:
     """A response over an interval of joints.
 
     Attributes:
@@ -46,7 +46,7 @@ class LoopMargins:
     estimate: Margins
     worst: Margins
     crossover: float
-    response: Band
+    response: ResponseBand
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ class ProposedNotch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tuned(Documented):
-    """Margins over the interval of an estimate, what is proposed, and what change would be told.
+    """Margins over the interval of an estimate, the proposed gains, and the smallest detectable change.
 
     Attributes:
         record: its name. model: "rigid" or "flexible". transmission: on whose `side` the joint is.
@@ -105,7 +105,7 @@ class Tuned(Documented):
     notch: ProposedNotch | None
     feedforward: tuple[FeedForward, ...]
     detectable: Detectable
-    joint: Band
+    joint: ResponseBand
     position_unit: str
     torque_unit: str
     notes: tuple[str, ...]
@@ -118,10 +118,10 @@ class Tuned(Documented):
         blocks: list[Block] = [Facts((worst, *common_facts(None, self.transmission))), self._margins()]
         blocks += [self._gains()] if self.gains else []
         blocks += [_notch(self.notch)] if self.notch is not None else []
-        said = "now and proposed are in controller units, per unit of the reference as the law sees it"
+        said = "now and proposed are in controller units, per unit of the controller's reference"
         blocks += [self._feedforward(), Paragraph(said), Heading(change.title), *change.blocks]
         blocks += [Facts(tuple(("note", note) for note in self.notes))] if self.notes else []
-        return Document(f"What to do with the estimate of {self.record}, a {self.model} joint", tuple(blocks))
+        return Document(f"Tuning for {self.record}, a {self.model} joint", tuple(blocks))
 
     def _margins(self) -> Table:
         header = ("margins", "gain", "dB", "reduction", "phase deg", "delay ms", "distance from -1", "crossover Hz")
@@ -134,14 +134,14 @@ class Tuned(Documented):
             rows.append(_row("proposed, worst case", self.proposed.worst, self.proposed))
             asked = self.settings
             rows.append(
-                ("asked", number(asked.gain_margin, 3), f"{20 * math.log10(asked.gain_margin):.1f}",
+                ("required", number(asked.gain_margin, 3), f"{20 * math.log10(asked.gain_margin):.1f}",
                  number(asked.gain_margin, 3), number(asked.phase_margin, 3), "-", number(asked.modulus, 3), "-")
             )  # fmt: skip
         return Table(header, tuple(rows))
 
     def _gains(self) -> Table:
         rows = tuple((g.key, number(g.before), number(g.after), g.unit, g.formula) for g in self.gains)
-        return Table(("gain", "now", "proposed", "unit", "from"), rows, words=(0, 3, 4))
+        return Table(("gain", "now", "proposed", "unit", "formula"), rows, words=(0, 3, 4))
 
     def _feedforward(self) -> Table:
         drive = any(f.drive is not None for f in self.feedforward)

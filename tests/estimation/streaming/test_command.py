@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from jointid.apps.cli.app import main
-from jointid.records.chunks import Log, Piece
+from jointid.records.reading.chunks import Chunk, Log
 from tests.estimation.streaming.test_identify_long import rigid, stored
 
 JOINT_FILE = """
@@ -71,7 +71,7 @@ def test_an_interrupted_log_is_told_as_far_as_it_was_read(
 ) -> None:
     whole = Log.pieces
 
-    def stopped(self: Log, length: int, overlap: int, every: int = 1) -> Iterator[Piece]:
+    def stopped(self: Log, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
         for count, piece in enumerate(whole(self, length, overlap, every)):
             if every == 1 and count == 14:
                 raise KeyboardInterrupt

@@ -21,10 +21,10 @@ from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.paper.twin import CONTROLLERS, TABLE_2
-from jointid.records.chunks import InMemory, Log, Piece
-from jointid.records.excitation import trapezoids
 from jointid.records.formats import Table, write_table
+from jointid.records.reading.chunks import Chunk, InMemory, Log
 from jointid.records.record import Channel, Record
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 
@@ -139,8 +139,8 @@ class Stopped:
     def sample_time(self) -> float:
         return self.source.sample_time
 
-    def pieces(self, length: int, overlap: int, every: int = 1) -> Iterator[Piece]:
-        for count, piece in enumerate(self.source.pieces(length, overlap, every)):
+    def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
+        for count, piece in enumerate(self.source.chunks(length, overlap, every)):
             if every == 1 and count >= self.after:
                 raise KeyboardInterrupt
             yield piece

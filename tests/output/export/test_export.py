@@ -144,7 +144,7 @@ def test_friction_that_identify_was_told_on_the_command_line_comes_into_the_join
     (tmp_path / "out.json").write_text(json.dumps(told), encoding="utf-8")
     assert exported(tmp_path, "filled.toml") == 0
     file = ji.load(tmp_path / "filled.toml")
-    assert not file.joint.friction.symmetric
+    assert file.joint.friction.name == "asymmetric"
     assert file.values() == values
 
 

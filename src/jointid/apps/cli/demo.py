@@ -38,7 +38,7 @@ def demo(
     from jointid.output import json as answers
     from jointid.output.figures.figures import save, torque_figure
     from jointid.paper.twin import JOINT_FILE, twin
-    from jointid.records.writing import write
+    from jointid.records.files.writing import write
 
     listener = progress(quiet)
     made = make_folder(folder)

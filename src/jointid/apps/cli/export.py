@@ -58,7 +58,7 @@ def export(
     given = {"values": "fixed" if fixed else None, "period": period, "delay": delay, "timestep": timestep}
     settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     exporter = exporter_of(out, **settings) if format is None else exporter_named(format, **settings)
-    file = load(joint, changes).overridden(friction=answers.read_friction(estimate))
+    file = load(joint, changes).override(friction=answers.read_friction(estimate))
     if isinstance(exporter, JointToml):
         exporter = JointToml(file, exporter.values, out.parent)
     exported = run(read_estimated(estimate, file.joint, file.name), exporter, side=side)

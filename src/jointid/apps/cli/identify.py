@@ -26,7 +26,7 @@ def identify(
     changes: Changes = (),
     method: Literal["didim", "idim", "drive_side", "open_loop"] | None = None,
     filtering: Literal["default", "published", "as-printed"] | None = None,
-    friction: Literal["symmetric", "asymmetric"] | None = None,
+    friction: str | None = None,
     minimiser: Literal["least-squares", "nelder-mead"] | None = None,
     frequency: float | None = None,
     estimator: Literal["ols", "weighted", "robust", "iv"] | None = None,
@@ -52,7 +52,7 @@ def identify(
             too if the joint is flexible; drive_side and open_loop read torque and motor position, and no controller.
         filtering: published repeats the results of the EMPS benchmark; as-printed the paper's for a flexible joint,
             which aliases at 1 kHz and warns of it; default is the program's own.
-        friction: the same in both directions, or not.
+        friction: the friction law, symmetric (the same in both directions) or another that joint.friction may name.
         minimiser: of didim for a flexible joint; nelder-mead is the paper's.
         frequency: in Hz, free-free, from which didim for a flexible joint starts its stiffness.
         estimator: of idim; weighted, each equation of a flexible joint by the size of its error; robust, rows that do
@@ -72,7 +72,7 @@ def identify(
 
     listener = progress(quiet)
     check_outputs(figure, json)
-    file = load(joint, changes).overridden(
+    file = load(joint, changes).override(
         method=method,
         filtering=filtering,
         friction=friction,

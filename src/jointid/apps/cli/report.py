@@ -21,7 +21,7 @@ def report(
     figures: Path | None = None,
     method: Literal["didim", "idim", "drive_side", "open_loop"] | None = None,
     filtering: Literal["default", "published", "as-printed"] | None = None,
-    friction: Literal["symmetric", "asymmetric"] | None = None,
+    friction: str | None = None,
     no_profiles: Annotated[bool, Parameter(negative=())] = False,
     json: Path | None = None,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
@@ -54,7 +54,7 @@ def report(
         require_page(page)
         require_extra(plots=True)
     listener = progress(quiet)
-    file = load(joint, changes).overridden(method=method, filtering=filtering, friction=friction)
+    file = load(joint, changes).override(method=method, filtering=filtering, friction=friction)
     source = Path(file.record_path(record))
     options = {"method": method, "filtering": filtering, "friction": friction}
     again = repetition(joint, source, options, "report.html" if page is None else page.name)

@@ -81,7 +81,7 @@ def _joint(
 
     file = load(joint, changes)
     if estimate is not None:
-        file = file.overridden(friction=answers.read_friction(estimate))
+        file = file.override(friction=answers.read_friction(estimate))
     if file.loop is None:
         raise MethodError("A simulation needs the controller; add a [controller] table to the joint file.")
     # What is written begins with its first sample, from where a position loop's offset will be counted.
@@ -121,7 +121,7 @@ def _twin(
 ) -> None:
     from jointid.apps.cli.console import progress, ready, show
     from jointid.paper.twin import twin
-    from jointid.records.writing import write
+    from jointid.records.files.writing import write
 
     ready(progress(quiet), derivatives=False)
     axis = twin(loop, added_mass=added_mass, noise=noise, seed=seed)

@@ -53,7 +53,7 @@ def tune(
     listener = progress(quiet)
     check_outputs(figure, json)
     settings = Tuning(gain_margin, phase_margin, modulus, confidence, notch, false_alarm, power)
-    file = load(joint, changes).overridden(method="didim")
+    file = load(joint, changes).override(method="didim")
     logged, estimate = identified(file, record, listener)
     if file.tells_of_its_loop:  # margins are of the loop as it is declared
         estimate = with_loop_verdict(estimate, logged)

@@ -41,9 +41,9 @@ def validate(
 
     check_outputs(figure, json)
     check_outputs(residuals)
-    file = load(joint, changes).overridden(friction=answers.read_friction(estimate))
+    file = load(joint, changes).override(friction=answers.read_friction(estimate))
     identified = answers.read_identified(estimate, file.joint, file.loop)
-    file = file.overridden(method=identified.method)
+    file = file.override(method=identified.method)
     logged = file.record(record)
     ready(progress(quiet))
     validation = run(identified, logged)

@@ -6,9 +6,9 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.result.estimate import Estimate
+from jointid.records.checks.record_warnings import find_record_warnings
 from jointid.records.record import Record
-from jointid.records.record_warnings import record_notes
-from jointid.records.signals import decimate, differences, lowpass
+from jointid.records.signals.filtering import decimate, differentiate_twice, lowpass
 from jointid.uncertainty.coupling import coupling
 
 _FEWEST = 4  # rows to a column of the regression
@@ -16,7 +16,7 @@ _FEWEST = 4  # rows to a column of the regression
 
 def record_warnings(record: Record, estimate: Estimate) -> tuple[str, ...]:
     """Return what a reader of an estimate must know of its record, one sentence each."""
-    return (*record_notes(record, estimate.data.channels), *coupling_warnings(record, estimate))
+    return (*find_record_warnings(record, estimate.data.channels), *coupling_warnings(record, estimate))
 
 
 def coupling_warnings(record: Record, estimate: Estimate) -> tuple[str, ...]:
@@ -51,7 +51,7 @@ def _residual_and_motion(record: Record, estimate: Estimate) -> tuple[FloatArray
     columns = []
     for channel in record.other_axes.values():
         position = lowpass(np.interp(at, channel.time, channel.values), cutoff, T)
-        columns += [differences(position, T)[1], position]
+        columns += [differentiate_twice(position, T)[1], position]
     first, last = estimate.fit.borders
     inside = slice(first, residual.size - last)
     both = np.column_stack([residual, *columns])[inside]

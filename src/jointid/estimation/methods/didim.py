@@ -32,7 +32,7 @@ from jointid.estimation.search.starts import Start, given_start, inversion_start
 from jointid.models.controllers import REFERENCE
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
 

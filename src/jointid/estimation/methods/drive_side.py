@@ -40,7 +40,7 @@ from jointid.estimation.result.params import EstimatedParameter, Params
 from jointid.models.joints import acts_on_whole
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.drive_side import LOAD_STATE, DriveSide
 from jointid.solvers.levenberg_marquardt import Bottom, descend

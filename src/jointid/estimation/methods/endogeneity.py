@@ -25,7 +25,7 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress
 from jointid.estimation.problems.drive_side_problem import MotionProblem
 from jointid.records.record import Record
-from jointid.records.signals import decimate
+from jointid.records.signals.filtering import decimate
 from jointid.simulation.drive_side import LOAD_STATE, PARTS, prescribed_motion
 from jointid.solvers.levenberg_marquardt import Bottom
 from jointid.uncertainty.bands import with_bands

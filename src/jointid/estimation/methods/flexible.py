@@ -34,7 +34,7 @@ from jointid.estimation.search.starts import resting_position
 from jointid.models.joints import FlexibleJoint, acts_on_whole
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.uncertainty.combination import Combination, Kind
 from jointid.uncertainty.covariance import Covariance

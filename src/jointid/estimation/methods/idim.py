@@ -36,7 +36,7 @@ from jointid.models.disturbances import Effect, effect_parameters, require_effec
 from jointid.models.joints import Joint, acts_on_whole
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record, Timing
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.uncertainty.covariance import words
 

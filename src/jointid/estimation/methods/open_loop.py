@@ -42,7 +42,7 @@ from jointid.estimation.result.params import EstimatedParameter, Params
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
 from jointid.records.record import Channel, Record
-from jointid.records.signals import Filtering, decimate, derivative, lowpass
+from jointid.records.signals.filtering import Filtering, decimate, differentiate, lowpass
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.open_loop import OpenLoop, simulate_open_loop
@@ -207,7 +207,7 @@ def _first_state(position: FloatArray, filtering: Filtering, period: float) -> t
     could take any Coulomb force for a constant one, so the velocity stays within what the record shows.
     """
     assert filtering.position_cutoff is not None
-    speed = derivative(lowpass(position, filtering.position_cutoff, period), period)
+    speed = differentiate(lowpass(position, filtering.position_cutoff, period), period)
     fastest = float(np.max(np.abs(speed)))
     first = replace(INITIAL_STATE[1], start=float(speed[0]), lower=-fastest, upper=fastest)
     resting = abs(float(speed[0])) < _REST * float(np.sqrt(np.mean(speed**2)))

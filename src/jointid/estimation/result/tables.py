@@ -120,11 +120,10 @@ def settings_facts(estimate: Estimate) -> Facts:
     """Return how it was identified."""
     f, joint, fit = estimate.settings.filtering, estimate.settings.joint, estimate.fit
     position = "none" if f.position_cutoff is None else f"{f.position_cutoff:g} Hz"
-    friction = "symmetric" if joint.friction.symmetric else "asymmetric"
     return Facts(
         (
             ("Method", estimate.settings.variant),
-            ("Model", f"{joint.model}, {friction} friction"),
+            ("Model", f"{joint.model}, {joint.friction.name} friction"),
             ("Left out of the raw error", f"{fit.borders[0]} samples at the start, {fit.borders[1]} at the end"),
             ("Filter", f"{f.cutoff:g} Hz, one sample in {f.decimation}; positions {position}; timing {f.timing}"),
             ("Rows fitted", str(fit.rows)),

@@ -27,7 +27,7 @@ from jointid.models.controllers import SampledLaw
 from jointid.models.joints import FlexibleJoint, frequencies
 from jointid.models.parameters import Quantity
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.loop_input import ClosedLoop
 

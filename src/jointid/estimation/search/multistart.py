@@ -19,7 +19,7 @@ from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.search.descent import Descent, Refined, reason, refined
 from jointid.estimation.search.exploration import FASTEST, WIDE, explored, frequencies_to_try, frequency_of, started
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 
 _REFINED = 6  # starts that are refined at most, until two of them end together
 _ROUGHLY, _FEW = 1e-5, 30  # tolerance and evaluations of a refinement that only has to show where it leads

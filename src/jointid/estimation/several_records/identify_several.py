@@ -37,7 +37,7 @@ from jointid.estimation.several_records.settings import SeveralRecords, Weightin
 from jointid.estimation.several_records.summarise import concluded
 from jointid.models.parameters import Parameter, adjusted
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 
 

@@ -32,9 +32,9 @@ from jointid.estimation.streaming.settings import Windowing
 from jointid.estimation.streaming.streaming_gauss_newton import End, Pass, Passes
 from jointid.estimation.streaming.window import Model, motion, moves, settling_of
 from jointid.models.parameters import Parameter, Quantity, adjusted
-from jointid.records.chunks import LongRecord, Piece
+from jointid.records.reading.chunks import Chunk, LongRecord
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.uncertainty.covariance import Covariance, larger
 from jointid.uncertainty.identifiability import identifiability
@@ -94,7 +94,7 @@ def identify_log(
 
 def _started(
     source: LongRecord, model: Model, method: DIDIM | FlexibleDIDIM, length: int, progress: Progress
-) -> tuple[Piece, Estimate]:
+) -> tuple[Chunk, Estimate]:
     """Return a window that tells the joint, and what it says.
 
     Raises:
@@ -102,7 +102,7 @@ def _started(
     """
     changes = {p.name: p for p in model.parameters}
     refusal: RecordError | MethodError | None = None
-    moving = (piece for piece in source.pieces(length, 2 * model.settling) if moves(piece.record))
+    moving = (piece for piece in source.chunks(length, 2 * model.settling) if moves(piece.record))
     for piece in islice(moving, _STARTS):
         progress(f"starting from the window that begins at {piece.record.begin:g} s")
         try:

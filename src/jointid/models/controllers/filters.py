@@ -17,7 +17,7 @@ Coefficients: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
 
 
 class Filter(Protocol):
-    """What a law asks of a filter."""
+    """The interface of a filter."""
 
     def coefficients(self, period: float) -> Coefficients:
         """Return ``b0, b1, ...`` and ``a0, a1, ...`` at a period."""

@@ -8,7 +8,7 @@ delay that may be a fraction of a period. With v the filtered backward differenc
     PID       u = kp e + ki I + kd (dr/dt - v),  I the sum of T e
     PD        the same without I
 
-All sums are those of earlier periods, all differences backward ones. What is around all of them is in `drawn`.
+All sums are those of earlier periods, all differences backward ones. What is around all of them is in `diagram`.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from typing import Literal, TypeAlias
 
 from jointid.common.errors import MethodError
 from jointid.common.settings import Setting, declare, documented, setting
-from jointid.models.controllers.block_diagram import Diagram, Signal
+from jointid.models.controllers.block_diagram import BlockSignal, Diagram
 from jointid.models.controllers.sampled import POSITION, REFERENCE_VELOCITY, SampledLaw
-from jointid.models.controllers.servo_base import Controller, Drawn
+from jointid.models.controllers.servo_base import Controller, DiagramController
 
 _WHOLE = 1e-6  # how near to a whole number of periods a slower loop's must be
 _DRIFT = 1e-2  # of a period: how far clocks may drift apart before an instant is taken for the next one
@@ -44,7 +44,7 @@ def _gain(help: str, unit: str) -> Mapping[str, Setting]:  # noqa: A002
 
 @documented
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Cascade(Drawn):
+class Cascade(DiagramController):
     """A position loop around a velocity loop: P-P, or P-PI where `ki` is not 0 (the module's equations)."""
 
     kp: float = field(metadata=_gain("position gain", "1/s"))
@@ -84,23 +84,23 @@ class Cascade(Drawn):
 
     def law(self, sample_time: float) -> SampledLaw:
         """Return the state-space form."""
-        drawn = self._diagram(self.period or sample_time)
-        position = drawn.input(POSITION)
-        command = drawn.held((self._reference(drawn) - position) * self.kp + self._fed(drawn))
+        diagram = self._diagram(self.period or sample_time)
+        position = diagram.input(POSITION)
+        command = diagram.held((self._reference(diagram) - position) * self.kp + self._fed(diagram))
         if self.velocity_limit < math.inf:
-            command, _ = drawn.limited(command, self.velocity_limit)
-        slip = command - self._velocity(drawn, position)
+            command, _ = diagram.limited(command, self.velocity_limit)
+        slip = command - self._velocity(diagram, position)
         controlled = slip * self.kv
         if self.ki:
-            state, integral = drawn.state()
+            state, integral = diagram.state()
             controlled = controlled + integral * (self.kv * self.ki)
-        output, limit = self._torque(drawn, controlled)
+        output, limit = self._torque(diagram, controlled)
         if self.ki:
-            into = slip * drawn.period
+            into = slip * diagram.period
             if self.limit < math.inf:
-                into = _unwound(drawn, into, limit, self.anti_windup, self.kv * self.ki * self.gain)
-            drawn.follow(state, integral + into)
-        return self._lowered(drawn, output, limit)
+                into = _with_anti_windup(diagram, into, limit, self.anti_windup, self.kv * self.ki * self.gain)
+            diagram.follow(state, integral + into)
+        return self._lower(diagram, output, limit)
 
     def _diagram(self, period: float) -> Diagram:
         phases = (self.position_period or period) / period
@@ -113,19 +113,19 @@ class Cascade(Drawn):
         first = math.ceil(self.position_offset / period - _DRIFT)
         return Diagram(period, round(phases), first % round(phases))
 
-    def _fed(self, drawn: Diagram) -> Signal:
+    def _fed(self, diagram: Diagram) -> BlockSignal:
         if not self.velocity_feedforward:
-            return Signal({})
+            return BlockSignal({})
         if self.reference_velocity == "channel":
             late = self.reference_delay + self.velocity_feedforward_delay
-            return drawn.delayed(drawn.input(REFERENCE_VELOCITY), late) * self.velocity_feedforward
-        reference = drawn.delayed(self._reference(drawn), self.velocity_feedforward_delay)
-        return drawn.difference(reference, slow=True) * self.velocity_feedforward
+            return diagram.delayed(diagram.input(REFERENCE_VELOCITY), late) * self.velocity_feedforward
+        reference = diagram.delayed(self._reference(diagram), self.velocity_feedforward_delay)
+        return diagram.difference(reference, slow=True) * self.velocity_feedforward
 
 
 @documented
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PD(Drawn):
+class PD(DiagramController):
     """``u = kp (reference - position) + kd (reference velocity - velocity)`` (the module's equations).
 
     The reference's velocity is the same filtered difference, of the reference, or the record's own channel, or none
@@ -145,20 +145,20 @@ class PD(Drawn):
 
     def law(self, sample_time: float) -> SampledLaw:
         """Return the state-space form."""
-        drawn = Diagram(self.period or sample_time)
-        _, controlled = self._controlled(drawn)
-        output, limit = self._torque(drawn, controlled)
-        return self._lowered(drawn, output, limit)
+        diagram = Diagram(self.period or sample_time)
+        _, controlled = self._controlled(diagram)
+        output, limit = self._torque(diagram, controlled)
+        return self._lower(diagram, output, limit)
 
-    def _controlled(self, drawn: Diagram) -> tuple[Signal, Signal]:
+    def _controlled(self, diagram: Diagram) -> tuple[BlockSignal, BlockSignal]:
         """Return the position error and the output, without an integral."""
-        reference, position = self._reference(drawn), drawn.input(POSITION)
+        reference, position = self._reference(diagram), diagram.input(POSITION)
         error = reference - position
         if self.reference_velocity == "difference":
-            return error, error * self.kp + self._velocity(drawn, error) * self.kd
-        controlled = error * self.kp - self._velocity(drawn, position) * self.kd
+            return error, error * self.kp + self._velocity(diagram, error) * self.kd
+        controlled = error * self.kp - self._velocity(diagram, position) * self.kd
         if self.reference_velocity == "channel":
-            velocity = drawn.delayed(drawn.input(REFERENCE_VELOCITY), self.reference_delay)
+            velocity = diagram.delayed(diagram.input(REFERENCE_VELOCITY), self.reference_delay)
             controlled = controlled + velocity * self.kd
         return error, controlled
 
@@ -173,18 +173,18 @@ class PID(PD):
 
     def law(self, sample_time: float) -> SampledLaw:
         """Return the state-space form."""
-        drawn = Diagram(self.period or sample_time)
-        error, controlled = self._controlled(drawn)
-        state, integral = drawn.state()
-        output, limit = self._torque(drawn, controlled + integral * self.ki)
-        into = error * drawn.period
+        diagram = Diagram(self.period or sample_time)
+        error, controlled = self._controlled(diagram)
+        state, integral = diagram.state()
+        output, limit = self._torque(diagram, controlled + integral * self.ki)
+        into = error * diagram.period
         if self.limit < math.inf and self.ki:
-            into = _unwound(drawn, into, limit, self.anti_windup, self.ki * self.gain)
-        drawn.follow(state, integral + into)
-        return self._lowered(drawn, output, limit)
+            into = _with_anti_windup(diagram, into, limit, self.anti_windup, self.ki * self.gain)
+        diagram.follow(state, integral + into)
+        return self._lower(diagram, output, limit)
 
 
-def begun_later(controller: Controller, seconds: float) -> Controller:
+def shift_start(controller: Controller, seconds: float) -> Controller:
     """Return a controller as it is for a log that begins so many seconds later: a slower loop in it keeps its instants.
 
     Only a `Cascade` with a position loop of its own has any. Negative: for a log that begins earlier.
@@ -197,9 +197,9 @@ def begun_later(controller: Controller, seconds: float) -> Controller:
     return replace(controller, position_offset=0.0 if rounding else float(f"{offset:.12g}"))
 
 
-def _unwound(drawn: Diagram, into: Signal, limit: int, anti_windup: str, weight: float) -> Signal:
-    """Return what is added to an integral in a period, with its anti-windup; `weight` takes the integral to torque."""
+def _with_anti_windup(diagram: Diagram, into: BlockSignal, limit: int, anti_windup: str, weight: float) -> BlockSignal:
+    """Return an integral's increment in a period, with its anti-windup; `weight` takes the integral to torque."""
     if anti_windup == "hold":
-        return drawn.gated(into, limit)
+        return diagram.gated(into, limit)
     # An integral of no weight has no share in what was cut off.
-    return into + drawn.excess(limit) * (1.0 / weight) if anti_windup == "track" and weight else into
+    return into + diagram.excess(limit) * (1.0 / weight) if anti_windup == "track" and weight else into

@@ -1,4 +1,4 @@
-"""What all controllers have beside their gains: clocks and limits, and what a drawn law's torque passes.
+"""Common base of the controllers: clocks, limits, feed-forward and torque filters.
 
 That is, in this order: what is added from the reference, ``acceleration_feedforward d2r/dt2 + viscous_feedforward dr/dt
 + coulomb_feedforward sign(dr/dt) + constant_feedforward``; what is injected before the limit; the torque's filters,
@@ -15,7 +15,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from jointid.common.settings import check_settings, documented, setting
-from jointid.models.controllers.block_diagram import Diagram, Signal
+from jointid.models.controllers.block_diagram import BlockSignal, Diagram
 from jointid.models.controllers.filters import Filter, as_filter
 from jointid.models.controllers.sampled import CONSTANT, DIRECTION, INJECTED, REFERENCE, SampledLaw, referred
 
@@ -23,7 +23,7 @@ Interpolation = Literal["hold", "linear", "cubic"]
 
 
 class Controller(Protocol):
-    """What a closed loop asks of a controller; every law below is one."""
+    """The interface of a controller in a closed loop."""
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -35,7 +35,7 @@ class Controller(Protocol):
 
 @documented
 @dataclass(frozen=True, slots=True)
-class Timed:
+class ServoController:
     """What every law has beside its gains; all its numbers but the ratio are on its own side of a transmission."""
 
     gain: float = setting(
@@ -77,8 +77,8 @@ class Timed:
 
 @documented
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Drawn(Timed):
-    """What the laws have that are drawn: a velocity from the position, feed-forward, and the torque's filters."""
+class DiagramController(ServoController):
+    """Common base of laws made of a `Diagram`: velocity from position, feed-forward, and torque filters."""
 
     velocity_filter: Filter | Sequence[float] = setting(
         (1.0,),
@@ -109,42 +109,42 @@ class Drawn(Timed):
         object.__setattr__(self, "torque_filters", tuple(self.torque_filters))
         check_settings(self)
 
-    def _velocity(self, drawn: Diagram, position: Signal) -> Signal:
+    def _velocity(self, diagram: Diagram, position: BlockSignal) -> BlockSignal:
         """Return the filtered backward difference, ``H(z) (1 - z^-1) / T``, in as few states as it has."""
-        b, a = as_filter(self.velocity_filter).coefficients(drawn.period)
-        return drawn.filtered(position, tuple(np.convolve(b, [1.0, -1.0]) / drawn.period), a)
+        b, a = as_filter(self.velocity_filter).coefficients(diagram.period)
+        return diagram.filtered(position, tuple(np.convolve(b, [1.0, -1.0]) / diagram.period), a)
 
-    def _reference(self, drawn: Diagram) -> Signal:
-        return drawn.delayed(drawn.input(REFERENCE), self.reference_delay)
+    def _reference(self, diagram: Diagram) -> BlockSignal:
+        return diagram.delayed(diagram.input(REFERENCE), self.reference_delay)
 
-    def _torque(self, drawn: Diagram, controlled: Signal) -> tuple[int, int]:
+    def _torque(self, diagram: Diagram, controlled: BlockSignal) -> tuple[int, int]:
         """Draw what follows a controller's output, in controller units; return which element acts, and the limit's."""
-        torque = (controlled + self._feedforward(drawn)) * self.gain + drawn.input(INJECTED)
+        torque = (controlled + self._feedforward(diagram)) * self.gain + diagram.input(INJECTED)
         late = self.filters_at == "after_limit"
         if not late:
-            torque = self._filtered(drawn, torque)
-        torque, limit = drawn.limited(torque, self.limit * self.gain, of_torque=True)
+            torque = self._filtered(diagram, torque)
+        torque, limit = diagram.limited(torque, self.limit * self.gain, of_torque=True)
         if not (late and self.torque_filters):
             return limit, limit
-        return drawn.limited(self._filtered(drawn, torque), of_torque=True)[1], limit
+        return diagram.limited(self._filtered(diagram, torque), of_torque=True)[1], limit
 
-    def _lowered(self, drawn: Diagram, output: int, limit: int) -> SampledLaw:
+    def _lower(self, diagram: Diagram, output: int, limit: int) -> SampledLaw:
         """Return the law that was drawn, with the elements that `_torque` named, as its joint sees it."""
-        return referred(drawn.law(output=output, tap=limit, delay=self.delay), self.ratio)
+        return referred(diagram.law(output=output, tap=limit, delay=self.delay), self.ratio)
 
-    def _filtered(self, drawn: Diagram, torque: Signal) -> Signal:
+    def _filtered(self, diagram: Diagram, torque: BlockSignal) -> BlockSignal:
         for one in self.torque_filters:
-            torque = drawn.filtered(torque, *one.coefficients(drawn.period))
+            torque = diagram.filtered(torque, *one.coefficients(diagram.period))
         return torque
 
-    def _feedforward(self, drawn: Diagram) -> Signal:
-        total = drawn.input(CONSTANT) * self.constant_feedforward if self.constant_feedforward else Signal({})
+    def _feedforward(self, diagram: Diagram) -> BlockSignal:
+        total = diagram.input(CONSTANT) * self.constant_feedforward if self.constant_feedforward else BlockSignal({})
         late = self.reference_delay + self.torque_feedforward_delay
         if self.acceleration_feedforward or self.viscous_feedforward:
-            velocity = drawn.difference(drawn.delayed(drawn.input(REFERENCE), late))
+            velocity = diagram.difference(diagram.delayed(diagram.input(REFERENCE), late))
             total = total + velocity * self.viscous_feedforward
             if self.acceleration_feedforward:
-                total = total + drawn.difference(velocity) * self.acceleration_feedforward
+                total = total + diagram.difference(velocity) * self.acceleration_feedforward
         if self.coulomb_feedforward:
-            total = total + drawn.delayed(drawn.input(DIRECTION), late) * self.coulomb_feedforward
+            total = total + diagram.delayed(diagram.input(DIRECTION), late) * self.coulomb_feedforward
         return total

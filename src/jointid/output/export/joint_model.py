@@ -255,8 +255,13 @@ def joint_model(answer: Json, joint: Joint, name: str | None = None, source: str
 
 
 def _read(answer: Json, joint: Joint, name: str) -> JointModel:
-    friction = "symmetric" if joint.friction.symmetric else "asymmetric"
-    declared = (joint.model, joint.kind, friction, gravity_answer(joint), transmission_answer(joint.transmission))
+    declared = (
+        joint.model,
+        joint.kind,
+        joint.friction.name,
+        gravity_answer(joint),
+        transmission_answer(joint.transmission),
+    )
     told = tuple(answer[key] for key in ("model", "kind", "friction", "gravity", "transmission"))
     if answer["schema"] not in SCHEMAS or told != declared:
         raise ValueError

@@ -48,7 +48,7 @@ def _of_record(estimate: Estimate) -> Json:
         "variant": estimate.settings.variant,
         "model": estimate.settings.joint.model,
         "kind": estimate.settings.joint.kind,
-        "friction": "symmetric" if estimate.settings.joint.friction.symmetric else "asymmetric",
+        "friction": estimate.settings.joint.friction.name,
         "gravity": gravity_answer(estimate.settings.joint),
         "transmission": transmission_answer(estimate.settings.joint.transmission),
         "record": {
@@ -173,7 +173,7 @@ def _of_several(estimate: Estimate) -> Json:
         "schema": TOGETHER_SCHEMA,
         "model": estimate.settings.joint.model,
         "kind": estimate.settings.joint.kind,
-        "friction": "symmetric" if estimate.settings.joint.friction.symmetric else "asymmetric",
+        "friction": estimate.settings.joint.friction.name,
         "gravity": gravity_answer(estimate.settings.joint),
         "torque_unit": estimate.data.torque_unit,
         "transmission": transmission_answer(estimate.settings.joint.transmission),
@@ -247,7 +247,7 @@ def _of_log(estimate: Estimate) -> Json:
         "schema": LONG_SCHEMA,
         "model": estimate.settings.joint.model,
         "kind": estimate.settings.joint.kind,
-        "friction": "symmetric" if estimate.settings.joint.friction.symmetric else "asymmetric",
+        "friction": estimate.settings.joint.friction.name,
         "gravity": gravity_answer(estimate.settings.joint),
         "transmission": transmission_answer(estimate.settings.joint.transmission),
         "record": {

@@ -12,7 +12,7 @@ from jointid.models.disturbances import Drift, Effect, PositionHarmonics
 from jointid.models.joints import Joint
 from jointid.models.refer import OtherSide
 from jointid.models.transmission import Transmission
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.records.time_base.uniformity import Resampled
 from jointid.simulation.closed_loop import Initial
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from jointid.common.text import interval, number
 from jointid.diagnostics.report_data import Dossier
 from jointid.estimation.result.estimate import Estimate
+from jointid.models.friction import DIRECTIONS, Part
 from jointid.models.joints import frequencies
 from jointid.uncertainty.combination import Kind
 from jointid.uncertainty.verdict import Subject
@@ -20,7 +21,7 @@ QUESTIONS = {
     Subject.LOOP: "Are controller and log as declared?",
 }
 _CHANNELS = {"injected": "injected signal"}
-_FRICTIONS = (("viscous", "viscous"), ("coulomb", "Coulomb"))
+_FRICTIONS: tuple[tuple[Part, str], ...] = (("viscous", "viscous"), ("coulomb", "Coulomb"))
 _METHODS = {
     "didim": "DIDIM",
     "idim": "IDIM",
@@ -71,12 +72,15 @@ def _finding(estimate: Estimate) -> str:
     return "the stiffness cannot be told: this record does not show the spring, and no number is given for it."
 
 
-def _friction(estimate: Estimate, name: str, words: str) -> str:
+def _friction(estimate: Estimate, part: Part, words: str) -> str:
     """Return one friction of a rigid joint, of each direction where they differ."""
-    if estimate.settings.joint.friction.symmetric:
-        return f"{words} friction {_known(estimate, name)}"
-    ways = [f"{_known(estimate, f'{name}_{way}')} {way}" for way in ("forwards", "backwards")]
-    return f"{words} friction {', '.join(ways)}"
+    law = estimate.settings.joint.friction
+    names = {direction: name for direction in DIRECTIONS if (name := law.named(part, direction)) is not None}
+    if not names:
+        return f"no {words} friction"
+    if not law.depends_on_direction(part):
+        return f"{words} friction {_known(estimate, names['forwards'])}"
+    return f"{words} friction {', '.join(f'{_known(estimate, name)} {way}' for way, name in names.items())}"
 
 
 def _side(estimate: Estimate) -> tuple[str, ...]:

@@ -95,7 +95,7 @@ def response_chart(given: Dossier) -> Chart | None:
         ),
         Panel("frequency [Hz]", "phase [°]", tuple(phases), log_x=True, height=200, group="frequency"),
     )  # fmt: skip
-    way = "" if given.estimate.settings.joint.friction.symmetric else " of moving forwards"
+    way = " of moving forwards" if given.estimate.settings.joint.friction.depends_on_direction("viscous") else ""
     caption = (
         f"What the identified joint answers to its motor's torque, viscous friction{way} and no Coulomb friction taken "
         "in; the shaded band is 2 sigma of the estimate."

@@ -31,7 +31,7 @@ def inspect(
         figure: also save a picture of all channels, PNG, SVG or PDF by its suffix.
     """
     from jointid.apps.cli.console import check_outputs, show
-    from jointid.records.inspection import inspect as look
+    from jointid.records.files.inspection import inspect as look
 
     check_outputs(figure, json)
     given = {"delimiter": delimiter, "decimal": decimal, "header": header}

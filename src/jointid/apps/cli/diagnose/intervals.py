@@ -41,7 +41,7 @@ def intervals(
     if not of and not bootstrap:
         raise MethodError("There is nothing to do without --of or --bootstrap; give --of stiffness, say.")
     listener = progress(quiet)
-    file = load(joint, changes).overridden(method="didim")
+    file = load(joint, changes).override(method="didim")
     if file.loop is not None:
         require_quantities(of or (), file.loop)
     logged, estimate = identified(file, record, listener)

@@ -36,7 +36,7 @@ def loop(
 
     listener = progress(quiet)
     check_outputs(None, json)
-    logged, estimate = identified(load(joint, changes).overridden(method="didim"), record, listener)
+    logged, estimate = identified(load(joint, changes).override(method="didim"), record, listener)
     check = check_loop(estimate, logged)
     show(check)
     if json is not None:

@@ -38,7 +38,7 @@ def methods(
 
     listener = progress(quiet)
     check_outputs(None, json)
-    file = load(joint, changes).overridden(filtering=filtering)
+    file = load(joint, changes).override(filtering=filtering)
     logged = file.record(record)
     ready(listener)
     comparison = run(

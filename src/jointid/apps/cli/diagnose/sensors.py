@@ -42,7 +42,7 @@ def sensors(
 
     listener = progress(quiet)
     check_outputs(None, json)
-    file = load(joint, changes).overridden(method="didim")
+    file = load(joint, changes).override(method="didim")
     logged, estimate = identified(file, record, listener)
     if estimate.checks.bounds:
         found = revealing(estimate, logged, encoder_step=encoder_step, noise=noise, progress=listener)

@@ -1,4 +1,4 @@
-"""From a file to a record: the clock, the channels in SI, and every fault reported at once."""
+"""Read a record from a file: its clock, its channels in SI, and every fault reported at once."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ import numpy as np
 from jointid.common import units
 from jointid.common.errors import RecordError
 from jointid.models.transmission import Transmission
-from jointid.records.checks import CLOCK_TOLERANCE, finite_faults, scale_faults
+from jointid.records.checks.finite import finite_faults
+from jointid.records.checks.record_checks import scale_faults
 from jointid.records.columns import Column, known_units, unit_fault, unit_of_column
 from jointid.records.drives.drive import Drive
-from jointid.records.drives.profiles import side_of
+from jointid.records.drives.profiles import find_side
 from jointid.records.formats import Table, read_table
-from jointid.records.other_axes import other_axes
+from jointid.records.reading.other_axes import find_other_axes
 from jointid.records.record import CHANNELS, Channel, Injection, Record, Tap, Timing
 from jointid.records.refer import refer_channel
-from jointid.records.time_base.clock import Clock, Clocks, apart_faults, clock_of
-from jointid.records.time_base.resampling import Resampling, Stamped, resampled_together
-from jointid.records.time_base.update_rate import Refreshed, begun_together
-from jointid.records.unwrap import unwrapped, wrap_faults
+from jointid.records.signals.unwrap import unwrap, wrap_faults
+from jointid.records.time_base.clock import Clock, Clocks, beginning_faults, find_clock
+from jointid.records.time_base.resampling import Resampling, Stamped, resample_together
+from jointid.records.time_base.uniformity import CLOCK_TOLERANCE
+from jointid.records.time_base.update_rate import align_updates
 
 _MOVES = 0.01  # of this axis's travel: an axis that moves less is held
 
@@ -71,7 +73,7 @@ def read(
         RecordError: the file cannot be read, or does not hold what it is declared to hold; `faults` has a
             sentence for each missing column, wrong unit, gap, jump of the clock and impossible scale.
     """
-    how = Wanted(
+    reader = RecordReader(
         columns or {},
         drive or Drive(),
         time,
@@ -83,12 +85,12 @@ def read(
         clock_tolerance,
         resample,
     )
-    return how.record(read_table(path, **options), Path(path).stem)
+    return reader.build_record(read_table(path, **options), Path(path).stem)
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
-    """How a table becomes a record; see `read` for what each means.
+class RecordReader:
+    """Settings by which a table becomes a record; `read` explains each.
 
     Raises:
         RecordError: there is no channel of a name, or no such kind of joint.
@@ -112,7 +114,7 @@ class Wanted:
         if self.kind not in units.POSITION_UNITS:
             raise RecordError(f'A joint is "prismatic" or "revolute"; got {self.kind!r}.')
 
-    def record(self, table: Table, name: str) -> Record:
+    def build_record(self, table: Table, name: str) -> Record:
         """Return the record that a table holds, under its own name or this one.
 
         Raises:
@@ -121,30 +123,29 @@ class Wanted:
         columns = self.columns
         wanted = {n: Column(c) if isinstance(c := columns[n], str) else c for n in CHANNELS if n in columns}
         if any(column.sample_time or column.time for column in wanted.values()):
-            table = _without_tails(table)
-        reading = _Reading(table, self.kind, self.transmission, self.drive, [])
-        found = reading.in_files_units(wanted, reading.found(reading.profiled(wanted)))
-        clocks = self._clocks(table, found, reading.faults)
-        read_in = {channel: reading.channel(channel, found, clocks) for channel in found}
+            table = _cut_tails(table)
+        source = _Columns(table, self.kind, self.transmission, self.drive, [])
+        found = source.apply_file_units(wanted, source.find_columns(source.apply_profile(wanted)))
+        clocks = self._clocks(table, found, source.faults)
+        read_in = {channel: source.build_channel(channel, found, clocks) for channel in found}
         if self.resample is None:
-            reading.faults.extend(apart_faults({n: clocks.of(c) for n, c in found.items()}, self.clock_tolerance))
-        if reading.faults:
-            raise RecordError(reading.faults)
+            source.faults.extend(
+                beginning_faults({n: clocks.clock_of(c) for n, c in found.items()}, self.clock_tolerance)
+            )
+        if source.faults:
+            raise RecordError(source.faults)
         logged = {n: c for n, c in read_in.items() if c is not None}
-        others = reading.others(found, clocks)
+        others = source.find_other_positions(found, clocks)
         done = None
         if self.resample is None:
             updates = {n: column.update_time for n, column in found.items()}
-            together = {n: Refreshed(c, updates.get(n)) for n, c in {**logged, **others}.items()}
-            channels, begin, faults = begun_together(together)
+            channels, begin = align_updates({**logged, **others}, updates)
         else:
-            stamped, faults = _stamped(logged, others, found, clocks)
-            if not faults:
-                channels, done, begin, faults = resampled_together(stamped, self.resample)
-        if faults:
-            raise RecordError(faults)
+            channels, begin, done = resample_together(_add_stamps(logged, others, found, clocks), self.resample)
         apart = {n: channels.pop(n) for n in others}
-        record = replace(_record(channels, found, self.name or name), other_axes=apart, begin=begin, resampled=done)
+        record = replace(
+            _build_record(channels, found, self.name or name), other_axes=apart, begin=begin, resampled=done
+        )
         faults = scale_faults(record)
         if faults:
             raise RecordError(faults)
@@ -161,18 +162,18 @@ class Wanted:
         tolerance = None if self.resample else self.clock_tolerance
         common = Clock(self.sample_time)
         if time is not None or None in named:
-            common, wrong = clock_of(table, time, self.time_unit, self.sample_time, tolerance)
+            common, wrong = find_clock(table, time, self.time_unit, self.sample_time, tolerance)
             faults.extend(wrong)
         own = {}
         for name in sorted(filter(None, named)):
-            own[name], wrong = clock_of(table, name, self.time_unit, None, tolerance)
-            faults.extend(f'"{name}": {fault}' if tolerance else fault for fault in wrong)
+            own[name], wrong = find_clock(table, name, self.time_unit, None, tolerance)
+            faults.extend(wrong)
         return Clocks(common, own, told)
 
 
 @dataclass(frozen=True, slots=True)
-class _Reading:
-    """A table on its way to a record; what is wrong with it is collected in `faults`, and reading goes on."""
+class _Columns:
+    """The columns of a table that become channels; faults are collected, and reading goes on."""
 
     table: Table
     kind: str
@@ -180,21 +181,21 @@ class _Reading:
     drive: Drive
     faults: list[str]
 
-    def profiled(self, wanted: Mapping[str, Column]) -> Mapping[str, Column]:
+    def apply_profile(self, wanted: Mapping[str, Column]) -> Mapping[str, Column]:
         """Return the columns with what the drive's profile knows; one that nothing names is a fault."""
         profile = self.drive.traces
         if profile is not None:
             kinds = {channel: self.kind_of(channel, wanted.get(channel)) for channel in CHANNELS}
-            found, faults = profile.found(wanted, self.table.columns, self.drive.axis, kinds, self.table.source)
+            found, faults = profile.find_columns(wanted, self.table.columns, self.drive.axis, kinds, self.table.source)
             self.faults.extend(faults)
-            self.faults.extend(self.uncertain(wanted, found, f'profile "{profile.name}"'))
+            self.faults.extend(self.undeclared_current_faults(wanted, found, f'profile "{profile.name}"'))
             return found
         unnamed = [channel for channel, column in wanted.items() if not column.column]
         if unnamed:
             self.faults.append(f"{' and '.join(unnamed)} has no column; name it, or give the drive a profile.")
         return {channel: column for channel, column in wanted.items() if column.column}
 
-    def in_files_units(self, wanted: Mapping[str, Column], found: Mapping[str, Column]) -> dict[str, Column]:
+    def apply_file_units(self, wanted: Mapping[str, Column], found: Mapping[str, Column]) -> dict[str, Column]:
         """Return the columns, in the units of the file where neither the joint file nor a name states one."""
         made = dict(found)
         for channel, column in found.items():
@@ -204,10 +205,14 @@ class _Reading:
             if unit and declared.gain == 1 and declared.stated_unit(known) is None and unit != column.unit:
                 made[channel] = replace(column, unit=unit)
                 torque = {channel: made[channel]}
-                self.faults.extend(self.uncertain(wanted, torque, "the file") if channel == "torque" else [])
+                self.faults.extend(
+                    self.undeclared_current_faults(wanted, torque, "the file") if channel == "torque" else []
+                )
         return made
 
-    def uncertain(self, wanted: Mapping[str, Column], found: Mapping[str, Column], said: str) -> list[str]:
+    def undeclared_current_faults(
+        self, wanted: Mapping[str, Column], found: Mapping[str, Column], said: str
+    ) -> list[str]:
         """Return the fault of a current that nobody but the profile or the file takes for the torque.
 
         Nobody asked for results in A.
@@ -222,12 +227,12 @@ class _Reading:
             f'torque_constant, or unit = "A" with the column to identify per ampere.'
         ]
 
-    def found(self, wanted: Mapping[str, Column]) -> dict[str, Column]:
+    def find_columns(self, wanted: Mapping[str, Column]) -> dict[str, Column]:
         """Return the columns that are there; one that is not is a fault unless it is optional."""
         missing = {n: column for n, column in wanted.items() if column.column not in self.table.columns}
         needed = [f'"{column.column}" (for {n})' for n, column in missing.items() if not column.optional]
         if needed:
-            listed = self.table.listed(" ".join(column.column for column in missing.values()))
+            listed = self.table.list_columns(" ".join(column.column for column in missing.values()))
             why = "".join(
                 f" ({self.table.passed[column.column]})"
                 for column in missing.values()
@@ -240,25 +245,27 @@ class _Reading:
         """Return how the side moves on which a channel is measured."""
         if self.transmission is None:
             return self.kind
-        return self.transmission.kind_of(side_of(channel, column, self.drive.traces, self.drive.axis))
+        return self.transmission.kind_of(find_side(channel, column, self.drive.traces, self.drive.axis))
 
-    def unit(self, what: str, name: str, known: tuple[str, ...], kind: str, *, of_load: bool) -> units.Unit | None:
+    def resolve_unit(
+        self, what: str, name: str, known: tuple[str, ...], kind: str, *, of_load: bool
+    ) -> units.Unit | None:
         """Return the unit of that name on a side that moves so; one that is not among `known` is a fault."""
         if name in known:
             try:
                 geared = self.transmission is not None and self.transmission.geared
-                return self.drive.resolved(units.unit(name), kind, of_load=of_load, geared=geared)
+                return self.drive.resolve_unit(units.unit(name), kind, of_load=of_load, geared=geared)
             except units.UnitError as error:
                 self.faults.append(f'{what} is in "{name}", {error}.')
                 return None
         self.faults.append(unit_fault(what, name, known))
         return None
 
-    def channel(self, name: str, found: Mapping[str, Column], clocks: Clocks) -> Channel | None:
+    def build_channel(self, name: str, found: Mapping[str, Column], clocks: Clocks) -> Channel | None:
         """Return a channel in SI, None if its unit or its rate is at fault."""
         column = found[name]
         what, values = f'{name} (column "{column.column}")', self.table.columns[column.column]
-        clock = clocks.of(column)
+        clock = clocks.clock_of(column)
         period, stamps = clock.sample_time, clock.stamps
         if stamps is None:
             stamps = None if period is None else Channel(values, "", period).time
@@ -266,10 +273,10 @@ class _Reading:
             lengths = f"{values.size} samples, the time {stamps.size}"
             self.faults.append(f"{what} has {lengths}; name columns of one length.")
             stamps = None
-        faults = [*finite_faults(what, values, stamps), *column.misplaced(name)]
+        faults = [*finite_faults(what, values, stamps), *column.misplaced_faults(name)]
         if column.wrap is not None and not faults:
             faults = wrap_faults(what, values, column.wrap)
-            values = unwrapped(values, column.wrap)
+            values = unwrap(values, column.wrap)
         self.faults.extend(faults)
 
         gear, kind = self.transmission, self.kind_of(name, column)
@@ -278,7 +285,7 @@ class _Reading:
                 f'{what} has side = "{column.side}", but no transmission is given; give it, or leave side out.'
             )
         stated = unit_of_column(name, found, kind)
-        unit = self.unit(what, stated, known_units(name, kind), kind, of_load=name == "load_position")
+        unit = self.resolve_unit(what, stated, known_units(name, kind), kind, of_load=name == "load_position")
         if unit is None or period is None:
             return None
         held = name in ("torque", "injected")
@@ -291,27 +298,27 @@ class _Reading:
         )
         if gear is None:
             return channel
-        return refer_channel(gear, name, channel, side_of(name, column, self.drive.traces, self.drive.axis))
+        return refer_channel(gear, name, channel, find_side(name, column, self.drive.traces, self.drive.axis))
 
-    def others(self, found: Mapping[str, Column], clocks: Clocks) -> dict[str, Channel]:
+    def find_other_positions(self, found: Mapping[str, Column], clocks: Clocks) -> dict[str, Channel]:
         """Return the positions of other axes that moved, by their columns; one that cannot be read is left out."""
         position = next((channel for channel in ("motor_position", "reference") if channel in found), None)
-        own = position and replace(self, faults=[]).channel(position, found, clocks)
+        own = position and replace(self, faults=[]).build_channel(position, found, clocks)
         made: dict[str, Channel] = {}
         if not (position and own):
             return made
         # A profile knows the side of this axis's column, and nothing of the others'.
-        side = side_of(position, found[position], self.drive.traces, self.drive.axis)
+        side = find_side(position, found[position], self.drive.traces, self.drive.axis)
         alike = replace(found[position], side=None if self.transmission is None else side)
-        for name in other_axes({channel: column.column for channel, column in found.items()}, self.table.columns):
+        for name in find_other_axes({channel: column.column for channel, column in found.items()}, self.table.columns):
             apart = replace(self, faults=[])
-            other = apart.channel(position, {**found, position: replace(alike, column=name)}, clocks)
+            other = apart.build_channel(position, {**found, position: replace(alike, column=name)}, clocks)
             if other and not apart.faults and np.ptp(other.values) > _MOVES * np.ptp(own.values):
                 made[name] = other
         return made
 
 
-def _without_tails(table: Table) -> Table:
+def _cut_tails(table: Table) -> Table:
     """Return the table with each column cut after its last number."""
     cut = {}
     for name, values in table.columns.items():
@@ -320,26 +327,28 @@ def _without_tails(table: Table) -> Table:
     return replace(table, columns=cut)
 
 
-def _stamped(
+def _add_stamps(
     logged: Mapping[str, Channel], others: Mapping[str, Channel], found: Mapping[str, Column], clocks: Clocks
-) -> tuple[dict[str, Stamped], list[str]]:
-    """Return the channels with their instants; what has none, or is picked by its refreshes, is a fault."""
+) -> dict[str, Stamped]:
+    """Return the channels with their instants; raise what has none, or is thinned to its updates."""
     faults = []
     made = {}
     position = next((name for name in ("motor_position", "reference") if name in found), "")
     for name, channel in {**logged, **others}.items():
         column = found[name] if name in found else replace(found[position], column=name)
-        clock = clocks.of(column)
+        clock = clocks.clock_of(column)
         if column.update_time is not None:
             faults.append(f"{name} has an update_time, and is to be resampled; leave one of the two out.")
         elif clock.stamps is None:
             faults.append(f"{name} has no time stamps to be resampled by; name its time column, or leave resample out.")
         else:
             made[name] = Stamped(channel, clock.stamps, clock.column)
-    return made, faults
+    if faults:
+        raise RecordError(faults)
+    return made
 
 
-def _record(channels: Mapping[str, Channel], found: Mapping[str, Column], name: str) -> Record:
+def _build_record(channels: Mapping[str, Channel], found: Mapping[str, Column], name: str) -> Record:
     """Return the record that the channels make."""
     torque, injected = channels.get("torque"), channels.get("injected")
     if torque is not None and injected is not None and torque.unit != injected.unit:

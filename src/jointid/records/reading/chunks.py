@@ -1,7 +1,7 @@
-"""A record that may be longer than memory, in pieces: each is a record of its own, and knows where it stood.
+"""Read a record that may be longer than memory in chunks: each is a record with its place in the whole.
 
-Pieces begin a length apart, and each goes on beyond the next one's beginning by an overlap, so that what is simulated
-or filtered can settle at both ends of a piece and every sample still counts in one of them.
+Chunks begin a length apart, and each overlaps the next, so that a simulation or a filter can settle at both ends of a
+chunk and every sample still counts in one of them.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from jointid.common.errors import RecordError
 from jointid.records.columns import Column
 from jointid.records.drives.drive import Drive
 from jointid.records.formats import Table, read_blocks
-from jointid.records.reading import Wanted
+from jointid.records.reading.read import RecordReader
 from jointid.records.record import Channel, Record
-from jointid.records.time_base.clock import RATE_TOLERANCE
+from jointid.records.time_base.clock import is_same_rate
 
 _LOOK = 1000  # rows that tell the sample time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Piece:
+class Chunk:
     """A part of a long record.
 
     Attributes:
-        number: of the piece, from 0.
+        number: of the chunk, from 0.
         record: what it holds; its `begin` is where it stood, in seconds from the first sample of all.
-        last: whether nothing follows it.
+        last: True if no other follows.
     """
 
     number: int
@@ -41,11 +41,11 @@ class Piece:
 
 
 class LongRecord(Protocol):
-    """What a record is read from in pieces."""
+    """A source of a record that is read in chunks."""
 
     @property
     def name(self) -> str:
-        """What reports call it."""
+        """Name of the record in reports."""
         ...
 
     @property
@@ -53,15 +53,15 @@ class LongRecord(Protocol):
         """Of every channel, in seconds."""
         ...
 
-    def pieces(self, length: int, overlap: int, every: int = 1) -> Iterator[Piece]:
-        """Yield one piece after the other, or one in so many.
+    def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
+        """Yield one chunk after the other, or one in so many.
 
-        What is left at the end, and shorter than the overlap, is in the piece before it, and is none of its own.
+        What is left at the end, and shorter than the overlap, is in the chunk before it, and is none of its own.
 
         Args:
-            length: samples from the beginning of a piece to that of the next.
-            overlap: samples that a piece goes on beyond that, `length` at most.
-            every: of so many pieces the first is read.
+            length: samples from the beginning of a chunk to that of the next.
+            overlap: samples that a chunk goes on beyond that, `length` at most.
+            every: of so many chunks the first is read.
 
         Raises:
             RecordError: the record cannot be read, or does not hold what it is declared to hold.
@@ -117,31 +117,31 @@ class Log:
         first = next(self._tables(_LOOK, 0, 1), None)
         if first is None:
             raise RecordError(f"{Path(self.path).name} holds no sample; log or copy it again.")
-        return _rate(self._wanted.record(first[1], self.name))
+        return _require_one_rate(self._reader.build_record(first[1], self.name))
 
-    def pieces(self, length: int, overlap: int, every: int = 1) -> Iterator[Piece]:
-        """Yield one piece after the other, or one in so many; see `LongRecord`."""
-        wanted, sample_time = self._wanted, self.sample_time
+    def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
+        """Yield one chunk after the other, or one in so many; see `LongRecord`."""
+        reader, sample_time = self._reader, self.sample_time
         for number, table, last in self._tables(length, overlap, every):
             try:
-                record = _at_rate(wanted.record(table, self.name), sample_time, number * length)
+                record = _set_rate(reader.build_record(table, self.name), sample_time, number * length)
             except RecordError as error:
                 raise RecordError(
                     [f"{Path(self.path).name}, rows from {number * length + 1} on: {fault}" for fault in error.faults]
                 ) from None
-            yield Piece(number, record, last)
+            yield Chunk(number, record, last)
 
     @property
-    def _wanted(self) -> Wanted:
-        return Wanted(self.columns, **{"drive": Drive(), **self.settings})
+    def _reader(self) -> RecordReader:
+        return RecordReader(self.columns, **{"drive": Drive(), **self.settings})
 
     def _tables(self, length: int, overlap: int, every: int) -> Iterator[tuple[int, Table, bool]]:
-        """Yield the number, the numbers and whether it is the last of one piece in so many."""
+        """Yield the index and the numbers of one chunk in so many, and True with the last."""
         held: tuple[int, Table] | None = None
         for number, block in enumerate(read_blocks(self.path, length, **self.options)):
             rest = number > 0 and block.rows < overlap
             if held is not None:
-                yield held[0], _joined(held[1], block.table(overlap)) if overlap else held[1], rest
+                yield held[0], _join(held[1], block.table(overlap)) if overlap else held[1], rest
             held = (number, block.table()) if number % every == 0 and not rest else None
         if held is not None:
             yield *held, True
@@ -149,7 +149,7 @@ class Log:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InMemory:
-    """A record that is already there, in pieces.
+    """A record in memory, read in chunks.
 
     Attributes:
         record: all channels at one rate.
@@ -165,23 +165,23 @@ class InMemory:
     @property
     def sample_time(self) -> float:
         """Of its channels."""
-        return _rate(self.record)
+        return _require_one_rate(self.record)
 
-    def pieces(self, length: int, overlap: int, every: int = 1) -> Iterator[Piece]:
-        """Yield one piece after the other, or one in so many; see `LongRecord`."""
+    def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
+        """Yield one chunk after the other, or one in so many; see `LongRecord`."""
         samples = min(len(channel) for _, channel in self.record.items())
         firsts = range(0, max(samples - max(overlap, 1), 0) + 1, length)
         for number, first in enumerate(firsts):
             if number % every == 0:
                 part = _cut(self.record, first, min(first + length + overlap, samples))
-                yield Piece(number, part, first == firsts[-1])
+                yield Chunk(number, part, first == firsts[-1])
 
 
-def _rate(record: Record) -> float:
+def _require_one_rate(record: Record) -> float:
     """Return the sample time of all channels of a record."""
     times = {name: channel.sample_time for name, channel in record.items()}
     first = next(iter(times.values()))
-    if any(abs(time / first - 1) > RATE_TOLERANCE for time in times.values()):
+    if not all(is_same_rate(time, first) for time in times.values()):
         listed = ", ".join(f"{name} {time:g} s" for name, time in times.items())
         raise RecordError(
             f"A record that is read in pieces has one sample time ({listed}); log all channels at one rate."
@@ -189,20 +189,20 @@ def _rate(record: Record) -> float:
     return first
 
 
-def _at_rate(record: Record, sample_time: float, first: int) -> Record:
-    """Return a piece of a record at the sample time of all of it, beginning with that sample."""
-    own = _rate(record)
-    if abs(own / sample_time - 1) > RATE_TOLERANCE:
+def _set_rate(record: Record, sample_time: float, first: int) -> Record:
+    """Return a chunk of a record at the sample time of all of it, beginning with that sample."""
+    own = _require_one_rate(record)
+    if not is_same_rate(own, sample_time):
         raise RecordError(f"the sample time is {own:g} s here and {sample_time:g} s at the beginning; cut it there.")
-    return _changed(record, lambda c: replace(c, sample_time=sample_time), first * sample_time)
+    return _map_channels(record, lambda c: replace(c, sample_time=sample_time), first * sample_time)
 
 
 def _cut(record: Record, first: int, end: int) -> Record:
-    begin = record.begin + first * _rate(record)
-    return _changed(record, lambda c: replace(c, values=c.values[first:end]), begin)
+    begin = record.begin + first * _require_one_rate(record)
+    return _map_channels(record, lambda c: replace(c, values=c.values[first:end]), begin)
 
 
-def _changed(record: Record, change: Callable[[Channel], Channel], begin: float) -> Record:
+def _map_channels(record: Record, change: Callable[[Channel], Channel], begin: float) -> Record:
     """Return a record with every channel changed."""
     made: dict[str, Any] = {name: change(channel) for name, channel in record.items()}
     if record.injected is not None:
@@ -211,7 +211,7 @@ def _changed(record: Record, change: Callable[[Channel], Channel], begin: float)
     return replace(record, **made, other_axes=others, begin=begin)
 
 
-def _joined(first: Table, more: Table) -> Table:
+def _join(first: Table, more: Table) -> Table:
     following = more.columns
     columns = {
         name: np.concatenate([values, following[name]]) if name in following else values  # shorter than others

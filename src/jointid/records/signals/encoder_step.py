@@ -11,7 +11,7 @@ _MOSTLY = 0.95  # of the positions that are such multiples
 _PARTS = 5  # steps that the smallest gap may be: an axis that never rests may skip some
 
 
-def step_of(channel: Channel | None) -> float | None:
+def find_encoder_step(channel: Channel | None) -> float | None:
     """Return the step of the encoder that a position was read from, in its unit; None where none is to be seen.
 
     The smallest gap between two positions is a small whole number of steps, of which all other positions are multiples.

@@ -1,4 +1,4 @@
-"""What is wrong with a record, told apart and named: each check returns its faults, one sentence each."""
+"""Check a record: standing still, at its limit, of the wrong unit or sign; each fault is one sentence."""
 
 from __future__ import annotations
 
@@ -6,20 +6,10 @@ import math
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.units import unit, units_of
+from jointid.records.checks.finite import finite_faults
 from jointid.records.record import Channel, InjectionPoint, Record, Tap
-
-CLOCK_TOLERANCE = 0.05
-"""Largest jitter of a time stamp step, as a share of the sample time.
-
-A twentieth of a sample is well below the half sample by which a held and an averaged torque differ, and well
-above the jitter of good loggers (0.004 % in EMPS) and of stamps rounded to a microsecond at 10 kHz (1 %).
-"""
-
-JUMP = 0.5
-"""A step this far from the sample time, as a share of it, is a jump: samples are missing or doubled."""
 
 LIMIT_SHARE = 0.01
 """Share of the samples that may stand at the torque limit: a few peaks cost little information."""
@@ -31,7 +21,7 @@ The public EMPS record with pulses has 14 of 24,841: its pulses pass the limit, 
 """
 
 AT_LIMIT = 1e-3
-"""How near to the limit counts as at it, as a share of the limit: the resolution of a ten-bit log."""
+"""Distance from the limit that counts as at it, as a share of the limit: the resolution of a ten-bit log."""
 
 FASTEST = {"m": 50.0, "rad": 1e5}
 """Speed in SI that no servo-driven joint keeps up: ten times that of a fast linear motor, and 950,000 rpm."""
@@ -49,7 +39,7 @@ RATIO_BAND = (0.5, 2.0)
 """Ratios of motor position to reference that a controller can explain; outside, one is scaled wrongly."""
 
 RATIO_TOLERANCE = 0.1
-"""How near a ratio is to a unit's factor to name that unit."""
+"""Relative distance of a ratio from a unit's factor within which that unit is named."""
 
 
 def check_record(
@@ -72,86 +62,6 @@ def check_record(
         faults += [] if limit is None else limit_faults(record, limit, limit_share, side)
     if faults:
         raise RecordError(faults)
-
-
-def finite_faults(name: str, values: FloatArray, time: FloatArray | None = None) -> list[str]:
-    """Return the faults of raw values, shape (samples,), that are not finite: an early end, and gaps.
-
-    Args:
-        name: what the sentences call the values.
-        values: the values, before they become a channel.
-        time: instants of the samples [s], shape (samples,), if they are known.
-    """
-    bad = np.flatnonzero(~np.isfinite(values))
-    if bad.size == 0:
-        return []
-    if bad.size == values.size:
-        return [f"{name} has no finite number in its {values.size} samples; name another column."]
-    faults = []
-    end = int(np.flatnonzero(~np.isnan(values))[-1]) + 1
-    if end < values.size:
-        faults.append(
-            f"{name} ends early: after {end} of {values.size} samples it is empty (NaN); cut all columns to "
-            "one length, or give the channels of another rate their own sample_time."
-        )
-    bad = bad[bad < end]
-    if bad.size:
-        first = int(bad[0])
-        faults.append(
-            f"{name} has {_count(bad.size, 'sample')} without a finite number, the first {values[first]} at "
-            f"sample {first}{_at(time, first)}; mend them, or cut the record there."
-        )
-    return faults
-
-
-@np.errstate(over="ignore", invalid="ignore")
-def clock_faults(stamps: FloatArray, tolerance: float = CLOCK_TOLERANCE) -> list[str]:
-    """Return the faults of time stamps [s], shape (samples,): jumps, and jitter beyond `tolerance`.
-
-    The sample time is the median step. A step that is more than half a sample time off is a jump (samples
-    left out, a repeated or a backward stamp); what is less is jitter, judged by its largest value as a share
-    of the sample time.
-    """
-    if stamps.size < 2:
-        return ["The time has a single stamp, which tells no sample time; give sample_time."]
-    faults = finite_faults("time", stamps)
-    if faults:
-        return faults
-    steps = np.diff(stamps)
-    sample_time = float(np.median(steps))
-    if sample_time <= 0:
-        return [
-            f"The time does not run forward (its median step is {sample_time:g} s); name another time "
-            "column, or give sample_time without time."
-        ]
-    error = np.abs(steps / sample_time - 1)
-    jumped = error > max(JUMP, tolerance)
-    if jumped.any():
-        first = int(np.argmax(jumped))
-        faults.append(
-            f"The time jumps {_count(int(jumped.sum()), 'time')}: after sample {first}{_at(stamps, first)} "
-            f"it {_jump(float(steps[first]), sample_time)}; cut the record there, or give sample_time "
-            "without time if only the stamps are wrong."
-        )
-    jitter = np.where(jumped, 0.0, error)
-    if jitter.max() > tolerance:
-        first = int(np.argmax(jitter > tolerance))
-        faults.append(
-            f"The time jitters by up to {jitter.max():.1%} of the sample time of {sample_time:g} s "
-            f"({np.sqrt(np.mean(jitter**2)):.1%} rms), first beyond {tolerance:.1%} after sample {first}"
-            f"{_at(stamps, first)}; give resample = {{ sample_time, method }}, or sample_time without time if only "
-            "the stamps jitter."
-        )
-    return faults
-
-
-def _jump(step: float, sample_time: float) -> str:
-    """Return what a step of the time that is no jitter does."""
-    if step == 0:
-        return "repeats its stamp"
-    lost = round(step / sample_time) - 1
-    late = f"leaves out {_count(lost, 'sample')}" if lost > 0 else "steps early"
-    return f"{'runs backward' if step < 0 else late} (a step of {step:g} s, expected {sample_time:g} s)"
 
 
 def still_faults(record: Record) -> list[str]:
@@ -266,11 +176,3 @@ def _unit_hint(ratio: float, name: str, other_name: str, declared: str) -> str:
             if factor != 1 and abs(ratio / factor - 1) < RATIO_TOLERANCE:
                 return f", as if {suspect} were in {entry.name} and read as {entry.si}; check both units"
     return "; check both units, and give the gain of the one that is off"
-
-
-def _at(time: FloatArray | None, index: int) -> str:
-    return "" if time is None else f" (t = {time[index]:g} s)"
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"

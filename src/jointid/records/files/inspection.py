@@ -1,4 +1,4 @@
-"""What is in a file: every channel with its size, unit, clock, range and a small picture, in bounded memory."""
+"""Inspect a file: size, unit, clock, range and a sparkline of every channel, in bounded memory."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from jointid.common import units
 from jointid.common.document import Block, Document, Documented, Listing, Paragraph, Table
 from jointid.common.text import number, shown
 from jointid.records.columns import unit_in_name
+from jointid.records.files.outline import Outline, OutlineBuilder
 from jointid.records.formats import format_of, read_tables
-from jointid.records.outline import Outline, Outlining
 
 _ROWS = 65536  # that are in memory at once, where the format allows it
 _TIME = re.compile(r"(?:.*[/._ ])?(?:t|time|timestamp|stamp)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
 _LEVELS = "▁▂▃▄▅▆▇█"
-_PICTURE = 24  # characters
+_SPARKLINE = 24  # characters
 _ROUNDING = 1e-3  # per cent of jitter; what is less is of the clock's digits
 _LONGEST = 60  # characters of a name in the table
 
@@ -46,13 +46,13 @@ class InspectedChannel:
 
     @property
     def is_time(self) -> bool:
-        """Whether it is a clock itself."""
+        """True if the channel is a clock itself."""
         return self.time == self.name
 
 
 @dataclass(frozen=True, slots=True)
 class Inspection(Documented):
-    """What is in a file.
+    """Contents of a file.
 
     Attributes:
         file: its name.
@@ -74,7 +74,7 @@ class Inspection(Documented):
         """Return the table of the channels, single numbers, what is not read, and the clocks; all of it always."""
         del details
         header = ("channel", "rows", "unit", "sample time", "min", "max", "NaN", "picture")
-        rows = tuple(map(_row, self.channels))
+        rows = tuple(map(_table_row, self.channels))
         blocks: list[Block] = [Table(header, rows, words=(0, 2, 7))] if rows else []
         if self.scalars:
             numbers = ", ".join(f"{shown(n)} {v:.6g}" for n, v in self.scalars.items())
@@ -100,7 +100,7 @@ class Inspection(Documented):
 
 
 def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
-    """Return what is in a file of any format.
+    """Inspect a file of any format.
 
     A clock is a column whose name ends in t, time, timestamp or stamp, whose unit is one of time, and whose numbers
     only rise. A column belongs to the clock that its format gives it, or else to that of its length whose name has the
@@ -115,21 +115,21 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
         RecordError: there is no such file, or it cannot be read; the sentence says why.
     """
     path = Path(path)
-    outlining: dict[str, Outlining] = {}
+    outlining: dict[str, OutlineBuilder] = {}
     stated, told = dict[str, str](), dict[str, str]()
     scalars, passed = dict[str, float](), dict[str, str]()
     for table in read_tables(path, _ROWS, **options):
         for name, values in table.columns.items():
-            outlining.setdefault(name, Outlining()).take(values)
+            outlining.setdefault(name, OutlineBuilder()).take(values)
         stated.update(table.units)
         told.update(table.clocks)
         scalars, passed = dict(table.scalars), dict(table.passed)
-    outlines = {name: made.outline() for name, made in outlining.items()}
+    outlines = {name: made.build() for name, made in outlining.items()}
     known = units.units_of("time")
     channels = []
     clocks = {name: o for name, o in outlines.items() if _is_clock(name, o, _unit(name, stated))}
     for name, outline in outlines.items():
-        clock = name if name in clocks else told.get(name) or _clock_of(name, outline, clocks)
+        clock = name if name in clocks else told.get(name) or _find_clock(name, outline, clocks)
         clock = clock if clock in clocks else None
         seconds = math.nan if clock is None else _seconds(_unit(clock, stated), known)
         if clock is None:
@@ -156,20 +156,20 @@ def _is_clock(name: str, outline: Outline, unit: str | None) -> bool:
     return bool(_TIME.fullmatch(name)) and of_time and outline.rises and outline.rows > 1
 
 
-def _clock_of(name: str, outline: Outline, clocks: Mapping[str, Outline]) -> str | None:
+def _find_clock(name: str, outline: Outline, clocks: Mapping[str, Outline]) -> str | None:
     """Return the clock of a column; None where there is none of its length that is nearest."""
-    alike = {clock: _shared(name, clock) for clock, other in clocks.items() if other.rows == outline.rows}
+    alike = {clock: _count_shared_parts(name, clock) for clock, other in clocks.items() if other.rows == outline.rows}
     best = [clock for clock, length in alike.items() if length == max(alike.values())]
     return best[0] if len(best) == 1 else None
 
 
-def _shared(name: str, clock: str) -> int:
+def _count_shared_parts(name: str, clock: str) -> int:
     """Return how many parts two paths have in common; a clock "name/time" has all of the name's."""
     pairs = zip(re.split(r"[/.]", name), re.split(r"[/.]", clock), strict=False)
     return next((i for i, (one, other) in enumerate(pairs) if one != other), len(re.split(r"[/.]", name)))
 
 
-def _row(channel: InspectedChannel) -> tuple[str, ...]:
+def _table_row(channel: InspectedChannel) -> tuple[str, ...]:
     outline = channel.outline
     name = shown(channel.name)
     return (
@@ -180,17 +180,17 @@ def _row(channel: InspectedChannel) -> tuple[str, ...]:
         number(outline.minimum),
         number(outline.maximum),
         str(outline.missing),
-        "time" if channel.is_time else picture(outline),
+        "time" if channel.is_time else draw_sparkline(outline),
     )
 
 
-def picture(outline: Outline) -> str:
+def draw_sparkline(outline: Outline) -> str:
     """Return a line of blocks: of each stretch of a channel the number that is farthest from the channel's middle."""
     if outline.minimum is None or outline.maximum is None or not math.isfinite(outline.maximum - outline.minimum):
         return ""
     middle, span = (outline.minimum + outline.maximum) / 2, outline.maximum - outline.minimum
     marks = []
-    for low, high in outline.stretches(_PICTURE):
+    for low, high in outline.stretches(_SPARKLINE):
         if not math.isfinite(low):
             marks.append(" ")
             continue

@@ -1,4 +1,4 @@
-"""Which columns of a log are the positions of other axes: those whose names differ from this axis's by its number."""
+"""Find the positions of other axes in a log: columns whose names differ from this axis's by its number."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ _NUMBER = re.compile(r"\d+")
 _POSITIONS = ("motor_position", "reference")
 
 
-def other_axes(channels: Mapping[str, str], names: Collection[str]) -> tuple[str, ...]:
-    """Return the columns that are to other axes what this joint's position is to it, in the log's order.
+def find_other_axes(channels: Mapping[str, str], names: Collection[str]) -> tuple[str, ...]:
+    """Return the position columns of other axes, in the log's order.
 
     An axis has its number in several names: `pos[2]` and `torque[2]` beside `pos[0]` and `torque[0]`. One name with a
     number tells nothing: `data[0]` and `data[1]` may be anything.
@@ -19,7 +19,7 @@ def other_axes(channels: Mapping[str, str], names: Collection[str]) -> tuple[str
         channels: the column of each channel of this joint.
         names: of all columns.
     """
-    numbered = {channel: dict(_numbers(column, names)) for channel, column in channels.items()}
+    numbered = {channel: dict(_axis_numbers(column, names)) for channel, column in channels.items()}
     position = next((channel for channel in _POSITIONS if channel in channels), None)
     if position is None:
         return ()
@@ -30,7 +30,7 @@ def other_axes(channels: Mapping[str, str], names: Collection[str]) -> tuple[str
     return ()
 
 
-def _numbers(column: str, names: Collection[str]) -> Iterator[tuple[int, frozenset[str]]]:
+def _axis_numbers(column: str, names: Collection[str]) -> Iterator[tuple[int, frozenset[str]]]:
     """Yield each number in a column's name for which there are columns with another one, and those columns."""
     for match in _NUMBER.finditer(column):
         alike = re.compile(re.escape(column[: match.start()]) + r"\d+" + re.escape(column[match.end() :]))

@@ -1,4 +1,4 @@
-"""What a reader of an answer must know of a record that is right in itself: rounding, slow refreshes, late encoders."""
+"""Warnings on a valid record: coarse rounding, a slow update rate, an encoder that lags."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from collections.abc import Collection, Iterator
 import numpy as np
 
 from jointid.records.record import Channel, Record
-from jointid.records.signals import lowpass
-from jointid.records.unwrap import changing_every, quantum
+from jointid.records.signals.filtering import lowpass
+from jointid.records.signals.unwrap import find_quantum
+from jointid.records.time_base.update_rate import update_interval
 
 ROUNDING = 0.01
 """Share of a torque's rms that its rounding may be: the EMPS axis leaves 4 % for other reasons."""
@@ -24,8 +25,8 @@ _SLOW = 0.04  # of the sampling frequency: where a joint moves, and noise does n
 _FEWEST_SAMPLES = 100
 
 
-def record_notes(record: Record, channels: Collection[str]) -> tuple[str, ...]:
-    """Return what must be known of the channels that were read, one sentence each.
+def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str, ...]:
+    """Return the warnings on the channels that were read, one sentence each.
 
     A value that is rounded to steps of q has an error of q / sqrt(12) rms, and a torque that is refreshed every n
     samples is late by half of n more than its timing says. A late encoder differs from the other by its lag times the
@@ -38,15 +39,15 @@ def record_notes(record: Record, channels: Collection[str]) -> tuple[str, ...]:
     notes: list[str] = []
     for name, channel in record.items():
         if name in channels:
-            notes += _refreshes(name, channel)
-            notes += _rounding(name, channel)
+            notes += _update_warnings(name, channel)
+            notes += _rounding_warnings(name, channel)
     if {"motor_position", "load_position"} <= set(channels):
-        notes += _encoder_lag(record)
+        notes += _lag_warnings(record)
     return tuple(notes)
 
 
-def _encoder_lag(record: Record) -> Iterator[str]:
-    """Yield that one encoder is seen later than the other, where that is nearly all of their difference."""
+def _lag_warnings(record: Record) -> Iterator[str]:
+    """Yield a warning where a lag of one encoder explains nearly all of their difference."""
     motor, load = record.motor_position, record.load_position
     if motor is None or load is None or len(motor) < _FEWEST_SAMPLES:
         return
@@ -69,8 +70,8 @@ def _encoder_lag(record: Record) -> Iterator[str]:
         )
 
 
-def _refreshes(name: str, channel: Channel) -> Iterator[str]:
-    every = changing_every(channel.values) if name == "torque" else 1
+def _update_warnings(name: str, channel: Channel) -> Iterator[str]:
+    every = update_interval(channel.values) if name == "torque" else 1
     if every > 1:
         yield (
             f"the {name} changes only every {every} samples: it is logged more often than it is refreshed; give its "
@@ -78,8 +79,8 @@ def _refreshes(name: str, channel: Channel) -> Iterator[str]:
         )
 
 
-def _rounding(name: str, channel: Channel) -> Iterator[str]:
-    step = quantum(channel.values) if name in ("torque", "motor_position", "load_position") else None
+def _rounding_warnings(name: str, channel: Channel) -> Iterator[str]:
+    step = find_quantum(channel.values) if name in ("torque", "motor_position", "load_position") else None
     if step is None:
         return
     if name == "torque":

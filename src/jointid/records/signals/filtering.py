@@ -17,8 +17,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.settings import check_settings, documented, setting
-from jointid.records.modes import Modes, Thinning
 from jointid.records.record import Channel, Timing
+from jointid.records.signals.modes import Modes, Thinning
 
 if TYPE_CHECKING:
     from typing import Self
@@ -34,7 +34,7 @@ _ORDER = 8  # of the decimation filter
 @documented
 @dataclass(frozen=True, slots=True)
 class Filtering:
-    """How measured and simulated signals are filtered before they are compared."""
+    """Filters that measured and simulated signals go through before they are compared."""
 
     position_cutoff: float | None = setting(
         None,
@@ -86,7 +86,7 @@ class Filtering:
         return cls(cutoff=60.0, decimation=12, aliasing="warned")
 
     def warnings(self, sample_time: float) -> tuple[str, ...]:
-        """Return what a reader of the answer must know of this filtering, which is `resolved`."""
+        """Return the warnings on this filtering, which must be `resolved`."""
         assert self.cutoff is not None
         assert self.decimation is not None
         nyquist = 0.5 / (sample_time * self.decimation)
@@ -132,10 +132,12 @@ def lowpass(values: FloatArray, cutoff: float, sample_time: float, order: int = 
 
     Ends are padded by 3 x order samples, reflected about the end point. Raises `RecordError` on a shorter signal.
     """
-    return _smoothed(*_butterworth(2 * cutoff * sample_time, order), values, _padding(values, order))
+    return _filter_both_ways(
+        *_design_butterworth(2 * cutoff * sample_time, order), values, _require_padding(values, order)
+    )
 
 
-def _padding(values: FloatArray, order: int) -> int:
+def _require_padding(values: FloatArray, order: int) -> int:
     padding = 3 * order
     if len(values) <= padding:
         raise RecordError(
@@ -145,7 +147,7 @@ def _padding(values: FloatArray, order: int) -> int:
     return padding
 
 
-def _smoothed(sections: FloatArray, settled: FloatArray, values: FloatArray, padding: int) -> FloatArray:
+def _filter_both_ways(sections: FloatArray, settled: FloatArray, values: FloatArray, padding: int) -> FloatArray:
     """Return values filtered both ways, as `scipy.signal.sosfiltfilt`, which works out what has settled every time.
 
     Args:
@@ -165,7 +167,7 @@ def _smoothed(sections: FloatArray, settled: FloatArray, values: FloatArray, pad
     return np.asarray(line[padding : line.shape[0] - padding])
 
 
-def picked(channel: Channel, sample_time: float) -> Channel:
+def thin_channel(channel: Channel, sample_time: float) -> Channel:
     """Return a sampled channel at a clock that is a whole number of times slower: every so many samples; else as it is.
 
     Nothing is filtered first: a position moves slowly against a torque's clock, and what noise it has is folded down.
@@ -177,7 +179,7 @@ def picked(channel: Channel, sample_time: float) -> Channel:
     return replace(channel, values=channel.values[::every], sample_time=sample_time)
 
 
-def derivative(values: FloatArray, sample_time: float) -> FloatArray:
+def differentiate(values: FloatArray, sample_time: float) -> FloatArray:
     """Return central differences, one-sided at the two ends; along the first axis."""
     return np.asarray(np.gradient(values, sample_time, axis=0))
 
@@ -193,12 +195,12 @@ def decimate(values: FloatArray, filtering: Filtering, sample_time: float) -> Fl
         filtering: cut-off and decimation.
         sample_time: seconds.
     """
-    cutoff, keep, first, padding = _thinned(values, filtering, sample_time)
-    return _smoothed(*_chebyshev(cutoff), values, padding)[first::keep]
+    cutoff, keep, first, padding = _plan_decimation(values, filtering, sample_time)
+    return _filter_both_ways(*_design_chebyshev(cutoff), values, padding)[first::keep]
 
 
 def decimate_all(parts: Sequence[FloatArray], filtering: Filtering, sample_time: float) -> list[FloatArray]:
-    """Return what `decimate` does of each, to rounding, by the filter's `modes`.
+    """Decimate several signals as `decimate` does, to rounding, by the filter's `modes`.
 
     Several times faster, where a search pays for loading the compiler.
 
@@ -207,9 +209,9 @@ def decimate_all(parts: Sequence[FloatArray], filtering: Filtering, sample_time:
         filtering: cut-off and decimation.
         sample_time: seconds.
     """
-    cutoff, keep, first, padding = _thinned(parts[0], filtering, sample_time)
+    cutoff, keep, first, padding = _plan_decimation(parts[0], filtering, sample_time)
     series = [np.ascontiguousarray(np.atleast_2d(part.T), dtype=np.float64) for part in parts]
-    kept = _thinning(cutoff, keep, padding)(series, first)
+    kept = _design_thinning(cutoff, keep, padding)(series, first)
     ends = np.cumsum([len(each) for each in series])
     return [
         kept[end - len(each)] if part.ndim == 1 else kept[end - len(each) : end].T
@@ -217,17 +219,17 @@ def decimate_all(parts: Sequence[FloatArray], filtering: Filtering, sample_time:
     ]
 
 
-def _thinned(values: FloatArray, filtering: Filtering, sample_time: float) -> tuple[float, int, int, int]:
+def _plan_decimation(values: FloatArray, filtering: Filtering, sample_time: float) -> tuple[float, int, int, int]:
     """Return the cut-off as a share of the Nyquist frequency, how many become one, which is first, and the padding."""
     assert filtering.cutoff is not None
     assert filtering.decimation is not None
     keep, n = filtering.decimation, len(values)
     first = keep - (keep * math.ceil(n / keep) - n) - 1
-    return 2 * filtering.cutoff * sample_time, keep, first, _padding(values, _ORDER)
+    return 2 * filtering.cutoff * sample_time, keep, first, _require_padding(values, _ORDER)
 
 
 @lru_cache(maxsize=64)
-def _butterworth(cutoff: float, order: int) -> tuple[FloatArray, FloatArray]:
+def _design_butterworth(cutoff: float, order: int) -> tuple[FloatArray, FloatArray]:
     """Return a position filter's sections and their states at a constant 1: slow to design."""
     from scipy.signal import butter, sosfilt_zi
 
@@ -236,7 +238,7 @@ def _butterworth(cutoff: float, order: int) -> tuple[FloatArray, FloatArray]:
 
 
 @lru_cache(maxsize=64)
-def _chebyshev(cutoff: float) -> tuple[FloatArray, FloatArray]:
+def _design_chebyshev(cutoff: float) -> tuple[FloatArray, FloatArray]:
     """Return the decimation filter's sections and their states at a constant 1: slow to design."""
     from scipy.signal import cheby1, sosfilt_zi
 
@@ -245,14 +247,14 @@ def _chebyshev(cutoff: float) -> tuple[FloatArray, FloatArray]:
 
 
 @lru_cache(maxsize=64)
-def _thinning(cutoff: float, keep: int, padding: int) -> Thinning:
+def _design_thinning(cutoff: float, keep: int, padding: int) -> Thinning:
     """Return the decimation filter by its modes; the cut-off as a fraction of the Nyquist frequency."""
     from scipy.signal import cheby1
 
     return Thinning.of(Modes.of(*cheby1(_ORDER, _RIPPLE, cutoff, output="zpk")), keep, padding)
 
 
-def differences(values: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:
+def differentiate_twice(values: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:
     """Return first and second derivatives at the instants, from five samples each: exact to the fourth order.
 
     Ends are reflected about the end point, so two samples at each end are of lower order.
@@ -263,8 +265,8 @@ def differences(values: FloatArray, sample_time: float) -> tuple[FloatArray, Flo
     return np.asarray(first), np.asarray(second)
 
 
-def windowed(columns: FloatArray) -> FloatArray:
-    """Return signals through the window of `windowed_torque`: the mean over +-T, twice, by Simpson's rule.
+def apply_window(columns: FloatArray) -> FloatArray:
+    """Return signals through the window of `window_torque`: the mean over +-T, twice, by Simpson's rule.
 
     Args:
         columns: (samples, ...) at the instants.
@@ -275,12 +277,12 @@ def windowed(columns: FloatArray) -> FloatArray:
     return columns
 
 
-def windowed_torque(channel: Channel, delay: float = 0.0) -> FloatArray:
+def window_torque(channel: Channel, delay: float = 0.0) -> FloatArray:
     """Return a torque through a triangular window, the mean over one sample time T on each side, twice, (samples,).
 
     A torque held from t to t + T acts on the motion half a period after its stamp, and steps; positions are smooth.
     Through this window, which for a held torque is exact (weights 1, 3, 3, 1 over 8), both can be compared instant by
-    instant: what the window takes from one side it takes from the other (`windowed`).
+    instant: what the window takes from one side it takes from the other (`apply_window`).
 
     Args:
         channel: the torque; its timing says what a logged value stands for. A sampled one is taken to hold for half a
@@ -289,13 +291,13 @@ def windowed_torque(channel: Channel, delay: float = 0.0) -> FloatArray:
     """
     period, values = channel.sample_time, channel.values
     begins = {Timing.HELD: 0.0, Timing.SAMPLED: -0.5, Timing.AVERAGED: -1.0}[channel.timing] + delay / period
-    weights, first = _window(1, begins, 0)
+    weights, first = _window_weights(1, begins, 0)
     padded = np.pad(values, (max(-first, 0), max(first + weights.size - 1, 0)), mode="edge")
     begin = first + max(-first, 0)
     return np.correlate(padded[begin : begin + values.size + weights.size - 1], weights, "valid")
 
 
-def _window(parts: int, late: float, order: int) -> tuple[FloatArray, int]:
+def _window_weights(parts: int, late: float, order: int) -> tuple[FloatArray, int]:
     """Return the weights of the parts of samples in the window, and which part after the instant is the first of them.
 
     Args:
@@ -314,8 +316,8 @@ def _window(parts: int, late: float, order: int) -> tuple[FloatArray, int]:
     return np.diff(before), first
 
 
-def windowed_parts(columns: FloatArray, parts: int, late: float, order: int = 0) -> FloatArray:
-    """Return signals that are constant over parts of a sample through the window of `windowed_torque`, when they lag.
+def window_parts(columns: FloatArray, parts: int, late: float, order: int = 0) -> FloatArray:
+    """Return signals that are constant over parts of a sample through the window of `window_torque`, when they lag.
 
     Args:
         columns: (parts of all samples, columns); after the last sample there is none.
@@ -326,7 +328,7 @@ def windowed_parts(columns: FloatArray, parts: int, late: float, order: int = 0)
     Returns:
         The signals, or their derivatives, at the instants, (samples, columns). Exact, and smooth in `late`.
     """
-    weights, first = _window(parts, late, order)
+    weights, first = _window_weights(parts, late, order)
     last = first + weights.size
     size, before = len(columns) // parts + 1, max(-first, 0)
     padded = np.pad(columns, ((before, max(last, 0)), (0, 0)), mode="edge")

@@ -69,7 +69,7 @@ class Modes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Thinning:
-    """What filtering by modes needs beside the signal, for one number of samples that are kept in so many.
+    """Coefficients of decimation by modes, for one number of samples that become one.
 
     Attributes:
         modes: of the filter.
@@ -95,9 +95,9 @@ class Thinning:
         """Return it for a filter."""
         older = modes.poles[:, np.newaxis] ** np.arange(padding + keep + 1)
         forwards, backwards = older[:, keep - 1 :: -1], older[:, 1 : keep + 1]
-        between = np.stack([np.concatenate(_parts(one)).T for one in (forwards, backwards)])
+        between = np.stack([np.concatenate(_real_parts(one)).T for one in (forwards, backwards)])
         weights = np.concatenate([2 * modes.both.real, -2 * modes.both.imag])
-        return cls(modes, keep, padding, between, older, _parts(older[:, keep]), weights)
+        return cls(modes, keep, padding, between, older, _real_parts(older[:, keep]), weights)
 
     @np.errstate(over="ignore", invalid="ignore")  # the derivatives of a loop that runs away may be beyond all numbers
     def __call__(self, parts: Sequence[FloatArray], first: int) -> FloatArray:
@@ -115,18 +115,18 @@ class Thinning:
         tail = np.concatenate([part[:, -padding - 1 :] for part in parts])
         before = np.concatenate([2 * head[:, :1] - head[:, padding:0:-1], head[:, : first + 1]], axis=1)
         behind = 2 * tail[:, -1:] - tail[:, -2::-1]
-        forwards = self._gathered(before[:, ::-1], np.multiply.outer(before[:, 0], 1 / (1 - modes.poles)))
-        last = self._gathered(behind[:, ::-1], self._add(kept, between, forwards, 1))
+        forwards = self._gather(before[:, ::-1], np.multiply.outer(before[:, 0], 1 / (1 - modes.poles)))
+        last = self._gather(behind[:, ::-1], self._add(kept, between, forwards, 1))
         # Backwards the filter begins as if its own output had ended at a constant, not the signal.
         says = modes.residues * last
         output = modes.direct * behind[:, -1] + 2 * np.real(np.sum(says, axis=1))
         ended = np.multiply.outer(output, 1 / (1 - modes.poles))
         ended -= np.concatenate([says, says.conj()], axis=1) @ modes.shared.T
         ended *= modes.residues / modes.both
-        self._add(kept, between, modes.poles * self._gathered(behind, ended), -1)
+        self._add(kept, between, modes.poles * self._gather(behind, ended), -1)
         return kept
 
-    def _gathered(self, values: FloatArray, states: ComplexArray) -> ComplexArray:
+    def _gather(self, values: FloatArray, states: ComplexArray) -> ComplexArray:
         """Return the modes, (signals, modes), after samples, each a sample older than the one before, and states."""
         size = values.shape[1]
         return np.asarray(values @ self.older[:, :size].T + states * self.older[:, size])
@@ -163,5 +163,5 @@ class Thinning:
         return np.asarray(stands[:, :half] + 1j * stands[:, half:])
 
 
-def _parts(numbers: ComplexArray) -> FloatArray:
+def _real_parts(numbers: ComplexArray) -> FloatArray:
     return np.stack([numbers.real, numbers.imag])

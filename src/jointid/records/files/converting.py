@@ -1,4 +1,4 @@
-"""From a file of one format to a file of another: what was kept, what was renamed, and what had no place."""
+"""Convert a file from one format to another, and list what was renamed or had no place."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LISTED = 20
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """What became of a file.
+    """Result of a conversion.
 
     Attributes:
         source, target: names of the files.
@@ -72,16 +72,16 @@ def convert(
     if target.exists() and source.exists() and source.samefile(target):
         raise RecordError(f"{target} is the file that is read, and is not written over; name another one.")
     writer = format_of(target, **(writing or {}))
-    table = _gathered(source, columns, reading or {})
-    names = _names(list(table.columns), writer)
+    table = _read_columns(source, columns, reading or {})
+    names = _choose_names(list(table.columns), writer)
     notes = [
         f'Renamed for {writer.name}: "{shown(old)}" is "{shown(new)}".' for old, new in names.items() if old != new
     ]
-    write_table(target, _fitted(_renamed(table, names), writer, notes), **(writing or {}))
+    write_table(target, _fit_table(_rename_columns(table, names), writer, notes), **(writing or {}))
     return Conversion(source.name, target.name, (format_of(source).name, writer.name), names, tuple(notes))
 
 
-def _gathered(source: Path, columns: Sequence[str] | None, options: Mapping[str, Any]) -> Table:
+def _read_columns(source: Path, columns: Sequence[str] | None, options: Mapping[str, Any]) -> Table:
     """Return the wanted columns of a file."""
     parts: dict[str, list[FloatArray]] = {}
     first: Table | None = None
@@ -99,31 +99,33 @@ def _gathered(source: Path, columns: Sequence[str] | None, options: Mapping[str,
     return replace(first, columns={name: np.concatenate(parts[name]) for name in first.columns})
 
 
-def _names(names: list[str], writer: Format) -> dict[str, str]:
+def _choose_names(names: list[str], writer: Format) -> dict[str, str]:
     """Return what every column is called in the target; no two have one name."""
-    made = {name: name for name in names if writer.allowed(name, names) == name}
+    made = {name: name for name in names if writer.legal_name(name, names) == name}
     taken = set(made)
     for name in names:
         if name not in made:
-            new = wanted = writer.allowed(name, names)
+            new = wanted = writer.legal_name(name, names)
             count = 1
             while new in taken:
                 count += 1
                 end = f"_{count}"
-                new = writer.allowed(f"{wanted}{end}")
+                new = writer.legal_name(f"{wanted}{end}")
                 if not new.endswith(end):  # cut off: it is as long as a name may be
-                    new = writer.allowed(f"{wanted[: -len(end)]}{end}")
+                    new = writer.legal_name(f"{wanted[: -len(end)]}{end}")
             made[name] = new
             taken.add(new)
     return {name: made[name] for name in names}
 
 
-def _fitted(table: Table, writer: Format, notes: list[str]) -> Table:
+def _fit_table(table: Table, writer: Format, notes: list[str]) -> Table:
     """Return what the target can hold of a table; what it cannot is noted."""
     sizes = {values.size for values in table.columns.values()}
     if len(sizes) > 1 and Holds.LENGTHS not in writer.holds:
         short = [name for name, values in table.columns.items() if values.size < max(sizes)]
-        notes.append(f"Filled up with NaN at the end, as {writer.name} has columns of one length: {_listed(short)}.")
+        notes.append(
+            f"Filled up with NaN at the end, as {writer.name} has columns of one length: {_list_names(short)}."
+        )
         filled = {
             name: np.concatenate([values, np.full(max(sizes) - values.size, np.nan)])
             for name, values in table.columns.items()
@@ -131,26 +133,26 @@ def _fitted(table: Table, writer: Format, notes: list[str]) -> Table:
         table = replace(table, columns=filled)
     if table.scalars and Holds.SCALARS not in writer.holds:
         left = [f"{name} = {value!r}" for name, value in table.scalars.items()]
-        notes.append(f"Left out, as {writer.name} has no place for single numbers: {_listed(left)}.")
+        notes.append(f"Left out, as {writer.name} has no place for single numbers: {_list_names(left)}.")
         table = replace(table, scalars={})
     if table.units and Holds.UNITS not in writer.holds:
         left = [f"{name} in {unit}" for name, unit in table.units.items()]
-        notes.append(f"Left out, as {writer.name} has no place for units: {_listed(left)}.")
+        notes.append(f"Left out, as {writer.name} has no place for units: {_list_names(left)}.")
         table = replace(table, units={})
     if table.clocks and Holds.CLOCKS not in writer.holds:
         told = [f"{name}: {time}" for name, time in table.clocks.items()]
-        notes.append(f"For the joint file, as {writer.name} does not say whose time a column is: {_listed(told)}.")
+        notes.append(f"For the joint file, as {writer.name} does not say whose time a column is: {_list_names(told)}.")
     notes += [f"Not read: {shown(name)} ({shown(why)})." for name, why in table.passed.items()]
     return table
 
 
-def _renamed(table: Table, names: Mapping[str, str]) -> Table:
+def _rename_columns(table: Table, names: Mapping[str, str]) -> Table:
     columns = {names[name]: values for name, values in table.columns.items()}
     units = {names[name]: unit for name, unit in table.units.items()}
     clocks = {names[name]: names[time] for name, time in table.clocks.items() if {name, time} <= names.keys()}
     return replace(table, columns=columns, units=units, clocks=clocks)
 
 
-def _listed(texts: list[str]) -> str:
+def _list_names(texts: list[str]) -> str:
     rest = f" and {len(texts) - _LISTED} more" if len(texts) > _LISTED else ""
     return ", ".join(map(shown, texts[:_LISTED])) + rest

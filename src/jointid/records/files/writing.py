@@ -1,4 +1,4 @@
-"""From a record to a file: as `jointid.records.reading` reads it, by the same columns, units, signs and clock."""
+"""Write a record to a file so that reading gives it back, by the same columns, units, signs and clock."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from jointid.common.errors import RecordError
 from jointid.models.transmission import Side, Transmission
 from jointid.records.columns import Column, unit_in_name, unit_of_column
 from jointid.records.drives.drive import Drive
-from jointid.records.drives.profiles import side_of
+from jointid.records.drives.profiles import find_side
 from jointid.records.formats import Table, write_table
 from jointid.records.record import Channel, Record
 from jointid.records.refer import refer_to_drive
-from jointid.records.time_base.clock import RATE_TOLERANCE
+from jointid.records.time_base.clock import is_same_rate
 
 _ONE = 1e-9  # relative: two channels of one column differ by rounding alone
 
@@ -60,17 +60,17 @@ def write(
             read back, or cannot be written.
     """
     wanted = {n: Column(c) if isinstance(c, str) else c for n, c in (columns or {}).items()}
-    writing = _Writing(drive or Drive(), kind, transmission)
-    named = writing.named(record, wanted)
+    writing = _Writer(drive or Drive(), kind, transmission)
+    named = writing.name_columns(record, wanted)
     if transmission is not None:
         record = refer_to_drive(
             transmission, record, {name: writing.side(name, named.get(name)) for name in record.channels}
         )
     channels = dict(record.items())
-    table = _clock(channels, time, time_unit, sample_time)
+    table = _time_column(channels, time, time_unit, sample_time)
     for name, channel in channels.items():
         column = named[name].column if name in named else name
-        values = writing.values(name, channel, named) if name in named else channel.values
+        values = writing.column_values(name, channel, named) if name in named else channel.values
         if not np.allclose(table.setdefault(column, values), values, rtol=_ONE, atol=0.0):
             both = [n for n, c in named.items() if c.column == column]
             raise RecordError(
@@ -84,7 +84,7 @@ def write(
     write_table(path, Table({n: table[n] for n in (sorted(table, key=int) if by_number else table)}), **options)
 
 
-def _clock(
+def _time_column(
     channels: Mapping[str, Channel], time: str | None, time_unit: str | None, sample_time: float | None
 ) -> dict[str, FloatArray]:
     """Return the time column, by its name; none where the sample time is all that is read."""
@@ -94,7 +94,7 @@ def _clock(
     first = next(iter(channels.values()))
     if len(first) < 2:
         raise RecordError("A record of one sample has no time between samples; write two samples or more.")
-    if sample_time is not None and abs(first.sample_time / sample_time - 1) > RATE_TOLERANCE:
+    if sample_time is not None and not is_same_rate(first.sample_time, sample_time):
         raise RecordError(
             f"The record has a sample every {first.sample_time:g} s, and would be read at the sample_time of "
             f"{sample_time:g} s that is given; name a time column instead, or correct it."
@@ -112,8 +112,8 @@ def _stamps(channel: Channel, name: str, time_unit: str | None) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class _Writing:
-    """What is known of the drive whose log is written."""
+class _Writer:
+    """The drive whose log is written, and the kind and transmission of its joint."""
 
     drive: Drive
     kind: str
@@ -121,13 +121,13 @@ class _Writing:
 
     def side(self, name: str, column: Column | None) -> Side:
         """Return the side of a transmission on which a channel is measured."""
-        return side_of(name, column, self.drive.traces, self.drive.axis)
+        return find_side(name, column, self.drive.traces, self.drive.axis)
 
     def kind_of(self, name: str, column: Column | None) -> str:
         """Return how that side moves."""
         return self.kind if self.transmission is None else self.transmission.kind_of(self.side(name, column))
 
-    def named(self, record: Record, wanted: Mapping[str, Column]) -> dict[str, Column]:
+    def name_columns(self, record: Record, wanted: Mapping[str, Column]) -> dict[str, Column]:
         """Return the columns that have a name, as declared or by the drive's profile."""
         traces = self.drive.traces
         found: dict[str, Column | None] = {name: wanted.get(name) for name in record.channels}
@@ -137,13 +137,13 @@ class _Writing:
                 found[name] = traces.column(name, column, self.drive.axis, self.kind_of(name, column), tap)
         return {name: column for name, column in found.items() if column is not None and column.column}
 
-    def values(self, name: str, channel: Channel, columns: Mapping[str, Column]) -> FloatArray:
+    def column_values(self, name: str, channel: Channel, columns: Mapping[str, Column]) -> FloatArray:
         """Return a channel, on its own side, in the numbers of its column."""
         column = columns[name]
         kind = self.kind_of(name, column)
         geared = self.transmission is not None and self.transmission.geared
         stated = units.unit(unit_of_column(name, columns, kind))
-        unit = self.drive.resolved(stated, kind, of_load=name == "load_position", geared=geared)
+        unit = self.drive.resolve_unit(stated, kind, of_load=name == "load_position", geared=geared)
         if unit.si != channel.unit:
             raise RecordError(
                 f'{name} is in {channel.unit}, and its column "{column.column}" in {stated.name}; correct one of them.'

@@ -1,4 +1,4 @@
-"""A signal of any length in short: its range, what is missing, whether it rises, and how it runs, in bounded memory."""
+"""Outline a signal of any length in bounded memory: range, missing numbers, monotonicity, envelope."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Outline:
         missing: how many of them are NaN.
         minimum, maximum: of the others; None where all are missing.
         first, last: its ends.
-        rises: whether every number is larger than the one before.
+        rises: True if every number is larger than the one before.
         step: mean difference between neighbours.
         jitter: largest deviation of such a difference from the mean, as a share of it; NaN where the mean is 0.
         low, high: smallest and largest of every stretch, shape (stretches,); NaN where all of it is missing.
@@ -52,8 +52,8 @@ class Outline:
 
 
 @dataclass(slots=True)
-class Outlining:
-    """A signal on its way to its outline, part after part."""
+class OutlineBuilder:
+    """Builder of an outline from a signal that comes part after part."""
 
     rows: int = 0
     missing: int = 0
@@ -93,8 +93,8 @@ class Outlining:
             kept[: pairs.size] = pairs
         self.length *= 2
 
-    def outline(self) -> Outline:
-        """Return what was found; of one number or more."""
+    def build(self) -> Outline:
+        """Return the outline; one number or more must have been taken."""
         used = math.ceil(self.rows / self.length)
         low, high = self.low[:used].copy(), self.high[:used].copy()
         there = self.missing < self.rows
