@@ -10,10 +10,10 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """What is to be said, coded.
+    """One statement of a result.
 
     Attributes:
-        code: what it says; a program asks for this, never for the words.
+        code: the kind of statement, by which a program knows it; never by the words.
         words: the same as a sentence.
         values: names and numbers in it.
     """

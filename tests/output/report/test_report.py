@@ -14,7 +14,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.document.html import inert
-from jointid.output.figures.charts import thinned
+from jointid.output.figures.charts import thin
 from tests.apps.cli.test_commands import EMPS, run
 from tests.browser import opened
 from tests.output.report import reports
@@ -229,12 +229,12 @@ def test_thinning_keeps_every_peak() -> None:
     rng = np.random.default_rng(0)
     x, y = np.arange(100_000.0), rng.standard_normal(100_000)
     y[54_321], y[777] = 50.0, -60.0
-    at, kept = thinned(x, y, most=1000)
+    at, kept = thin(x, y, most=1000)
     assert at.size <= 1002
     assert np.all(np.diff(at) > 0)
     assert (kept.max(), at[kept.argmax()]) == (50.0, 54_321.0)
     assert (kept.min(), at[kept.argmin()]) == (-60.0, 777.0)
-    assert thinned(x[:10], y[:10], most=1000)[0].size == 10
+    assert thin(x[:10], y[:10], most=1000)[0].size == 10
 
 
 def test_a_long_record_says_what_is_left_out() -> None:

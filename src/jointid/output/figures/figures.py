@@ -12,13 +12,13 @@ from jointid.common.errors import RecordError
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
 from jointid.output.figures.charts import ERROR, MEASURED, SIMULATED, Band, Chart, Dots, Line, Panel
-from jointid.output.figures.matplotlib_backend import drawn
+from jointid.output.figures.matplotlib_backend import draw
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMATS = (".png", ".svg", ".pdf")
-"""What a figure can be saved as."""
+"""The formats of a saved figure."""
 
 _ZOOM = 0.08  # of the record, in the lower panel
 
@@ -37,7 +37,7 @@ def torque_figure(answer: Estimate | Validation) -> Figure:
         Panel("", label, _lines(time, measured, predicted, word), _title(answer)),
         Panel("time [s]", label, _lines(time[near], measured[near], predicted[near], ""), zoom),
     )
-    return drawn(Chart("torque", "", panels))
+    return draw(Chart("torque", "", panels))
 
 
 def residual_figure(validation: Validation) -> Figure:
@@ -56,7 +56,7 @@ def residual_figure(validation: Validation) -> Figure:
         Panel(f"position [{length}]", label, (Dots(validation.motor.position[inside], error, ERROR),)),
         Panel("lag [filtered samples]", "autocorrelation of the error", correlation),
     )
-    return drawn(Chart("residual", "", panels, columns=3))
+    return draw(Chart("residual", "", panels, columns=3))
 
 
 def save(figure: Figure, path: str | Path) -> Path:

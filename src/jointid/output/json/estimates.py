@@ -1,4 +1,4 @@
-"""What was identified, from one record or from several, as JSON."""
+"""An estimate of one record, of several, or of a long log as JSON."""
 
 from __future__ import annotations
 

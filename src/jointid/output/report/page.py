@@ -66,7 +66,7 @@ def save(document: Document, folder: str | Path, name: str) -> tuple[Path, ...]:
         ExtraError: jinja2 is not installed.
     """
     texts = {f"{name}.html": page(document).encode(), f"{name}.md": document.markdown().encode()}
-    return written(folder, texts | document.pictures)
+    return write_files(folder, texts | document.pictures)
 
 
 def require_extra(*, plots: bool) -> None:
@@ -76,7 +76,7 @@ def require_extra(*, plots: bool) -> None:
         script()
 
 
-def written(folder: str | Path, files: dict[str, bytes]) -> tuple[Path, ...]:
+def write_files(folder: str | Path, files: dict[str, bytes]) -> tuple[Path, ...]:
     """Write files by their names into a folder, which is made; return their paths.
 
     Raises:

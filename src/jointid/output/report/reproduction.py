@@ -17,7 +17,7 @@ from jointid.paper.recomputed import DENOMINATORS, Comparison, comparison
 from jointid.paper.reproduce import Experiment, Reproduction
 
 Cells = Mapping[str, tuple[str, ...]]
-"""What this run has for each row of a table, by the row's name."""
+"""The recomputed value of each row of a table, by the row's name."""
 
 
 def reproduction_document(run: Reproduction) -> Document:

@@ -34,7 +34,9 @@ _TITLES = {
 }  # fmt: skip
 
 
-def blocks(given: Dossier, charts: dict[str, Chart], repetition: Repetition, *, interactive: bool) -> tuple[Block, ...]:
+def report_blocks(
+    given: Dossier, charts: dict[str, Chart], repetition: Repetition, *, interactive: bool
+) -> tuple[Block, ...]:
     """Return the whole report.
 
     Args:
