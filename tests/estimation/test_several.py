@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 from jointid.common.errors import MethodError
-from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.problems.several_records import Several, several, through, whitening
 from jointid.models.joints import RigidJoint
@@ -38,13 +38,15 @@ def driven(axis: Twin, loop: ClosedLoop, values: dict[str, float]) -> Record:
 
 def problem_of(
     axis: Twin, values: dict[str, float], free: Sequence[str] = (), loop: ClosedLoop | None = None
-) -> Problem:
+) -> ClosedLoopProblem:
     state = (replace(INITIAL_STATE[0], start=0.0), INITIAL_STATE[1].fixed(0.0))
     loop = loop or axis.loop
     return torque_problem(driven(axis, loop, values), loop, Filtering(), loop.joint.parameters, state).freeing(*free)
 
 
-def two(axis: Twin, free: Sequence[str] = (), loop: ClosedLoop | None = None) -> tuple[list[Problem], dict[str, float]]:
+def two(
+    axis: Twin, free: Sequence[str] = (), loop: ClosedLoop | None = None
+) -> tuple[list[ClosedLoopProblem], dict[str, float]]:
     heavier = axis.truth | {"load_inertia": axis.truth["load_inertia"] + 10.0}
     return [problem_of(axis, axis.truth, free), problem_of(axis, heavier, free, loop)], heavier
 

@@ -15,7 +15,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.inverse_model import idim_channels, motion_of
 from jointid.estimation.methods.regression import least_squares
-from jointid.estimation.problems.closed_loop import Problem, initial_of, with_torque
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of, with_torque
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.result.estimate import (
     Estimate,
@@ -191,7 +191,7 @@ def _simulated(identified: IdentifiedJoint, record: Record) -> Validation:
     fixed = tuple(p.fixed(identified.values[p.name]) for p in loop.joint.parameters)
     experiment = prepare(loop, record)
     measured = record.torque.values[: experiment.samples]
-    problem = Problem(
+    problem = ClosedLoopProblem(
         loop, experiment, (*fixed, *with_torque(INITIAL_STATE, experiment, measured)), measured, filtering
     )
     x, runs = _initial_fit(problem)
@@ -239,7 +239,7 @@ def _warnings(identified: IdentifiedJoint, loop: ClosedLoop) -> tuple[str, ...]:
     )
 
 
-def _initial_fit(problem: Problem) -> tuple[FloatArray, int]:
+def _initial_fit(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
     """Return the initial state that fits best, position and velocity, and the simulations it took.
 
     A motor at rest and one that moves are two problems (see `didim`), so both are solved.
@@ -254,7 +254,7 @@ def _initial_fit(problem: Problem) -> tuple[FloatArray, int]:
     return problem.vector(values), sum(runs for _, _, runs in ends)
 
 
-def _gauss_newton(problem: Problem, start: dict[str, float]) -> tuple[dict[str, float], float, int]:
+def _gauss_newton(problem: ClosedLoopProblem, start: dict[str, float]) -> tuple[dict[str, float], float, int]:
     """Return the values of a problem that fit best, the norm of the error they leave, and the simulations run."""
     names = tuple(p.name for p in problem.free)
     x, runs = problem.vector(start), 0

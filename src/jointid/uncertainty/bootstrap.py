@@ -26,7 +26,9 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.text import aligned, number
 from jointid.models.parameters import Parameter
-from jointid.solvers.criterion import Criterion
+from jointid.solvers.problem import Problem
+from jointid.solvers.solve import solve
+from jointid.solvers.trust_region import TrustRegion
 from jointid.uncertainty.combination import Combination
 from jointid.uncertainty.covariance import bandwidth
 
@@ -190,35 +192,40 @@ def cell_bootstrap(
     return _drawn(parameters, x, residual, J, weights, groups.size, how, settings, refit)
 
 
-def refitted(criterion: Criterion, x: FloatArray, evaluations: int = 30, tolerance: float = 1e-8) -> Refit:
-    """Return the full refit of a criterion to a resample, from an estimate, within the bounds.
+def refitted(problem: Problem, x: FloatArray, evaluations: int = 30, tolerance: float = 1e-8) -> Refit:
+    """Return the full refit of a problem to a resample, from an estimate, within the bounds.
 
     Args:
-        criterion: what was minimised.
+        problem: that was solved.
         x: (free,) where each refit starts.
         evaluations: at most, of one refit.
         tolerance: relative, on the sum of squares and on the parameters.
     """
-    from scipy.optimize import least_squares
-
-    bounds = np.array([p.lower for p in criterion.free]), np.array([p.upper for p in criterion.free])
+    solver = TrustRegion(tolerance, evaluations, eager=False)
 
     def refit(weights: FloatArray) -> FloatArray:
-        root = np.sqrt(weights)
-
-        def residual(x: FloatArray) -> FloatArray:
-            return np.asarray(root * criterion.residual(x))
-
-        def jacobian(x: FloatArray) -> FloatArray:
-            return np.asarray(root[:, np.newaxis] * criterion.linearised(x)[1])
-
-        end = least_squares(
-            residual, x, jacobian, bounds, x_scale="jac", xtol=tolerance, ftol=tolerance, gtol=None,
-            max_nfev=evaluations,
-        )  # fmt: skip
-        return np.asarray(end.x)
+        return solve(_Weighted(problem, np.sqrt(weights)), solver, x).x
 
     return refit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Weighted:
+    """A problem with every row multiplied, (rows,)."""
+
+    problem: Problem
+    by: FloatArray
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        return self.problem.free
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        return np.asarray(self.by * self.problem.residual(x))
+
+    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        residual, J = self.problem.linearised(x)
+        return self.by * residual, self.by[:, np.newaxis] * J
 
 
 def _require(choices: int, blocks: int) -> None:

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.solvers.bounds import Bounds
 from jointid.uncertainty.covariance import Covariance, covariance_of, larger
 
 _SINGULAR = 1e-12  # of the largest: a direction of the scaled parameters that nothing tells
@@ -68,7 +69,7 @@ def total(groups: Sequence[Sums]) -> Sums:
     )  # fmt: skip
 
 
-def step_of(sums: Sums, lower: FloatArray, upper: FloatArray) -> FloatArray:
+def step_of(sums: Sums, room: Bounds) -> FloatArray:
     """Return the step that minimises ``||e + J s||^2`` within bounds on it, (free,)."""
     from scipy.optimize import lsq_linear
 
@@ -76,8 +77,8 @@ def step_of(sums: Sums, lower: FloatArray, upper: FloatArray) -> FloatArray:
     scale = _scale(sums.A)
     columns = R / scale
     target = -np.linalg.lstsq(columns.T, sums.b / scale, rcond=None)[0]
-    found = lsq_linear(columns, target, (lower * scale, upper * scale), method="bvls")
-    return np.asarray(np.clip(found.x / scale, lower, upper))
+    found = lsq_linear(columns, target, (room.lower * scale, room.upper * scale), method="bvls")
+    return room.clip(found.x / scale)
 
 
 def root_of(sums: Sums) -> FloatArray:

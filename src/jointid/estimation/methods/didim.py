@@ -22,10 +22,10 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.text import number
 from jointid.estimation.methods.regression import solution
-from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.build_estimate import answer
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.search.descent import Descent, with_free
+from jointid.estimation.search.descent import History, free_more
 from jointid.estimation.search.search import End, Limits, Search, State, Step, require_simulated
 from jointid.estimation.search.starts import Start, given_start, inversion_start, regular_start
 from jointid.models.controllers import REFERENCE
@@ -172,7 +172,7 @@ def _solve(search: Search, settings: DIDIM, state: State, step: Step, limits: Li
     return search.repeat(end.state, exact, limits, settings.iterations, 1.0 + settings.tolerance)
 
 
-def _searched(problem: Problem, search: Search, settings: DIDIM, start: Start) -> End:
+def _searched(problem: ClosedLoopProblem, search: Search, settings: DIDIM, start: Start) -> End:
     """Search from a start, the motor at rest at the first sample, or moving where that is better."""
     free, residual = settings.initial_state == "free", settings.form == "residual"
     steps = _Steps(search, settings.form)
@@ -262,18 +262,20 @@ def identify_didim(
 
 def _with_free(search: Search, end: End, settings: DIDIM) -> tuple[End, Uncertainty]:
     """Go on by least squares with more of what surrounds the joint free; what is known is that of least squares."""
-    descent = Descent(search.problem, search.progress)
-    x, stop, converged = with_free(descent, end.state.x, settings.free, settings.tolerance)
-    search.problem = problem = descent.problem
-    search.simulations += descent.simulations + 1
-    error, slopes = descent.linearised(x)
+    history, state = History(search.progress), end.state
+    solved = free_more(search.problem, state.x, settings.free, settings.tolerance, history)
+    search.problem, x = solved.problem, solved.solution.x
+    problem = solved.problem
+    search.simulations += history.tally.evaluations + 1
+    error, slopes = history.counted(problem).linearised(x)
     run, names = problem.simulate(x), [p.name for p in problem.free]
     known = uncertainty(slopes, slopes, error, problem.cells(run), names, problem.torque_unit)
     W = slopes[:, : end.state.W.shape[1]]
-    return End(State(x, run, error, W, slopes, end.state.scales), stop, converged), known
+    solution = solved.solution
+    return End(State(x, run, error, W, slopes, state.scales), solution.message, solution.converged), known
 
 
-def _at_rest(problem: Problem, settings: DIDIM) -> Problem:
+def _at_rest(problem: ClosedLoopProblem, settings: DIDIM) -> ClosedLoopProblem:
     """Return the problem with the motor at rest at the first sample."""
     known = {"initial_velocity": 0.0}
     if settings.initial_state == "reference":
@@ -283,7 +285,7 @@ def _at_rest(problem: Problem, settings: DIDIM) -> Problem:
 
 
 def _moving(
-    problem: Problem, search: Search, settings: DIDIM, resting: State, start: Start, limits: Limits
+    problem: ClosedLoopProblem, search: Search, settings: DIDIM, resting: State, start: Start, limits: Limits
 ) -> End | None:
     """Return the answer for a motor that moves at the first sample; None where the loop cannot be simulated so.
 

@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress
-from jointid.estimation.problems.drive_side_problem import MotionProblem
+from jointid.estimation.problems.drive_side_problem import DriveSideProblem
 from jointid.records.record import Record
 from jointid.records.signals import decimate
 from jointid.simulation.drive_side import LOAD_STATE, PARTS, prescribed_motion
-from jointid.solvers.levenberg_marquardt import Bottom
+from jointid.solvers.solution import Solution
 from jointid.uncertainty.bands import with_bands
 from jointid.uncertainty.covariance import Covariance, bandwidth, sandwich
 
@@ -81,13 +81,15 @@ class Instrumental:
     converged: bool
 
 
-def judged(record: Record, problem: MotionProblem, bottom: Bottom, instruments: str, progress: Progress) -> Judgement:
+def judged(
+    record: Record, problem: DriveSideProblem, solution: Solution, instruments: str, progress: Progress
+) -> Judgement:
     """Test a least-squares estimate for endogeneity, and prefer the instruments where it fails.
 
     Args:
         record: whose reference and injected signal are the instruments.
         problem: that was solved.
-        bottom: its least-squares solution.
+        solution: its least-squares solution.
         instruments: "tested", "always" or "never".
         progress: is told the probability.
 
@@ -104,13 +106,13 @@ def judged(record: Record, problem: MotionProblem, bottom: Bottom, instruments: 
                 f'{", ".join(record.channels)}: log one of them, or use instruments = "never".'
             )
         return Judgement(warnings=(_UNTESTED,))
-    found = solved(problem, _Shadow.of(record, problem), bottom)
+    found = solved(problem, _Shadow.of(record, problem), solution)
     if not found.converged or not np.isin([p.name for p in problem.free], _PHYSICAL)[found.moving].any():
         return Judgement(warnings=(_NOT_CONVERGED,), channels=channels, simulations=3 * found.steps)
-    probability, blind = contrast(problem, bottom, found)
+    probability, blind = contrast(problem, solution, found)
     progress(f"instruments from {' and '.join(channels)}: probability of the contrast {probability:.2g}")
     biased = probability < _ACCEPTED
-    warnings = [_words(problem, bottom, found, probability)] if biased else []
+    warnings = [_words(problem, solution, found, probability)] if biased else []
     if blind > _BLIND:
         size = f"by {100 * blind:.0f} %" if blind < _ANY else "of any size"
         tested = "" if biased else f", and a bias of least squares {size} would not have been noticed"
@@ -135,10 +137,10 @@ _UNTESTED = (
 class _Shadow:
     """The problem along the motions that the known signals explain: the first holds in the second half of the rows."""
 
-    halves: tuple[MotionProblem, MotionProblem]
+    halves: tuple[DriveSideProblem, DriveSideProblem]
 
     @classmethod
-    def of(cls, record: Record, problem: MotionProblem) -> _Shadow:
+    def of(cls, record: Record, problem: DriveSideProblem) -> _Shadow:
         motions = [prescribed_motion(known, problem.sample_time) for known in known_motions(record, problem)]
         return cls((replace(problem, motion=motions[0]), replace(problem, motion=motions[1])))
 
@@ -149,7 +151,7 @@ class _Shadow:
         return np.concatenate([second[:middle], first[middle:]])
 
 
-def known_motions(record: Record, problem: MotionProblem) -> tuple[FloatArray, FloatArray]:
+def known_motions(record: Record, problem: DriveSideProblem) -> tuple[FloatArray, FloatArray]:
     """Return the motor position that reference and injected signal explain, (samples,): by each half's responses."""
     position, sample_time = problem.motion.position[::PARTS], problem.sample_time
     base, W = _past(record, problem, position)
@@ -163,7 +165,7 @@ def known_motions(record: Record, problem: MotionProblem) -> tuple[FloatArray, F
     return base + W @ responses[0], base + W @ responses[1]
 
 
-def _past(record: Record, problem: MotionProblem, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _past(record: Record, problem: DriveSideProblem, position: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return what the motor follows at once, (samples,), and the past of the known signals, (samples, columns)."""
     size, sample_time = position.size, problem.sample_time
     base, signals = np.full(size, float(np.mean(position))), []
@@ -190,7 +192,7 @@ def _resampled(values: FloatArray, period: float, size: int, sample_time: float)
     return np.asarray(np.interp(at, np.arange(values.size), values), dtype=np.float64)
 
 
-def solved(problem: MotionProblem, shadow: _Shadow, bottom: Bottom) -> Instrumental:
+def solved(problem: DriveSideProblem, shadow: _Shadow, solution: Solution) -> Instrumental:
     """Solve ``Z' e = 0`` by Newton's steps from a least-squares solution, within the bounds.
 
     The load's first state is left where least squares has it: a few rows know of it, and they are no instruments.
@@ -198,7 +200,7 @@ def solved(problem: MotionProblem, shadow: _Shadow, bottom: Bottom) -> Instrumen
     names = [p.name for p in problem.free]
     lower, upper = (np.array([getattr(p, side) for p in problem.free]) for side in ("lower", "upper"))
     physical, load_state = np.isin(names, _PHYSICAL), np.isin(names, LOAD_STATE)
-    x, error, J = bottom.x.copy(), bottom.error, bottom.J
+    x, error, J = solution.x.copy(), solution.residual, solution.jacobian
     converged, steps = False, 0
     while True:
         Z = shadow.sensitivities(x)
@@ -224,7 +226,7 @@ def solved(problem: MotionProblem, shadow: _Shadow, bottom: Bottom) -> Instrumen
         steps += 1
 
 
-def contrast(problem: MotionProblem, bottom: Bottom, found: Instrumental) -> tuple[float, float]:
+def contrast(problem: DriveSideProblem, solution: Solution, found: Instrumental) -> tuple[float, float]:
     """Return how probable the contrast of both estimates is by noise alone, and the relative bias it cannot see."""
     from scipy.special import gammaincc
 
@@ -233,7 +235,7 @@ def contrast(problem: MotionProblem, bottom: Bottom, found: Instrumental) -> tup
     names = np.array([p.name for p in problem.free])[found.moving]
     chosen = np.flatnonzero(np.isin(names, _PHYSICAL))
     spread = _long_run(influences[chosen].T)
-    difference = (bottom.x - found.x)[found.moving][chosen]
+    difference = (solution.x - found.x)[found.moving][chosen]
     scale = np.sqrt(np.diag(spread))
     scaled = spread / np.outer(scale, scale)
     statistic = float((difference / scale) @ np.linalg.pinv(scaled, rcond=1e-8) @ (difference / scale))
@@ -267,11 +269,11 @@ def _covariance(found: Instrumental) -> Covariance:
     return Covariance(whole, together, inner.bandwidth)
 
 
-def _words(problem: MotionProblem, bottom: Bottom, found: Instrumental, probability: float) -> str:
+def _words(problem: DriveSideProblem, solution: Solution, found: Instrumental, probability: float) -> str:
     """Return what a test that failed means for the answer."""
     names = [p.name for p in problem.free]
     off = [
-        f"{name} by {100 * (bottom.x[i] / found.x[i] - 1):+.1f} %"
+        f"{name} by {100 * (solution.x[i] / found.x[i] - 1):+.1f} %"
         for i, name in enumerate(names)
         if name in _PHYSICAL and found.moving[i] and found.x[i]
     ]

@@ -22,6 +22,7 @@ from jointid.estimation.methods.drive_side import (
     DriveSideFit,
     covariance_of,
     identify_drive_side,
+    reported,
     trace_of,
     unsure,
     warnings_of,
@@ -37,7 +38,9 @@ from jointid.records.signals import Filtering, decimate, derivative, lowpass
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.open_loop import OpenLoop, simulate_open_loop
-from jointid.solvers.levenberg_marquardt import Bottom, descend
+from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
+from jointid.solvers.solution import Solution
+from jointid.solvers.solve import solve
 from jointid.uncertainty.bands import band_words
 from jointid.uncertainty.covariance import words
 
@@ -76,7 +79,7 @@ class OpenLoopFit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PositionProblem:
+class OpenLoopProblem:
     """The motor position of one record under its own torque; a `criterion.Criterion`.
 
     Attributes:
@@ -141,7 +144,7 @@ class PositionProblem:
         return both[:, 0], both[:, 1:]
 
 
-def without_drift(positions: FloatArray, problem: PositionProblem) -> FloatArray:
+def without_drift(positions: FloatArray, problem: OpenLoopProblem) -> FloatArray:
     """Return positions, (samples,) or (samples, columns), less what is slower than `highpass`, both ways."""
     return _fast(positions, problem.highpass, problem.sample_time)
 
@@ -156,7 +159,7 @@ def _fast(positions: FloatArray, highpass: float, sample_time: float) -> FloatAr
 
 def position_problem(
     record: Record, closing: OpenLoop, filtering: Filtering, parameters: tuple[Parameter, ...], settings: OpenLoopFit
-) -> PositionProblem:
+) -> OpenLoopProblem:
     """Return the problem of reproducing a record's motor position from its torque.
 
     Raises:
@@ -179,7 +182,7 @@ def position_problem(
         *_first_state(position.values[:size], filtering, period),
         delay if settings.log_delay is None else LOG_DELAY.fixed(settings.log_delay),
     )
-    return PositionProblem(
+    return OpenLoopProblem(
         closing.joint,
         replace(torque, values=torque.values[:size]),
         (*parameters, *around),
@@ -234,13 +237,14 @@ def identify_open_loop(
     first = identify_drive_side(record, DriveSide(closing.joint), parameters, filtering, begin, progress)
     found = {p.name: p.value for p in first.parameters if p.value is not None}
     given = {p.name: p.start for p in problem.parameters if p.start is not None}
-    bottom = descend(problem, [problem.vector({**found, **given})], settings.tolerance, progress)
-    return _answer(record, problem, replace(bottom, evaluations=bottom.evaluations + first.simulations))
+    start, solver = problem.vector({**found, **given}), LevenbergMarquardt(settings.tolerance)
+    solution = solve(problem, solver, start, reported(progress))
+    return _answer(record, problem, replace(solution, evaluations=solution.evaluations + first.simulations))
 
 
-def _answer(record: Record, problem: PositionProblem, bottom: Bottom) -> Estimate:
+def _answer(record: Record, problem: OpenLoopProblem, solution: Solution) -> Estimate:
     assert record.torque is not None
-    covariance, x = covariance_of(bottom), bottom.x
+    covariance, x = covariance_of(solution), solution.x
     values, predicted = problem.values(x), problem.predicted(x)
     spread = dict(zip((p.name for p in problem.free), map(float, covariance.std), strict=True))
     own, lost = {p.name for p in problem.joint.parameters}, unsure(values, spread)
@@ -252,7 +256,7 @@ def _answer(record: Record, problem: PositionProblem, bottom: Bottom) -> Estimat
         for p in problem.parameters
     )  # fmt: skip
     borders = problem.filtering.borders
-    filtered_error = float(np.linalg.norm(bottom.error) / np.linalg.norm(problem.filtered(problem.measured)))
+    filtered_error = float(np.linalg.norm(solution.residual) / np.linalg.norm(problem.filtered(problem.measured)))
     drift = f"positions slower than {problem.highpass:g} Hz are drift in open loop, and were not compared"
     return Estimate(
         method="open_loop",
@@ -269,16 +273,16 @@ def _answer(record: Record, problem: PositionProblem, bottom: Bottom) -> Estimat
         borders=borders,
         relative_error=relative_error(problem.measured, predicted, borders),
         filtered_error=filtered_error,
-        rows=bottom.error.size,
+        rows=solution.residual.size,
         conditioning=None,
         initial=Initial(values["initial_position"], values["initial_velocity"]),
         filtering=problem.filtering,
-        trace=trace_of(problem, bottom),
-        simulations=bottom.evaluations,
-        stop=bottom.stop,
-        converged=bottom.converged,
+        trace=trace_of(problem, solution),
+        simulations=solution.evaluations,
+        stop=solution.message,
+        converged=solution.converged,
         intervals=f"from the sensitivities of the position: {words(covariance)}; {band_words()}",
-        warnings=(drift, *warnings_of(problem, x, covariance, lost, bottom), *poor_fit(filtered_error)),
+        warnings=(drift, *warnings_of(problem, x, covariance, lost, solution), *poor_fit(filtered_error)),
         fingerprint=fingerprint(record.torque.values),
         delay=-values[LOG_DELAY.name],
         correlation=covariance.correlation,

@@ -43,7 +43,7 @@ class _Candidate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Problem:
+class ClosedLoopProblem:
     """The torque of one record against one loop; a `criterion.Criterion`.
 
     Attributes:
@@ -81,7 +81,7 @@ class Problem:
         own = {p.name for p in self.loop.joint.parameters}
         return tuple(p for p in self.free if p.name in own)
 
-    def freeing(self, *names: str) -> Problem:
+    def freeing(self, *names: str) -> ClosedLoopProblem:
         """Return the same problem with more of what surrounds the joint free.
 
         Raises:
@@ -104,6 +104,11 @@ class Problem:
     def filtered(self, columns: FloatArray) -> FloatArray:
         """Return signals, (samples,) or (samples, columns), through the problem's own filter."""
         return decimate_all([columns], self.filtering, self.experiment.sample_time)[0]
+
+    @property
+    def size(self) -> float:
+        """Norm of the filtered torque: what a residual is measured against."""
+        return float(np.linalg.norm(self.filtered(self.measured)))
 
     def simulate(self, x: FloatArray) -> Simulation:
         """Return the loop's run with these parameters, its torque as the log should show it."""
@@ -285,7 +290,7 @@ def torque_problem(
     filtering: Filtering,
     parameters: tuple[Parameter, ...],
     surroundings: Sequence[Parameter] = INITIAL_STATE,
-) -> Problem:
+) -> ClosedLoopProblem:
     """Return the problem of reproducing a record's torque by simulating the loop from its reference.
 
     Raises:
@@ -297,7 +302,7 @@ def torque_problem(
     require_free(parameters)
     experiment = prepare(loop, record)
     measured = record.torque.values[: experiment.samples]
-    return Problem(
+    return ClosedLoopProblem(
         loop,
         experiment,
         (*parameters, *with_torque(surroundings, experiment, measured)),

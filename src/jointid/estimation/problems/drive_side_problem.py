@@ -51,7 +51,7 @@ _FAILED = 1e3  # times the torque: the error of a candidate that cannot be simul
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MotionProblem:
+class DriveSideProblem:
     """The torque of one record along its own motor motion; a `criterion.Criterion`.
 
     Attributes:
@@ -165,7 +165,7 @@ def motion_problem(
     filtering: Filtering,
     parameters: tuple[Parameter, ...],
     surroundings: tuple[Parameter, ...] = (),
-) -> MotionProblem:
+) -> DriveSideProblem:
     """Return the problem of reproducing a record's torque along its motor motion.
 
     Args:
@@ -188,7 +188,7 @@ def motion_problem(
     given = {p.name: p for p in surroundings}
     around = tuple(given.get(p.name, p) for p in (LOG_DELAY, CURRENT_LAG))
     measured = windowed_torque(replace(torque, values=torque.values[:size]))
-    return MotionProblem(
+    return DriveSideProblem(
         closing.joint,
         motion,
         (*parameters, *_load_state(closing.joint, motion), *around),

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.estimation.problems.closed_loop import Problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.nuisance_parameters import INITIAL, of_law
 from jointid.models.parameters import Parameter
 from jointid.simulation.closed_loop import Simulation
+from jointid.solvers.bounds import Bounds
 
 _WHITE = 0.01  # of a residual's variance
 
@@ -38,7 +39,7 @@ class Several:
         weights: for each record, the taps of the filter its rows go through, (taps,).
     """
 
-    problems: tuple[Problem, ...]
+    problems: tuple[ClosedLoopProblem, ...]
     free: tuple[Parameter, ...]
     places: tuple[NDArray[np.intp], ...]
     added: tuple[FloatArray, ...]
@@ -54,8 +55,7 @@ class Several:
         for place, added, own in zip(self.places, self.added, found, strict=True):
             np.add.at(total, place, own - added)
             np.add.at(count, place, 1.0)
-        lower, upper = (np.array([getattr(p, side) for p in self.free]) for side in ("lower", "upper"))
-        return np.clip(total / count, lower, upper)
+        return Bounds.of(self.free).clip(total / count)
 
     def weighing(self, weights: Sequence[FloatArray]) -> Several:
         """Return the same criterion with other weights, see `whitening`; they are made relative to their mean.
@@ -81,12 +81,12 @@ class Several:
         return np.concatenate(errors), np.concatenate(slopes)
 
     @property
-    def _weighted(self) -> list[tuple[Problem, FloatArray]]:
+    def _weighted(self) -> list[tuple[ClosedLoopProblem, FloatArray]]:
         return list(zip(self.problems, self.weights, strict=True))
 
 
 def several(
-    problems: Sequence[Problem],
+    problems: Sequence[ClosedLoopProblem],
     own: Sequence[Sequence[str]] | None = None,
     added: Sequence[Mapping[str, float]] | None = None,
 ) -> Several:
@@ -127,7 +127,7 @@ def several(
     )
 
 
-def _require_known(problem: Problem, own: Sequence[str], added: Mapping[str, float], number: int) -> None:
+def _require_known(problem: ClosedLoopProblem, own: Sequence[str], added: Mapping[str, float], number: int) -> None:
     known = [p.name for p in problem.parameters]
     for name in (*own, *added):
         if name not in known:
@@ -140,7 +140,7 @@ def _require_known(problem: Problem, own: Sequence[str], added: Mapping[str, flo
 
 
 def _require_scale(
-    problems: Sequence[Problem], own: Sequence[Sequence[str]], added: Sequence[Mapping[str, float]]
+    problems: Sequence[ClosedLoopProblem], own: Sequence[Sequence[str]], added: Sequence[Mapping[str, float]]
 ) -> None:
     """Refuse a free gain of the drive where a change of it is made good by one of all of the joint's parameters."""
     if not any(p.name == "drive_gain" for problem in problems for p in problem.free):
@@ -157,7 +157,7 @@ def _require_scale(
         )
 
 
-def _apart(problems: Sequence[Problem], own: Sequence[Sequence[str]]) -> list[set[str]]:
+def _apart(problems: Sequence[ClosedLoopProblem], own: Sequence[Sequence[str]]) -> list[set[str]]:
     """Return, for each record, the names of its free parameters that it shares with no other."""
     starts: dict[str, set[float | None]] = {}
     for problem in problems:
@@ -218,7 +218,7 @@ def through(taps: FloatArray, columns: FloatArray) -> FloatArray:
     return np.asarray(found)
 
 
-def at_rows(problem: Problem, run: Simulation) -> tuple[FloatArray, FloatArray]:
+def at_rows(problem: ClosedLoopProblem, run: Simulation) -> tuple[FloatArray, FloatArray]:
     """Return the motor's position and velocity at the instants of the residual's rows, each (rows,)."""
     keep, samples = problem.filtering.decimation, run.motor_position.size
     assert keep is not None

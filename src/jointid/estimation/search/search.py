@@ -15,7 +15,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress
-from jointid.estimation.problems.closed_loop import Problem, initial_of
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
 from jointid.estimation.result.estimate import Iteration
 from jointid.simulation.closed_loop import Outcome, Simulation
 from jointid.simulation.sensitivities import simulate_with_sensitivities
@@ -93,7 +93,7 @@ Step: TypeAlias = Callable[[State], FloatArray]
 class Search:
     """Evaluates candidates of a problem and keeps the trace; `problem` may be exchanged for a related one."""
 
-    def __init__(self, problem: Problem, progress: Progress) -> None:
+    def __init__(self, problem: ClosedLoopProblem, progress: Progress) -> None:
         self.problem, self.progress = problem, progress
         self.trace: list[Iteration] = []
         self.simulations = 0

@@ -22,7 +22,7 @@ from jointid.common.progress import Progress, silent
 from jointid.estimation.identify import Method, default_method, identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
-from jointid.estimation.problems.closed_loop import Problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate, poor_fit
 from jointid.estimation.result.estimated import EstimatedParameter
 from jointid.estimation.streaming.long_estimate import LongEstimate
@@ -35,6 +35,7 @@ from jointid.records.chunks import InMemory, LongRecord, Piece
 from jointid.records.record import Record
 from jointid.records.signals import Filtering
 from jointid.simulation.loop_input import ClosedLoop
+from jointid.solvers.bounds import Bounds
 from jointid.uncertainty.covariance import Covariance, larger
 from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.jackknife import left_out, root_of, total
@@ -157,7 +158,7 @@ def _started(
 
 
 def _concluded(
-    source: LongRecord, first: Record, model: Model, problem: Problem, end: End, length: int
+    source: LongRecord, first: Record, model: Model, problem: ClosedLoopProblem, end: End, length: int
 ) -> LongEstimate:
     """Return the answer that the last pass makes."""
     assert first.torque is not None
@@ -170,8 +171,8 @@ def _concluded(
     shown = [p for p in problem.parameters if p.name in own or p.free]
     at_limit = float(np.mean([w.at_limit for w in found.windows]))
     error = math.sqrt(sums.square / sums.size) if sums.size > 0 else 0.0
-    lower, upper = (np.array([getattr(p, side) for p in problem.free]) for side in ("lower", "upper"))
-    held = [p.name for p, at in zip(problem.free, (end.x <= lower) | (end.x >= upper), strict=True) if at]
+    reached = Bounds.of(problem.free).reached(end.x)
+    held = [p.name for p, at in zip(problem.free, reached, strict=True) if at]
     warnings = [f"{name} is at its bound, where it does not follow the record" for name in held]
     if at_limit > _AT_LIMIT:
         warnings.append(
@@ -228,7 +229,9 @@ def _covariance(found: Pass, repeated: Repeatable) -> tuple[Covariance, str]:
     return covariance, said
 
 
-def _row(p: Parameter, value: float, std: float | None, problem: Problem, of_joint: bool) -> EstimatedParameter:
+def _row(
+    p: Parameter, value: float, std: float | None, problem: ClosedLoopProblem, of_joint: bool
+) -> EstimatedParameter:
     physical = p.quantity in (Quantity.INERTIA, Quantity.STIFFNESS)
     told = std is not None and not (physical and value <= 2 * std)
     return EstimatedParameter(

@@ -21,6 +21,7 @@ from jointid.common.arrays import FloatArray
 from jointid.estimation.several_records.heterogeneity import Agreement, Alone, agreement
 from jointid.estimation.streaming.window import Window
 from jointid.models.parameters import Parameter
+from jointid.solvers.bounds import Bounds
 from jointid.uncertainty.covariance import covariance_of
 from jointid.uncertainty.jackknife import step_of, total
 
@@ -151,8 +152,8 @@ class _Fit:
     @classmethod
     def of(cls, windows: Sequence[Window], x: FloatArray) -> _Fit:
         """Return the fit of some windows, a step from x."""
-        anywhere, sums = np.full(x.size, np.inf), total([w.sums for w in windows])
-        step = step_of(sums, -anywhere, anywhere)
+        sums = total([w.sums for w in windows])
+        step = step_of(sums, Bounds.none(x.size))
         norms = np.sqrt(np.diag(sums.A))
         scale = np.where(norms > 0, norms, 1.0)
         values, vectors = np.linalg.eigh(sums.A / np.outer(scale, scale))

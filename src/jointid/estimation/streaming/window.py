@@ -17,7 +17,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITIAL_TORQUE
 from jointid.estimation.search.starts import beginning_position
 from jointid.estimation.streaming.position_bins import Place, Places
@@ -52,7 +52,7 @@ class Model:
     filtering: Filtering
     settling: int
 
-    def problem(self, record: Record, disturbed: float = 0.0) -> Problem:
+    def problem(self, record: Record, disturbed: float = 0.0) -> ClosedLoopProblem:
         """Return the problem of one window, with its state at the first sample kept.
 
         Args:
@@ -125,7 +125,7 @@ def moves(record: Record) -> bool:
     return record.injected is not None or float(np.ptp(record.reference.values)) > 0
 
 
-def motion(problem: Problem) -> tuple[FloatArray, FloatArray]:
+def motion(problem: ClosedLoopProblem) -> tuple[FloatArray, FloatArray]:
     """Return the reference's position and velocity at the log's instants, (samples,) each."""
     experiment = problem.experiment
     position = experiment.inputs[experiment.looked // experiment.lengths.size, REFERENCE]
