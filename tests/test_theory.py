@@ -15,7 +15,6 @@ from jointid.common.arrays import FloatArray
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.regression import least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.search.starts import pseudo_regular
@@ -28,6 +27,7 @@ from jointid.records.signals import Filtering, decimate, differences, windowed, 
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
+from jointid.solvers.regression import least_squares
 from jointid.uncertainty.covariance import bandwidth, sandwich
 
 T = 1e-3

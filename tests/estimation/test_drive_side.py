@@ -11,7 +11,7 @@ import pytest
 import jointid as ji
 from jointid.common.progress import silent
 from jointid.estimation.methods.endogeneity import Judgement, _Shadow, contrast, judged, known_motions, solved
-from jointid.estimation.problems.drive_side_problem import DriveSideProblem, motion_problem
+from jointid.estimation.problems.drive_side import DriveSideProblem, motion_problem
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
 from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.solvers.levenberg_marquardt import LevenbergMarquardt

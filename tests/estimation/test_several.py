@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from jointid.common.errors import MethodError
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
-from jointid.estimation.problems.several_records import Several, several, through, whitening
+from jointid.estimation.problems.several_records import SeveralRecordsProblem, several, through, whitening
 from jointid.models.joints import RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Record
@@ -51,7 +51,7 @@ def two(
     return [problem_of(axis, axis.truth, free), problem_of(axis, heavier, free, loop)], heavier
 
 
-def at(criterion: Several, values: dict[str, float]) -> np.ndarray:
+def at(criterion: SeveralRecordsProblem, values: dict[str, float]) -> np.ndarray:
     """The free parameters of that value, those of a record under their plain name too."""
     plain = [p.name.partition("@")[0] for p in criterion.free]
     return np.array([values.get(p.name, values.get(name, 0.0)) for p, name in zip(criterion.free, plain, strict=True)])

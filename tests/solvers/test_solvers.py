@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
+from jointid.common.errors import MethodError
 from jointid.models.parameters import Parameter, Quantity
+from jointid.solvers.gauss_newton import GaussNewton
 from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
 from jointid.solvers.multistart import Multistart
 from jointid.solvers.nelder_mead import NelderMead
@@ -53,6 +55,13 @@ def test_least_squares_gives_the_certified_digits(name: str, regression: Certifi
 def test_a_simplex_gives_them_too(regression: Certified) -> None:
     size = float(np.linalg.norm(regression.y))
     end = solve(regression, NelderMead(1e-9, 20000, size=size), np.array(regression.starts[1]))
+    assert regression.digits(end.x) > DIGITS
+    assert end.status is Status.STEP_AND_COST
+
+
+@pytest.mark.parametrize("regression", REGRESSIONS, ids=lambda r: r.name)
+def test_whole_steps_give_them_from_nearby(regression: Certified) -> None:
+    end = solve(regression, GaussNewton(1e-10, 1e-6, iterations=100), np.array(regression.starts[1]))
     assert regression.digits(end.x) > DIGITS
     assert end.status is Status.STEP_AND_COST
 
@@ -124,6 +133,11 @@ def test_parameters_that_cannot_be_told_apart_do_no_harm(name: str) -> None:
     assert np.abs(end.x).max() < 10.0
 
 
+def test_gauss_newton_names_what_cannot_be_told_apart() -> None:
+    with pytest.raises(MethodError, match="x, y cannot be told apart"):
+        solve(Sum(), GaussNewton(), np.array([1.0, 0.5]))
+
+
 @dataclass(frozen=True)
 class Cliff(Rosenbrock):
     """It cannot be evaluated, and is large, before its lowest point."""
@@ -141,7 +155,7 @@ def test_a_cliff_is_no_minimum() -> None:
     assert end.x[0] <= 0.0
 
 
-@pytest.mark.parametrize("solver", [*LEAST_SQUARES.values(), NelderMead()], ids=str)
+@pytest.mark.parametrize("solver", [*LEAST_SQUARES.values(), GaussNewton(), NelderMead()], ids=str)
 def test_nothing_leads_away_from_where_nothing_can_be_evaluated(solver: Solver) -> None:
     start = np.array([2.0, 1e-12])
     end = solve(Cliff(), solver, start)
@@ -158,13 +172,24 @@ def test_several_starts_say_how_many_agree() -> None:
     assert apart.x[0] <= 0.0
 
 
+@dataclass(frozen=True)
+class Overshooting(Rosenbrock):
+    """Its derivatives are too small, so that a step goes beyond the other side."""
+
+    def linearised(self, x: Array) -> tuple[Array, Array]:
+        return np.array([x[0], x[1], 0.0]), np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]) / 2.05
+
+
 def provoke(status: Status) -> Solution:
     """Return a solution that ends so."""
-    far = np.array(REGRESSIONS[0].starts[0])
+    first = REGRESSIONS[0]
+    far, reproducible = np.array(first.starts[0]), replace(first, y=first.y - first.residual(np.array(first.values)))
     return {
         Status.STEP: lambda: solve(REGRESSIONS[0], LevenbergMarquardt(1e-3), far),
         Status.COST: lambda: solve(Rosenbrock(), TrustRegion(), START),
         Status.STEP_AND_COST: lambda: solve(Rosenbrock(), NelderMead(), START),
+        Status.EXACT: lambda: solve(reproducible, GaussNewton(TIGHT, size=100.0), far),
+        Status.STALLED: lambda: solve(Overshooting(), GaussNewton(worst=2.0), np.ones(2)),
         Status.EVALUATION_LIMIT: lambda: solve(Rosenbrock(), TrustRegion(evaluations=3), START),
         Status.NO_DESCENT: lambda: solve(Cliff(), LevenbergMarquardt(1e-10, 500), START),
         Status.NOT_EVALUABLE: lambda: solve(Cliff(), TrustRegion(), np.array([2.0, 1e-12])),

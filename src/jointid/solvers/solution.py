@@ -16,6 +16,7 @@ class Status(Enum):
     STEP = ("the parameters changed by less than the tolerance", "", True)
     COST = ("the criterion changed by less than the tolerance", "", True)
     STEP_AND_COST = ("the criterion and the parameters changed by less than the tolerance", "", True)
+    EXACT = ("the measurement is reproduced to rounding", "", True)
     EVALUATION_LIMIT = (
         "the limit on evaluations was reached",
         "allow more evaluations, or start from where it ended",
@@ -24,6 +25,11 @@ class Status(Enum):
     NO_DESCENT = (
         "no step lowers the criterion, and yet it is not flat there",
         "start elsewhere: the criterion cannot be evaluated, or jumps, beside where it ended",
+        False,
+    )
+    STALLED = (
+        "the steps go round in circles",
+        "use the exact derivatives in place of the regressor, or start elsewhere",
         False,
     )
     NOT_EVALUABLE = (

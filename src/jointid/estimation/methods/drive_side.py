@@ -15,7 +15,6 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -23,7 +22,8 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.estimation.methods.endogeneity import Judgement, judged
-from jointid.estimation.problems.drive_side_problem import CURRENT_LAG, DriveSideProblem, motion_problem
+from jointid.estimation.problems.base import RecordProblem
+from jointid.estimation.problems.drive_side import CURRENT_LAG, DriveSideProblem, motion_problem
 from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
 from jointid.estimation.result.estimate import (
     Estimate,
@@ -276,28 +276,6 @@ def covariance_of(solution: Solution) -> Covariance:
     )
 
 
-class Judged(Protocol):
-    """What is asked of a problem for the answer: its criterion, names and values."""
-
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        """The parameters that are identified."""
-
-    @property
-    def filtering(self) -> Filtering:
-        """As used."""
-
-    @property
-    def sample_time(self) -> float:
-        """Of the record, seconds."""
-
-    def values(self, x: FloatArray) -> dict[str, float]:
-        """Return every parameter by name."""
-
-    def vector(self, values: Mapping[str, float]) -> FloatArray:
-        """Return the free parameters of `values`."""
-
-
 def reported(progress: Progress) -> Watch:
     """Return what tells the residual of every step."""
     numbers = itertools.count(1)
@@ -308,7 +286,7 @@ def reported(progress: Progress) -> Watch:
     return watch
 
 
-def trace_of(problem: Judged, solution: Solution) -> tuple[Iteration, ...]:
+def trace_of(problem: RecordProblem, solution: Solution) -> tuple[Iteration, ...]:
     """Return every step of a descent."""
     lines: list[Iteration] = []
     for number, (x, norm) in enumerate((step.x, step.norm) for step in solution.trace):
@@ -328,7 +306,7 @@ def unsure(values: Mapping[str, float], spread: Mapping[str, float]) -> tuple[st
 
 
 def warnings_of(
-    problem: Judged, x: FloatArray, covariance: Covariance, lost: Sequence[str], solution: Solution
+    problem: RecordProblem, x: FloatArray, covariance: Covariance, lost: Sequence[str], solution: Solution
 ) -> tuple[str, ...]:
     """Return what the reader of an answer must know of the search and the parameters."""
     found = [f"{name} is not identifiable from this record: its interval holds 0" for name in lost]

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress
-from jointid.estimation.problems.drive_side_problem import DriveSideProblem
+from jointid.estimation.problems.drive_side import DriveSideProblem
 from jointid.records.record import Record
 from jointid.records.signals import decimate
 from jointid.simulation.drive_side import LOAD_STATE, PARTS, prescribed_motion

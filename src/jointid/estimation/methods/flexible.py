@@ -264,8 +264,7 @@ def _at_rest(record: Record, settings: FlexibleDIDIM) -> tuple[Parameter, ...]:
 def _hanging(problem: ClosedLoopProblem) -> ClosedLoopProblem:
     """Return the problem with the motor, at the first sample, where its load makes it hang."""
     home = resting_position(problem)
-    begun = (replace(p, start=home) if p.name == "initial_position" else p for p in problem.parameters)
-    return replace(problem, parameters=tuple(begun))
+    return problem.changed({p.name: replace(p, start=home) for p in problem.parameters if p.name == "initial_position"})
 
 
 def inverse_model_covariance(problem: ClosedLoopProblem, x: FloatArray, error: FloatArray) -> Covariance:

@@ -27,7 +27,7 @@ _WHITE = 0.01  # of a residual's variance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Several:
+class SeveralRecordsProblem:
     """The torque of several records; a `criterion.Criterion`.
 
     Attributes:
@@ -57,7 +57,7 @@ class Several:
             np.add.at(count, place, 1.0)
         return Bounds.of(self.free).clip(total / count)
 
-    def weighing(self, weights: Sequence[FloatArray]) -> Several:
+    def weighing(self, weights: Sequence[FloatArray]) -> SeveralRecordsProblem:
         """Return the same criterion with other weights, see `whitening`; they are made relative to their mean.
 
         The residual keeps the unit of the torque that way.
@@ -89,8 +89,8 @@ def several(
     problems: Sequence[ClosedLoopProblem],
     own: Sequence[Sequence[str]] | None = None,
     added: Sequence[Mapping[str, float]] | None = None,
-) -> Several:
-    """Return the criterion of several records; their residuals weigh alike, see `Several.weighing`.
+) -> SeveralRecordsProblem:
+    """Return the criterion of several records; their residuals weigh alike, see `SeveralRecordsProblem.weighing`.
 
     Args:
         problems: one for each record, of one model of joint.
@@ -118,7 +118,7 @@ def several(
     for problem, each, more in zip(problems, labels, added, strict=True):
         for p, label in zip(problem.free, each, strict=True):
             members[label].append(_less(p, more.get(p.name, 0.0)))
-    return Several(
+    return SeveralRecordsProblem(
         tuple(problems),
         tuple(_common(label, members[label]) for label in order),
         tuple(np.array([order.index(label) for label in each], dtype=np.intp) for each in labels),

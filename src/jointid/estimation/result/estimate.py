@@ -12,7 +12,6 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.text import aligned
-from jointid.estimation.methods.regression import Conditioning
 from jointid.estimation.result.estimated import EstimatedParameter, OnBothSides, known_on_other_side
 from jointid.estimation.result.table_rows import bound_line, known_line, parameter_row, shown
 from jointid.models.disturbances import Effect
@@ -22,6 +21,7 @@ from jointid.records.signals import Filtering
 from jointid.records.time_base.uniformity import Resampled, resampled_lines
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import ClosedLoop
+from jointid.solvers.regression import Conditioning
 from jointid.uncertainty.endogeneity_test import ChiSquareTest
 from jointid.uncertainty.identifiability import Identifiability, Known
 from jointid.uncertainty.residual_tests import ResidualReport

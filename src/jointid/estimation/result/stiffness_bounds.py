@@ -57,7 +57,7 @@ class _AtMode:
     @property
     def freed(self) -> ClosedLoopProblem:
         """The problem with everything free, so that every derivative is there."""
-        return replace(self.problem, parameters=tuple(replace(p, free=True) for p in self.problem.parameters))
+        return self.problem.all_free()
 
     def values(self, x: FloatArray) -> dict[str, float]:
         """Return every parameter of the flexible problem."""

@@ -203,7 +203,7 @@ def _springs(problem: ClosedLoopProblem, rigid: Mapping[str, float], error: Floa
     """Return what springs would do to the residual, each (rows, 1), at some load shares and modes."""
     cutoff = problem.filtering.cutoff
     assert cutoff is not None
-    free = replace(problem, parameters=tuple(replace(p, free=True) for p in problem.parameters))
+    free = problem.all_free()
 
     def bent(at: tuple[float, float]) -> FloatArray:
         values = _split(problem, rigid, at[0], at[1] * cutoff)

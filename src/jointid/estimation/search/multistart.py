@@ -150,7 +150,7 @@ def or_moving(resting: Solved, rigid: Estimate, free: bool, solver: Solver[Count
     error = history.counted(problem).residual(x)
     values = problem.values(x) | {p.name: rigid[p.name].value or 0.0 for p in INITIAL_STATE}
     state = {p.name: replace(p, start=values[p.name], free=free) for p in INITIAL_STATE}
-    begun = replace(problem, parameters=tuple(state.get(p.name, p) for p in problem.parameters))
+    begun = problem.changed(state)
     moving = history.solve(begun, solver, begun.vector(values))
     left = history.counted(begun).residual(moving.solution.x)
     gained = float(error @ error) - float(left @ left)

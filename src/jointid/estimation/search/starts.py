@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.inverse_model import InverseModel, inverse_model
-from jointid.estimation.methods.regression import least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import POSITION, REFERENCE, invert
 from jointid.models.joints import RigidJoint, acts_on_whole
 from jointid.records.record import Channel, Tap, Timing
 from jointid.simulation.loop_input import known_memory
+from jointid.solvers.regression import least_squares
 
 _DAMPING = 0.02  # of a flexible mode, to begin with (ours: the paper gives none)
 _SETTLED = 5.0  # periods of the position filter's cut-off after which a fault is forgotten

@@ -9,7 +9,7 @@ import numpy as np
 
 from jointid.estimation.problems.closed_loop import initial_of
 from jointid.estimation.problems.nuisance_parameters import INITIAL
-from jointid.estimation.problems.several_records import Several, at_rows
+from jointid.estimation.problems.several_records import SeveralRecordsProblem, at_rows
 from jointid.estimation.result.estimate import fingerprint, poor_fit, relative_error
 from jointid.estimation.result.estimated import EstimatedParameter
 from jointid.estimation.several_records.common_estimate import CommonEstimate, RecordShare
@@ -31,7 +31,7 @@ _PHYSICAL = (Quantity.INERTIA, Quantity.STIFFNESS)  # what no joint has none of
 def concluded(
     records: Sequence[Record],
     arranged: Arrangement,
-    criterion: Several,
+    criterion: SeveralRecordsProblem,
     end: Solution,
     alone: Sequence[BySelf],
     simulations: int,
@@ -81,7 +81,7 @@ class _Ended:
 
     records: Sequence[Record]
     arranged: Arrangement
-    criterion: Several
+    criterion: SeveralRecordsProblem
     end: Solution
     alone: Sequence[BySelf]
 

@@ -71,8 +71,7 @@ class Model:
         velocity += disturbed * float(np.std(np.diff(inputs[:, REFERENCE]))) / period
         position = beginning_position(replace(problem, measured=np.full(1, torque)), velocity)
         values = {"initial_position": position, "initial_velocity": velocity, "initial_torque": torque}
-        begun = (p.fixed(values[p.name]) if p.name in values else p for p in problem.parameters)
-        return replace(problem, parameters=tuple(begun))
+        return problem.keeping(values)
 
 
 def settling_of(model: Model, record: Record, values: Mapping[str, float]) -> int:
