@@ -10,7 +10,14 @@ import pytest
 
 import jointid as ji
 from jointid.common.progress import silent
-from jointid.estimation.methods.endogeneity import Judgement, _Shadow, contrast, judged, known_motions, solved
+from jointid.estimation.methods.endogeneity import (
+    InstrumentedProblem,
+    Judgement,
+    contrast,
+    judged,
+    known_motions,
+    solve_with_instruments,
+)
 from jointid.estimation.problems.drive_side import DriveSideProblem, motion_problem
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
 from jointid.records.record import Channel, Record, Tap, Timing
@@ -283,7 +290,7 @@ def test_a_wrong_contrast_is_seen() -> None:
     record = twin("L19", noise="white").record
     problem = problem_of(record, log_delay=0.0)
     solution = solve(problem, LevenbergMarquardt(1e-8), problem.vector(TABLE_2))
-    found = solved(problem, _Shadow.of(record, problem), solution)
+    found = solve_with_instruments(InstrumentedProblem.of(record, problem), solution.x)
     assert contrast(problem, solution, found)[0] > 0.01
     moved = replace(solution, x=solution.x * 1.01)
     assert contrast(problem, moved, found)[0] < 1e-6
