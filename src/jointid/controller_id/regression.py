@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.controller_id.columns import EVERY, columns, injected, parts_of, response
 from jointid.controller_id.loop_record import Watched
 from jointid.controller_id.noise import Noise, noise_of
@@ -91,12 +91,12 @@ class Compressed:
         X, moves = self.blocks[0] @ mixed, [block @ mixed for block in self.blocks[1:]]
         if ki:
             moves.append(self.blocks[0] @ (_mixed(structure, 2.0 * ki) - mixed) / ki)
-        scale = _norms(X)
+        scale = column_norms(X)
         gains = np.linalg.lstsq(X / scale, self.targets, rcond=_DEPENDENT)[0] / scale[:, np.newaxis]
         costs = np.empty(len(self.late))
         for i, target in enumerate(self.targets.T):
             full = np.column_stack([X, *(move @ gains[:, i] for move in moves)])
-            full = full / _norms(full)
+            full = full / column_norms(full)
             left = target - full @ np.linalg.lstsq(full, target, rcond=_DEPENDENT)[0]
             costs[i] = left @ left
         return costs
@@ -146,7 +146,7 @@ class Regression:
         mixed = EVERY if free else _mixed(structure, numbers.get("ki", 0.0))
         X = (columns(self.watched, structure, numbers) @ mixed) * self.kept[:, np.newaxis]
         Y = self._targets(structure, numbers, late)
-        scale = _norms(X)
+        scale = column_norms(X)
         seen, wanted = (_white(one, standing.weights) for one in (X / scale, Y))
         coefficients = np.linalg.lstsq(seen, wanted, rcond=_DEPENDENT)[0] / scale[:, np.newaxis]
         gains, residuals = mixed @ coefficients, Y - X @ coefficients
@@ -179,7 +179,7 @@ class Regression:
             step = _STEP * max(value, _least(name, self.watched.period))
             blocks.append((columns(self.watched, frame, {**numbers, name: value + step}) - base) / step)
         stacked = np.hstack([*blocks, self._targets(frame, numbers, late)]) * self.kept[:, np.newaxis]
-        scale = _norms(stacked)
+        scale = column_norms(stacked)
         triangle: FloatArray = np.asarray(np.linalg.qr(_white(stacked / scale, standing.weights), mode="r"))
         triangle = triangle * (scale * math.sqrt(2.0 / self.watched.samples))
         width = base.shape[1]
@@ -277,11 +277,6 @@ def _least(name: str, sample_time: float) -> float:
     """Return what the size of a number that may be 0 is reckoned as."""
     last = name.rpartition(".")[2]
     return {"depth": 0.3, "ki": 1e-3 / sample_time, "reference_delay": 0.1 * sample_time}.get(last, 0.0)
-
-
-def _norms(X: FloatArray) -> FloatArray:
-    norms = np.linalg.norm(X, axis=0)
-    return np.where(norms > 0, norms, 1.0)
 
 
 def _white(X: FloatArray, weights: FloatArray) -> FloatArray:

@@ -22,7 +22,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.text import aligned, number
 from jointid.models.parameters import Parameter
@@ -261,8 +261,7 @@ def _one_step(x: FloatArray, residual: FloatArray, J: FloatArray) -> Refit:
     digits. In these the record's own information is the identity, and what a resample has lost of it is seen.
     """
     Q, R = np.linalg.qr(J)
-    norms = np.linalg.norm(R, axis=0)
-    norms = np.where(norms > 0, norms, 1.0)
+    norms = column_norms(R)
     back = np.linalg.pinv(R / norms) / norms[:, np.newaxis]
     whole = Q.T @ residual
 

@@ -74,7 +74,7 @@ def step_of(sums: Sums, room: Bounds) -> FloatArray:
     from scipy.optimize import lsq_linear
 
     R = root_of(sums)
-    scale = _scale(sums.A)
+    scale = scale_of(sums.A)
     columns = R / scale
     target = -np.linalg.lstsq(columns.T, sums.b / scale, rcond=None)[0]
     found = lsq_linear(columns, target, (room.lower * scale, room.upper * scale), method="bvls")
@@ -83,7 +83,7 @@ def step_of(sums: Sums, room: Bounds) -> FloatArray:
 
 def root_of(sums: Sums) -> FloatArray:
     """Return what stands for the derivatives of all rows, (told directions, free): R with R'R = J'J."""
-    scale = _scale(sums.A)
+    scale = scale_of(sums.A)
     values, vectors = np.linalg.eigh(sums.A / np.outer(scale, scale))
     kept = values > _SINGULAR * values[-1]
     return np.asarray((vectors[:, kept] * np.sqrt(values[kept])).T * scale)
@@ -92,7 +92,7 @@ def root_of(sums: Sums) -> FloatArray:
 def left_out(groups: Sequence[Sums]) -> Covariance:
     """Return the covariance of an estimate whose rows err together within each of two or more groups."""
     whole = total(groups)
-    scale = _scale(whole.A)
+    scale = scale_of(whole.A)
     outer = np.outer(scale, scale)
     steps = np.array(
         [-np.linalg.pinv((whole.A - g.A) / outer, hermitian=True) @ ((whole.b - g.b) / scale) for g in groups]
@@ -109,7 +109,7 @@ def left_out(groups: Sequence[Sums]) -> Covariance:
     return Covariance(found.std / scale, found.correlation, 0)
 
 
-def _scale(A: FloatArray) -> FloatArray:
-    """Return the lengths of the columns of J."""
+def scale_of(A: FloatArray) -> FloatArray:
+    """Return the lengths of the columns of J, of which A is J'J, and 1 for a column of zeros."""
     norms = np.sqrt(np.diag(A))
     return np.where(norms > 0, norms, 1.0)

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.text import number
 from jointid.models.parameters import Parameter
@@ -242,8 +242,7 @@ def profile(
 
 def _least_rise(J: FloatArray, weights: FloatArray) -> tuple[FloatArray, float | None]:
     """Return how all parameters follow per unit of the quantity, and ``w' (J' J)^-1 w``; None if nothing shows it."""
-    norms = np.linalg.norm(J, axis=0)
-    norms = np.where(norms > 0, norms, 1.0)
+    norms = column_norms(J)
     _, sizes, directions = np.linalg.svd(J / norms, full_matrices=False)
     seen = sizes > _UNSEEN * sizes[0]
     along = directions @ (weights / norms)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.estimation.problems.base import FAILED, RecordProblem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITIAL_TORQUE, of_law, surrounding
@@ -202,8 +202,8 @@ class ClosedLoopProblem(RecordProblem):
             columns: (rows, free of the joint) of the torque, filtered.
             size: norm of the torque, filtered.
         """
-        norms = np.linalg.norm(columns, axis=0)
-        return np.asarray(np.maximum(np.abs(x[: norms.size]), _FLOOR * size / np.where(norms > 0, norms, 1.0)))
+        norms = column_norms(columns)
+        return np.asarray(np.maximum(np.abs(x[: norms.size]), _FLOOR * size / norms))
 
     def _candidate(self, x: FloatArray) -> _Candidate:
         values = self.values(x)
