@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.estimation.problems.closed_loop import initial_of
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
 from jointid.estimation.problems.nuisance_parameters import INITIAL
-from jointid.estimation.problems.several_records import SeveralRecordsProblem, at_rows
+from jointid.estimation.problems.several_records import at_rows
+from jointid.estimation.problems.sum import SumProblem
 from jointid.estimation.result.estimate import fingerprint, poor_fit, relative_error
 from jointid.estimation.result.estimated import EstimatedParameter
 from jointid.estimation.several_records.common_estimate import CommonEstimate, RecordShare
@@ -31,7 +32,7 @@ _PHYSICAL = (Quantity.INERTIA, Quantity.STIFFNESS)  # what no joint has none of
 def concluded(
     records: Sequence[Record],
     arranged: Arrangement,
-    criterion: SeveralRecordsProblem,
+    criterion: SumProblem[ClosedLoopProblem],
     end: Solution,
     alone: Sequence[BySelf],
     simulations: int,
@@ -81,7 +82,7 @@ class _Ended:
 
     records: Sequence[Record]
     arranged: Arrangement
-    criterion: SeveralRecordsProblem
+    criterion: SumProblem[ClosedLoopProblem]
     end: Solution
     alone: Sequence[BySelf]
 
@@ -97,7 +98,7 @@ class _Ended:
 
     def judged(self) -> Uncertainty:
         """Return what is known of the errors, before the records are compared."""
-        runs = [p.simulate(self.criterion.of_record(self.end.x, k)) for k, p in enumerate(self.criterion.problems)]
+        runs = [p.simulate(self.criterion.of_member(self.end.x, k)) for k, p in enumerate(self.criterion.problems)]
         seen = [at_rows(p, run) for p, run in zip(self.criterion.problems, runs, strict=True)]
         where = cells(np.concatenate([at for at, _ in seen]), np.concatenate([speed for _, speed in seen]))
         J, error, unit = (
@@ -159,7 +160,7 @@ class _Ended:
     def share(self, number: int, covariance: Covariance) -> RecordShare:
         """Return what is a record's own, and how well the common model explains it."""
         problem, record, one = self.criterion.problems[number], self.records[number], self.alone[number]
-        x = self.criterion.of_record(self.end.x, number)
+        x = self.criterion.of_member(self.end.x, number)
         values, predicted, size = (
             problem.values(x),
             problem.torque(x),
