@@ -24,7 +24,7 @@ from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
-from jointid.estimation.search.descent import least_squares as least_squares_of
+from jointid.estimation.search.history import least_squares as least_squares_of
 from jointid.paper.twin import Twin, twin
 from jointid.records.signals import Filtering
 from jointid.solvers.nelder_mead import NelderMead

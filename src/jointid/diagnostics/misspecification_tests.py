@@ -28,7 +28,7 @@ from jointid.diagnostics.loop_check import Change, Finding, LoopCheck, Suspect
 from jointid.diagnostics.scores import strength, tested
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.nuisance_parameters import surrounding
-from jointid.estimation.search.descent import least_squares
+from jointid.estimation.search.history import least_squares
 from jointid.models.controllers import with_numbers
 from jointid.models.parameters import Quantity, unit_of
 from jointid.solvers.solve import solve

@@ -24,7 +24,7 @@ from jointid.common.text import number
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.build_estimate import answer
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.search.descent import History, free_more
+from jointid.estimation.search.history import History, free_more
 from jointid.estimation.search.search import End, Search, State, Step, require_simulated
 from jointid.estimation.search.starts import Start, given_start, inversion_start, regular_start
 from jointid.models.controllers import REFERENCE
@@ -60,7 +60,7 @@ class DIDIM:
         initial_state: "free" estimates where the motor is at the first sample, and whether it is at rest there or
             how fast it moves; "reference" puts it on the reference, at rest.
         free: what surrounds the joint and is identified with it, by least squares from where DIDIM ends: "kp", "kv",
-            "delay", ...; see `surroundings`.
+            "delay", ...; see `nuisance_parameters`.
     """
 
     form: Literal["residual", "paper"] = "residual"

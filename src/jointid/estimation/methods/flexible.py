@@ -27,8 +27,8 @@ from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.result.build_estimate import answer
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.stiffness_identifiability import Visibility, visible
-from jointid.estimation.search.descent import History, Solved, free_more, least_squares
 from jointid.estimation.search.exploration import rigid_estimate
+from jointid.estimation.search.history import History, Solved, free_more, least_squares
 from jointid.estimation.search.multistart import by_least_squares, or_moving, simplex_start
 from jointid.estimation.search.starts import resting_position
 from jointid.models.joints import FlexibleJoint, acts_on_whole
@@ -65,7 +65,7 @@ class FlexibleDIDIM:
         restarts: of Nelder-Mead, each from where the last one stopped; it ends when one gains nothing.
         statistics: "sensitivities" for the deviations of the output sensitivities, or the paper's "inverse-model".
         free: what surrounds the joint and is identified with it, from what is declared: "kp", "kv", "delay", ...; see
-            `surroundings`. The offset is one of the joint's own parameters, and free by default.
+            `nuisance_parameters`. The offset is one of the joint's own parameters, and free by default.
     """
 
     minimiser: Literal["least-squares", "nelder-mead"] = "least-squares"

@@ -1,7 +1,7 @@
 """The problem an estimator solves: a vector of free parameters in, the filtered torque error and its slopes out.
 
 It owns the record, what closes the loop around the joint, the filter that torque and Jacobian go through alike, and
-which parameters are free: those of the joint, then those of what surrounds it (`surroundings`).
+which parameters are free: those of the joint, then those of what surrounds it (`nuisance_parameters`).
 """
 
 from __future__ import annotations

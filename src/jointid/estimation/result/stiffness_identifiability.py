@@ -27,8 +27,8 @@ from jointid.common.arrays import FloatArray
 from jointid.common.progress import Progress
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.stiffness_bounds import DAMPING, bounded
-from jointid.estimation.search.descent import History, least_squares
 from jointid.estimation.search.exploration import FASTEST, frequency_of
+from jointid.estimation.search.history import History, least_squares
 from jointid.models.joints import FlexibleJoint
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.loop_input import ClosedLoop

@@ -66,8 +66,8 @@ def identify_together(
         added_inertia: for each record, what is known to have been added to the load: kg, or kg m2.
         own: for each record, names of parameters of its own, which the others do not share: friction, say, which a
             load changes. The motor's state at the first sample is always its own.
-        free: names of what surrounds the joint and is identified too, see `surroundings`: "drive_gain", the torque
-            that acts over the torque in the log, which needs an added inertia; "kp", "log_delay", ...
+        free: names of what surrounds the joint and is identified too, see `nuisance_parameters`: "drive_gain", the
+            torque that acts over the torque in the log, which needs an added inertia; "kp", "log_delay", ...
         method: how each record is identified by itself; by default as `identify` does.
         filtering: see `Filtering`.
         weighting: of the rows: by the "spectrum" of each record's residual, unless it repeats with the motion, or by
