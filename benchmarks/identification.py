@@ -26,7 +26,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_pr
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.search.history import least_squares as least_squares_of
 from jointid.paper.twin import Twin, twin
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.solvers.nelder_mead import NelderMead
 from jointid.solvers.problem import Counted
 from jointid.solvers.solve import solve
@@ -120,7 +120,7 @@ def _verb(axis: Twin, best: float) -> Solver:
     for _ in range(_TIMES):
         begin = time.perf_counter()
         estimate = identify(axis.record, axis.loop, filtering=FILTERING)
-        runs.append((time.perf_counter() - begin, estimate.simulations, estimate.filtered_error))
+        runs.append((time.perf_counter() - begin, estimate.fit.simulations, estimate.fit.filtered_error))
     return summed("`identify`, which needs no start", runs, best, "with its exploration, intervals and verdicts")
 
 
@@ -139,4 +139,4 @@ def rigid(times: int = _RIGID_TIMES) -> Rigid | None:
         begin = time.perf_counter()
         estimate = identify(record, file.loop, file.method, filtering=file.filtering, parameters=file.parameters)
         seconds.append(time.perf_counter() - begin)
-    return Rigid(estimate.measured.size, spread(seconds[1:]), estimate.simulations, estimate.filtered_error)
+    return Rigid(estimate.fit.measured.size, spread(seconds[1:]), estimate.fit.simulations, estimate.fit.filtered_error)

@@ -76,15 +76,17 @@ def identify(path: Path, window: float) -> None:
     """Identify one record in this process, and print what it took and what it found."""
     channels = {"torque": "torque", "reference": "reference", "injected": "injected"}
     log = ji.Log(path, channels, {"sample_time": PERIOD})
-    small = next(log.pieces(20_000, 0)).record
-    ji.identify_long(small, LOOP, window=8.0, method=ji.FlexibleDIDIM(frequency=30.0))  # compiles, or loads what is
+    small = next(log.chunks(20_000, 0)).record
+    method = ji.FlexibleDIDIM(frequency=30.0)
+    ji.identify(small, LOOP, method, windows=ji.Windowing(length=8.0))  # compiles, or loads what is
     before = peak()
     begun = time.perf_counter()
-    found = ji.identify_long(log, LOOP, window=window, method=ji.FlexibleDIDIM(frequency=30.0))
+    found = ji.identify(log, LOOP, method, windows=ji.Windowing(length=window))
     took = time.perf_counter() - begun
-    hours = found.duration / 3600
+    hours = found.data.windows.duration / 3600
     print(
-        f"| {path.suffix[1:]} | {hours:.2f} | {path.stat().st_size / 1e6:.0f} | {found.passes} | {found.simulations} | "
+        f"| {path.suffix[1:]} | {hours:.2f} | {path.stat().st_size / 1e6:.0f} | {found.fit.passes} | "
+        f"{found.fit.simulations} | "
         f"{took:.1f} | {took / hours:.1f} | {before:.0f} | {peak():.0f} |"
     )
     print(f"\n{found}\n", file=sys.stderr)

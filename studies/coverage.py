@@ -1,4 +1,4 @@
-"""How often an interval holds the truth: the paper's statistics against what an estimate reports.
+"""Coverage of the intervals: the paper's statistics against those that an estimate reports.
 
 Many noisy runs of the twin are identified from torque alone by least squares. Each time two intervals of 2 sigma are
 formed about the same estimate, and it is counted how often each holds the truth. An honest one does in about 95 % of
@@ -18,7 +18,7 @@ from jointid.common.progress import Progress, silent
 from jointid.estimation.methods.flexible import inverse_model_covariance, refined_least_squares
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.paper.twin import Twin, twin
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.position_dependent_error import uncertainty
@@ -30,7 +30,7 @@ _VISCOUS = ("motor_viscous", "load_viscous")
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """How often 2-sigma intervals held the truth, by parameter.
+    """Coverage of the 2-sigma intervals, by parameter.
 
     Attributes:
         runs: how many.
@@ -121,7 +121,7 @@ def coverage(
 
 
 def _identified(axis: Twin) -> _Run:
-    """Return what one noisy twin is found to be, from a fit that begins at the truth."""
+    """Identify one noisy twin, from a fit that begins at the truth."""
     record = axis.record.without("motor_position", "load_position")
     problem = torque_problem(record, axis.loop, Filtering(), axis.loop.joint.parameters)
     still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)

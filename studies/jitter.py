@@ -1,4 +1,4 @@
-"""What a clock that jitters does to the twin's parameters, with each thing that can be done about it.
+"""Effect of a jittering clock on the twin's parameters, with each remedy.
 
 A log that is late by a random share of the sample time, noise-free otherwise: either each *sample* is taken late, at
 the instant that its stamp says, or the samples are uniform and only the *stamps* are late.
@@ -24,11 +24,11 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.models.joints import FlexibleJoint
 from jointid.paper.twin import CONTROLLERS, DURATION, SAMPLE_TIME, TABLE_2
 from jointid.records.columns import Column
-from jointid.records.excitation import pulses, trapezoids
 from jointid.records.formats import Table, write_table
-from jointid.records.reading import read
+from jointid.records.reading.read import read
 from jointid.records.record import Record, Timing
-from jointid.records.signals import Filtering
+from jointid.records.signals.excitation import pulses, trapezoids
+from jointid.records.signals.filtering import Filtering
 from jointid.records.time_base.resampling import Resampling
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
@@ -43,7 +43,7 @@ REMEDIES: dict[str, Resampling | None] = {
     "cubic": Resampling(SAMPLE_TIME, "cubic"),
     "cubic, reference held": Resampling(SAMPLE_TIME, "cubic"),
 }
-"""What is done about the clock, by name."""
+"""Remedies, by name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ class Jitter:
 
 
 def jitter(shares: Sequence[float] = (0.0, 0.05, 0.3), seed: int = 1, progress: Progress = silent) -> Jitter:
-    """Return what becomes of loop L19 of the twin, logged late by up to each of these shares of the sample time."""
+    """Identify loop L19 of the twin, logged late by up to each of these shares of the sample time."""
     truth = _truth()
     late: tuple[Late, ...] = ("samples", "stamps")
     runs = []

@@ -1,4 +1,4 @@
-"""Which laws a record gives back: random loops of every law, learned from records with noise, and judged."""
+"""Success rate of controller learning: random loops of every law, learned from noisy records."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from jointid.controller_id.learned import LearnedLoop
 from jointid.controller_id.structure_moves import canonical
 from jointid.controller_id.structures import ACCELERATION, INTEGRAL, Structure, controller
 from jointid.models.joints import RigidJoint
-from jointid.records.excitation import pulses, trapezoids
 from jointid.records.record import Record, Tap
+from jointid.records.signals.excitation import pulses, trapezoids
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
@@ -45,7 +45,7 @@ class LoopTwin:
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class LearnedRun:
     """One run: the law there was, and the one that was learned.
 
     Attributes:
@@ -71,13 +71,13 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class LearnedTwins:
-    """What became of many loops.
+    """The results of many loops.
 
     Attributes:
         runs: all of them.
     """
 
-    runs: tuple[Judged, ...]
+    runs: tuple[LearnedRun, ...]
 
     @property
     def right(self) -> float:
@@ -104,34 +104,34 @@ class LearnedTwins:
         return "\n".join([aligned(header, rows, (False, *(True,) * 6)), "", *wrong])
 
 
-def learned_twins(seeds: Sequence[int] = range(200), progress: Progress = silent) -> LearnedTwins:
-    """Learn the controllers of random twins, and judge what was learned.
+def learn_twins(seeds: Sequence[int] = range(200), progress: Progress = silent) -> LearnedTwins:
+    """Learn the controllers of random twins, and compare them with the true ones.
 
     Args:
         seeds: of the twins.
         progress: is told every run.
     """
 
-    def one(seed: int) -> Judged:
-        judged = _judged(seed)
-        verdict = "right" if judged.right else "named" if judged.named else f"wrong: {judged.found}"
-        progress(f"seed {seed}: {judged.true}: {verdict}, {judged.seconds:.1f} s")
-        return judged
+    def one(seed: int) -> LearnedRun:
+        run = _learn_twin(seed)
+        verdict = "right" if run.right else "named" if run.named else f"wrong: {run.found}"
+        progress(f"seed {seed}: {run.true}: {verdict}, {run.seconds:.1f} s")
+        return run
 
     return LearnedTwins(tuple(map(one, seeds)))
 
 
-def _judged(seed: int) -> Judged:
+def _learn_twin(seed: int) -> LearnedRun:
     made = loop_twin(seed)
     begin = time.perf_counter()
     learned = learn_loop(made.record)
     seconds = time.perf_counter() - begin
     true = canonical(made.structure)
-    same = learned.words == true.words
-    right = same or any(one.words == true.words and one.apart < SAME for one in learned.alternatives)
-    named = any(one.words == true.words for one in learned.alike)
+    same = str(learned.structure) == str(true)
+    right = same or any(str(one.structure) == str(true) and one.apart < SAME for one in learned.alternatives)
+    named = any(str(one.structure) == str(true) for one in learned.alike)
     deviations = _deviations(made, true, learned) if same else ()
-    return Judged(seed, true.words, learned.words, right, named, len(learned.alike), deviations, seconds)
+    return LearnedRun(seed, str(true), str(learned.structure), right, named, len(learned.alike), deviations, seconds)
 
 
 def _deviations(made: LoopTwin, true: Structure, learned: LearnedLoop) -> tuple[float, ...]:
@@ -155,7 +155,7 @@ def _deviations(made: LoopTwin, true: Structure, learned: LearnedLoop) -> tuple[
     return tuple((value[name] - truth[name]) / std[name] for name in value if name in truth and name != INTEGRAL)
 
 
-def _row(law: str, runs: Sequence[Judged]) -> tuple[str, ...]:
+def _row(law: str, runs: Sequence[LearnedRun]) -> tuple[str, ...]:
     found = LearnedTwins(tuple(runs))
     counted = any(run.deviations for run in runs)
     return (
@@ -177,12 +177,12 @@ def loop_twin(seed: int) -> LoopTwin:
     """
     rng = np.random.default_rng([seed, 7])
     while True:
-        made = _made(rng)
+        made = _random_twin(rng)
         if made is not None:
             return made
 
 
-def _made(rng: np.random.Generator) -> LoopTwin | None:
+def _random_twin(rng: np.random.Generator) -> LoopTwin | None:
     inertia, travel = 10 ** rng.uniform(-1, 2), 10 ** rng.uniform(-1, 0.5)
     structure, numbers = _law(rng, inertia)
     reference = _reference(rng, travel)
@@ -277,7 +277,7 @@ def _main() -> None:
     """Show the table of the seeds ``python -m studies.learned [FIRST AFTER_LAST]``, 0 to 199 unless told."""
     first, last = map(int, sys.argv[1:3]) if len(sys.argv) > 2 else (0, 200)
     show = sys.stdout.write
-    show(f"{learned_twins(range(first, last), lambda said: print(said, file=sys.stderr))}\n")  # noqa: T201
+    show(f"{learn_twins(range(first, last), lambda said: print(said, file=sys.stderr))}\n")  # noqa: T201
 
 
 if __name__ == "__main__":

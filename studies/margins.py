@@ -1,4 +1,4 @@
-"""How often stated margins hold: random flexible drives, identified from torque alone, and what their loops truly bear.
+"""Coverage of the stated margins: random flexible drives, identified from torque alone, against their true margins.
 
 Each twin is a drive of another size under a loop that suits it, with a disturbance inside the loop. It is identified
 from torque and reference, the margins of its loop and of the loop that is then proposed are stated, and set beside
@@ -28,14 +28,14 @@ from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade, Controller
 from jointid.models.joints import FlexibleJoint
-from jointid.records.excitation import pulses, trapezoids
 from jointid.records.record import Record
+from jointid.records.signals.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.margins import NAMES
 from jointid.tuning.tune import tune
 from jointid.tuning.tuned import LoopMargins
-from jointid.tuning.worst_case import bench
+from jointid.tuning.worst_case import joint_set
 
 _ROUNDING = 1e-3  # of a margin: how exactly it is computed
 _ENOUGH = 1e-6  # relative: far below a deviation
@@ -43,7 +43,7 @@ _SHARES = (0.02, 0.10)  # of the torque's variation, that the disturbance makes 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drive:
+class RandomDrive:
     """A random flexible drive under its loop, and its motion.
 
     Attributes:
@@ -77,7 +77,7 @@ class Drive:
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class MarginRun:
     """One twin: what was stated, and what is true.
 
     Attributes:
@@ -93,20 +93,20 @@ class Held:
     refused: str = ""
 
     def holds(self, loop: str, name: str) -> bool:
-        """Whether a margin is no smaller than stated."""
+        """True if a margin is no smaller than stated."""
         at = NAMES.index(name)
         return self.true[loop][at] >= self.stated[loop][at] * (1 - _ROUNDING)
 
 
 @dataclass(frozen=True, slots=True)
-class HeldMargins:
+class MarginCoverage:
     """Many twins.
 
     Attributes:
         twins: all of them.
     """
 
-    twins: tuple[Held, ...]
+    twins: tuple[MarginRun, ...]
 
     def share(self, loop: str, name: str | None = None) -> float:
         """Return in which share of the twins with stated margins one holds, or all of them do."""
@@ -143,21 +143,21 @@ class HeldMargins:
         return "\n".join(lines)
 
 
-def held_margins(seeds: Sequence[int] = range(200), progress: Progress = silent) -> HeldMargins:
+def held_margins(seeds: Sequence[int] = range(200), progress: Progress = silent) -> MarginCoverage:
     """Identify random twins, state their margins, and count how often these hold."""
     found = []
     for seed in seeds:
-        found.append(_held(seed))
+        found.append(_check_margins(seed))
         progress(f"seed {seed}: {found[-1].refused or 'stated'}")
-    return HeldMargins(tuple(found))
+    return MarginCoverage(tuple(found))
 
 
-def _held(seed: int) -> Held:
+def _check_margins(seed: int) -> MarginRun:
     drive = random_drive(seed)
     try:
         tuned = tune(drive.identified(drive.record(seed)))
     except MethodError as error:
-        return Held(seed, drive.mode, {}, {}, str(error))
+        return MarginRun(seed, drive.mode, {}, {}, str(error))
     stated: dict[str, tuple[float, ...]] = {}
     true: dict[str, tuple[float, ...]] = {}
     loops: dict[str, LoopMargins | None] = {"present": tuned.present, "proposed": tuned.proposed}
@@ -165,18 +165,18 @@ def _held(seed: int) -> Held:
         if loop is not None and loop.worst.stable:
             stated[name] = tuple(getattr(loop.worst, one) for one in NAMES)
             true[name] = true_margins(drive, loop.controller)
-    return Held(seed, drive.mode, stated, true, "" if len(stated) == 2 else "; ".join(tuned.notes))
+    return MarginRun(seed, drive.mode, stated, true, "" if len(stated) == 2 else "; ".join(tuned.notes))
 
 
-def true_margins(drive: Drive, controller: Controller) -> tuple[float, ...]:
+def true_margins(drive: RandomDrive, controller: Controller) -> tuple[float, ...]:
     """Return the margins of the true joint under a law."""
     law = controller.law(drive.period)
-    return tuple(map(float, bench(drive.loop.joint, [drive.truth], law).margins(law)[0]))
+    return tuple(map(float, joint_set(drive.loop.joint, [drive.truth], law).margins(law)[0]))
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """How often a change was said, by parameter.
+class ChangeDetection:
+    """Rates of detected changes, by parameter.
 
     Attributes:
         false: share of pairs without a change in which one was said. found: share of pairs with one of the stated size.
@@ -197,7 +197,9 @@ CHANGED = ("stiffness", "motor_inertia", "load_inertia", "damping", "load_viscou
 """Parameters that are changed, one at a time."""
 
 
-def changes(pairs: Sequence[int] = range(200), names: Sequence[str] = CHANGED, progress: Progress = silent) -> Told:
+def changes(
+    pairs: Sequence[int] = range(200), names: Sequence[str] = CHANGED, progress: Progress = silent
+) -> ChangeDetection:
     """Compare pairs of records of one axis, without a change and with one of the stated size (1 %, 90 %).
 
     Args:
@@ -222,20 +224,20 @@ def changes(pairs: Sequence[int] = range(200), names: Sequence[str] = CHANGED, p
         if done % 10 == 0:
             progress(f"{done} of {len(pairs)} pairs")
     count = len(pairs)
-    return Told({n: c / count for n, c in false.items()}, {n: c / count for n, c in found.items()}, count)
+    return ChangeDetection({n: c / count for n, c in false.items()}, {n: c / count for n, c in found.items()}, count)
 
 
 def _again(first: Estimate, record: Record) -> dict[str, float]:
     """Return what the parameters are by another record, searched for from those of the first."""
-    assert first.loop is not None
-    problem = torque_problem(record, first.loop, first.filtering, first.joint.parameters)
+    assert first.settings.loop is not None
+    problem = torque_problem(record, first.settings.loop, first.settings.filtering, first.settings.joint.parameters)
     still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
     problem = replace(problem, parameters=still)
-    x, _ = refined_least_squares(problem, problem.vector({p.name: p.value or 0.0 for p in first.parameters}), _ENOUGH)
+    x, _ = refined_least_squares(problem, problem.vector({p.name: p.value or 0.0 for p in first.params}), _ENOUGH)
     return dict(zip((p.name for p in problem.free), map(float, x), strict=True))
 
 
-def random_drive(seed: int) -> Drive:
+def random_drive(seed: int) -> RandomDrive:
     """Return a random drive whose loop is stable: any size, modes of 5 to 200 Hz, damped by 0.5 to 8 %.
 
     Args:
@@ -245,7 +247,7 @@ def random_drive(seed: int) -> Drive:
     while True:
         drive = _drawn(rng, seed)
         law = drive.loop.controller.law(drive.period)
-        if bench(drive.loop.joint, [drive.truth], law).margins(law)[0, -1] > 0.1:
+        if joint_set(drive.loop.joint, [drive.truth], law).margins(law)[0, -1] > 0.1:
             break
     clean, answer = drive.record(None), replace(drive, noise=1e-3 * _size(drive)).record(seed)
     assert clean.torque is not None and answer.torque is not None
@@ -254,11 +256,11 @@ def random_drive(seed: int) -> Drive:
     return replace(drive, noise=1e-3 * _size(drive) * share * float(np.std(clean.torque.values)) / change)
 
 
-def _size(drive: Drive) -> float:
+def _size(drive: RandomDrive) -> float:
     return drive.truth["motor_inertia"] * float(np.ptp(drive.reference)) * drive.mode**2
 
 
-def _drawn(rng: np.random.Generator, seed: int) -> Drive:
+def _drawn(rng: np.random.Generator, seed: int) -> RandomDrive:
     inertia = 10 ** rng.uniform(-4, 2)
     mode = math.exp(rng.uniform(math.log(5), math.log(200)))
     period = 1 / math.exp(rng.uniform(math.log(15 * mode), math.log(60 * mode)))
@@ -290,7 +292,7 @@ def _drawn(rng: np.random.Generator, seed: int) -> Drive:
         velocity_filter=(0.5, 0.5) if rng.random() < 0.5 else (1.0,),
     )
     loop = ClosedLoop(FlexibleJoint(kind="revolute"), controller)
-    return Drive(loop, {name: float(value) for name, value in truth.items()}, mode, period, reference, known)
+    return RandomDrive(loop, {name: float(value) for name, value in truth.items()}, mode, period, reference, known)
 
 
 def _main() -> None:

@@ -21,7 +21,7 @@ from jointid.estimation.result.stiffness_identifiability import visible
 from jointid.estimation.search.exploration import frequency_of
 from jointid.estimation.search.multistart import on_band
 from jointid.paper.twin import Twin, twin
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 from jointid.uncertainty.position_dependent_error import uncertainty
 
@@ -36,7 +36,7 @@ _SHARE = 0.33  # of the twin's load in its inertia: bounds are stated for this o
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class StiffnessRun:
     """One run: what could be known of its spring, and what was said.
 
     Attributes:
@@ -63,7 +63,7 @@ class Judged:
 
     @property
     def holds(self) -> bool:
-        """Whether what was said is true: 2 sigma about the value hold the stiffness, or it is above the bound."""
+        """True if 2 sigma about the value hold the stiffness, or it is above the bound."""
         if self.value is None or self.std is None:
             return self.bound is None or self.bound < self.stiffness
         return abs(self.value - self.stiffness) <= 2 * self.std
@@ -71,13 +71,13 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class Refusals:
-    """What became of the stiffness in many runs.
+    """Verdicts on the stiffness in many runs.
 
     Attributes:
         runs: all of them, by factor.
     """
 
-    runs: tuple[Judged, ...]
+    runs: tuple[StiffnessRun, ...]
 
     @property
     def held(self) -> float:
@@ -121,17 +121,17 @@ def refusals(
         progress: is told every run.
     """
 
-    def one(at: tuple[float, Noise, int]) -> Judged:
-        judged = _judged(*at)
-        verdict = f"K12 {judged.value:.4g}" if judged.value is not None else f"refused, bound {judged.bound or 0:.4g}"
-        progress(f"K12 times {at[0]:g}, {at[1]}, seed {at[2]}: {verdict}, {'true' if judged.holds else 'wrong'}")
-        return judged
+    def one(at: tuple[float, Noise, int]) -> StiffnessRun:
+        run = _identify_twin(*at)
+        verdict = f"K12 {run.value:.4g}" if run.value is not None else f"refused, bound {run.bound or 0:.4g}"
+        progress(f"K12 times {at[0]:g}, {at[1]}, seed {at[2]}: {verdict}, {'true' if run.holds else 'wrong'}")
+        return run
 
     return Refusals(tuple(in_threads(one, list(itertools.product(factors, noises, seeds)))))
 
 
-def _judged(factor: float, noise: Noise, seed: int) -> Judged:
-    """Return what is said of one run, by a fit that begins at the truth: what is judged here is no search."""
+def _identify_twin(factor: float, noise: Noise, seed: int) -> StiffnessRun:
+    """Identify one run by a fit that begins at the truth: the search is not tested here."""
     axis = twin("L19", noise=noise, seed=seed, stiffer=factor)
     problem = _problem(axis)
     names = [p.name for p in problem.free]
@@ -144,7 +144,7 @@ def _judged(factor: float, noise: Noise, seed: int) -> Judged:
     value, std = (float(x[at]), float(known.covariance.std[at])) if spring.shown else (None, None)
     bound = spring.bounds[0].stiffness if spring.bounds else None
     mode = frequency_of(axis.truth)
-    return Judged(factor, noise, seed, float(truth[at]), mode, float(predicted), value, std, bound)
+    return StiffnessRun(factor, noise, seed, float(truth[at]), mode, float(predicted), value, std, bound)
 
 
 def _problem(axis: Twin) -> ClosedLoopProblem:
@@ -155,7 +155,7 @@ def _problem(axis: Twin) -> ClosedLoopProblem:
     return on_band(replace(problem, parameters=still), Filtering(), frequency_of(axis.truth))
 
 
-def _row(runs: list[Judged]) -> tuple[str, ...]:
+def _row(runs: list[StiffnessRun]) -> tuple[str, ...]:
     bounds = [run.bound / run.stiffness for run in runs if run.bound is not None]
     given = np.mean([run.value is not None for run in runs])
     return (

@@ -24,9 +24,9 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_pr
 from jointid.models.controllers import Cascade, FirstOrder, Notch
 from jointid.models.joints import FlexibleJoint
 from jointid.paper.twin import DURATION, RESIDUAL, TABLE_2, Twin
-from jointid.records.excitation import pulses, trapezoids
 from jointid.records.record import Channel, Injection, Record, Timing
-from jointid.records.signals import Filtering, decimate
+from jointid.records.signals.excitation import pulses, trapezoids
+from jointid.records.signals.filtering import Filtering, decimate
 from jointid.simulation.closed_loop import in_threads, require_finished, simulate_torque
 from jointid.simulation.loop_input import ClosedLoop, prepare
 

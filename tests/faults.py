@@ -17,9 +17,9 @@ from jointid.estimation.methods.flexible import refined_least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.paper.twin import twin
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Simulation, require_finished, simulate
-from jointid.simulation.loop_input import ClosedLoop, Experiment, prepare
+from jointid.simulation.loop_input import ClosedLoop, LoopInput, prepare
 
 Loop = Literal["L19", "L30"]
 Noise = Literal["white", "disturbance"]
@@ -168,12 +168,12 @@ def _run(where: Setting, fault: Fault, force: FloatArray) -> Simulation:
     return _pushed(loop, experiment, where.truth, force)
 
 
-def _pushed(loop: ClosedLoop, experiment: Experiment, truth: dict[str, float], force: FloatArray) -> Simulation:
+def _pushed(loop: ClosedLoop, experiment: LoopInput, truth: dict[str, float], force: FloatArray) -> Simulation:
     acted = replace(experiment, after_limit=experiment.after_limit + force)
     return require_finished(simulate(loop, acted, truth))
 
 
-def _with_stribeck(loop: ClosedLoop, experiment: Experiment, truth: dict[str, float], force: FloatArray) -> Simulation:
+def _with_stribeck(loop: ClosedLoop, experiment: LoopInput, truth: dict[str, float], force: FloatArray) -> Simulation:
     """Return the run with Stribeck friction on the motor: the force its own motion gives, found by repetition."""
     size = STRIBECK_SHARE * (truth["motor_coulomb"] + truth["load_coulomb"])
     friction = np.zeros_like(force)

@@ -14,8 +14,8 @@ import numpy as np
 
 from jointid.models.controllers import Cascade
 from jointid.models.joints import FlexibleJoint
-from jointid.records.excitation import pulses, trapezoids
 from jointid.records.record import Record
+from jointid.records.signals.excitation import pulses, trapezoids
 from jointid.simulation.closed_loop import Outcome, simulate_torque
 from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.simulation.synthesis import simulated_record

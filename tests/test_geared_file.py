@@ -19,9 +19,9 @@ from jointid.models.joints import RigidJoint
 from jointid.models.transmission import Transmission
 from jointid.output.json import estimate_answer, read_identified, write
 from jointid.records.columns import Column
-from jointid.records.excitation import trapezoids
-from jointid.records.reading import read
+from jointid.records.reading.read import read
 from jointid.records.record import Record
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from tests.geared import LAW, RATE, RIGID, TURNED_SCREW
@@ -105,15 +105,15 @@ def motor(folder: Path) -> Estimate:
 
 def test_three_files_give_one_answer(folder: Path, motor: Estimate) -> None:
     by_motor, by_load = identified(folder, GEARED, "motor"), identified(folder, BY_THE_LOAD)
-    assert by_load.joint.kind == "prismatic"
+    assert by_load.settings.joint.kind == "prismatic"
     assert by_load["inertia"].value == pytest.approx(2e-4 * R**2, rel=0.01)  # 79 kg
     assert by_load["offset"].value == pytest.approx(-0.02 * R, rel=0.05)  # the screw turns it round
-    for found in (by_motor.parameters, by_load.other_side):
-        for p, q in zip(found, motor.parameters, strict=True):
+    for found in (by_motor.params, by_load.other_side):
+        for p, q in zip(found, motor.params, strict=True):
             assert (p.name, p.unit) == (q.name, q.unit)
-            for value, expected in ((p.value, q.value), (p.std, q.std)):
+            for value, expected in ((p.value, q.value), (p.stderr, q.stderr)):
                 assert (value or 0.0) == pytest.approx(expected or 0.0, rel=1e-9), p.name
-    assert by_motor.simulations == by_load.simulations == motor.simulations
+    assert by_motor.fit.simulations == by_load.fit.simulations == motor.fit.simulations
 
 
 def test_an_answer_has_both_sides_and_is_read_back(folder: Path, motor: Estimate) -> None:
@@ -229,11 +229,11 @@ def test_a_fault_is_one_sentence(text: str, sentence: str) -> None:
     [
         ({"ratio": 1.0, "lead": 1.0}, "either a ratio .* or a lead"),
         ({}, "either a ratio .* or a lead"),
-        ({"ratio": -100.0}, "sign = -1 to turn round"),
+        ({"ratio": -100.0}, "sign = -1 to turn the load round"),
         ({"ratio": math.nan}, "a positive number"),
         ({"lead": 0.01}, "of a revolute one give the ratio"),
-        ({"ratio": 3.0, "sign": 0}, "received 0, load and revolute"),
-        ({"ratio": 3.0, "side": "gear"}, "received 1, gear and revolute"),
+        ({"ratio": 3.0, "sign": 0}, "sign is 0; expected 1 or -1"),
+        ({"ratio": 3.0, "side": "gear"}, 'side is "gear"; expected "motor" or "load"'),
     ],
 )
 def test_a_transmission_that_cannot_be_is_refused(wrong: dict[str, float], sentence: str) -> None:
@@ -268,9 +268,9 @@ def test_the_commands_say_the_side(folder: Path, capsys: pytest.CaptureFixture[s
     assert side in said("identify", geared, "--json", estimate, "--figure", folder / "torque.svg", "-q")
     assert "load side" in (folder / "torque.svg").read_text()
     assert side in said("validate", geared, "--estimate", estimate, "-q")
-    assert side in said("compare", geared, "-q")
-    assert side in said("intervals", geared, "--of", "inertia", "-q")
-    assert side in said("advise", geared, "-q")
+    assert side in said("diagnose", "methods", geared, "-q")
+    assert side in said("diagnose", "intervals", geared, "--of", "inertia", "-q")
+    assert side in said("diagnose", "sensors", geared, "-q")
     assert side in said("simulate", geared, "--estimate", estimate, "--out", folder / "out.csv", "-q")
     written = file_of(folder, GEARED).record(folder / "out.csv")
     np.testing.assert_allclose(values(written, "reference"), values(file_of(folder, GEARED).record(), "reference"))
@@ -286,7 +286,7 @@ def test_a_side_needs_a_transmission(folder: Path) -> None:
         RecordError, match='has side = "load", but no transmission is given; give it, or leave side out'
     ):
         read(folder / "run.csv", {"reference": Column("x [mm]", side="load")})
-    with pytest.raises(RecordError, match='is "motor" or "load"; got "gear"'):
+    with pytest.raises(RecordError, match='side is "gear"; expected "motor" or "load"'):
         Column("x", side="gear")  # type: ignore[arg-type]
 
 

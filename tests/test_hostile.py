@@ -25,6 +25,8 @@ from jointid.config import load, loads
 from jointid.output import json as answers
 from jointid.records.formats import Table, csv, read_blocks, read_table, write_table
 
+pytestmark = pytest.mark.hostile
+
 ROWS = "".join(f"{k * 0.001:.3f},{k % 7},{k * 0.01:.2f}\n" for k in range(300))
 LOG = ("t,i,r\n" + ROWS).encode()
 SCOPE = (

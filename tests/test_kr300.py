@@ -29,9 +29,9 @@ def test_the_table_is_what_comes_out(data_dir: Path, number: str, name: str, cel
     estimate = ji.identify(record, file.joint, file.method)
     said = [float(text) for text in re.findall(r"-?[\d.]+", cells)]
     values = [estimate[each] for each in ("inertia", "viscous", "coulomb", "offset")]
-    found = [part for one in values for part in (one.value or 0.0, 2 * (one.std or 0.0))]
-    (warning,) = (text for text in estimate.warnings if text.startswith("other axes moved too"))
-    found += [100 * estimate.filtered_error, *map(float, re.findall(r"(\d+) %", warning))]
+    found = [part for one in values for part in (one.value or 0.0, 2 * (one.stderr or 0.0))]
+    (warning,) = (text for text in estimate.checks.warnings if text.startswith("other axes moved too"))
+    found += [100 * estimate.fit.filtered_error, *map(float, re.findall(r"(\d+) %", warning))]
     assert len(said) == len(found)
     for text, value in zip(said, found, strict=True):
         assert text == pytest.approx(value, rel=0.01, abs=1.0)
@@ -49,4 +49,4 @@ def test_a_stiffness_from_both_encoders_is_warned_of(data_dir: Path, number: int
     _, record = axis(number, data_dir, name)
     estimate = ji.identify(record, ji.FlexibleJoint("revolute"), ji.IDIM())
     assert estimate["K12"].value == pytest.approx(stiffness, rel=0.05)
-    assert any("a stiffness from both encoders is not to be trusted" in text for text in estimate.warnings)
+    assert any("a stiffness from both encoders is not to be trusted" in text for text in estimate.checks.warnings)

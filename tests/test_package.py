@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -52,3 +53,12 @@ def test_ci_runs_the_command_of_the_readme() -> None:
     assert "README.md" in script
     assert "PIP_BREAK_SYSTEM_PACKAGES=1" in script
     assert os.access(ROOT / ".ci" / "run", os.X_OK)
+
+
+def test_every_layer_that_is_left_out_by_itself_is_run_by_ci() -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]["ini_options"]
+    layers = [marker.split(":")[0] for marker in settings["markers"]]
+    assert f'-m "{" and ".join(f"not {layer}" for layer in layers)}"' in settings["addopts"]
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    assert f"pytest -m '{' or '.join(layers)}'" in script
+    assert "--durations=20" in script

@@ -14,6 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.docs
 def test_the_program_and_the_commands_of_the_readme_run(tmp_path: Path, request: pytest.FixtureRequest) -> None:
     said = run_page(ROOT / "README.md", tmp_path, lambda: request.getfixturevalue("data_dir"))
     assert (tmp_path / "torque.png").is_file()

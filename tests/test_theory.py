@@ -21,9 +21,9 @@ from jointid.estimation.search.starts import pseudo_regular
 from jointid.models.controllers import POSITION, SampledLaw
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint, frequencies
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
-from jointid.records.excitation import trapezoids
 from jointid.records.record import Channel, Timing
-from jointid.records.signals import Filtering, decimate, differences, windowed, windowed_torque
+from jointid.records.signals.excitation import trapezoids
+from jointid.records.signals.filtering import Filtering, apply_window, decimate, differentiate_twice, window_torque
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
@@ -179,7 +179,7 @@ def test_the_gain_of_the_decimation_and_the_weights_of_the_window() -> None:
     pulse[10] = 1.0
 
     def weights(timing: Timing) -> FloatArray:
-        return windowed_torque(Channel(pulse, "N", T, timing))[7:14]
+        return window_torque(Channel(pulse, "N", T, timing))[7:14]
 
     assert np.allclose(8 * weights(Timing.HELD), [0, 0, 1, 3, 3, 1, 0])
     assert np.allclose(8 * weights(Timing.AVERAGED), [0, 1, 3, 3, 1, 0, 0])
@@ -190,9 +190,9 @@ def test_simpson_s_rule_and_the_differences_are_of_fourth_order() -> None:
     def errors(hertz: float) -> FloatArray:
         w = 2 * math.pi * hertz
         q = np.exp(1j * w * np.arange(400) * T)
-        parts = [differences(part, T) for part in (q.real, q.imag)]
+        parts = [differentiate_twice(part, T) for part in (q.real, q.imag)]
         velocity, acceleration = (parts[0][i] + 1j * parts[1][i] for i in (0, 1))
-        window = windowed(q) / q / np.sinc(w * T / math.pi) ** 2
+        window = apply_window(q) / q / np.sinc(w * T / math.pi) ** 2
         columns = (window, velocity / (1j * w * q) * window, acceleration / (-(w**2) * q) * window)
         return np.array([column[200].real - 1 for column in columns])
 
@@ -212,7 +212,7 @@ def test_convergence_of_the_residual_form() -> None:
     law = loop.controller.law(T)
 
     def left(edge: float) -> tuple[list[float], float]:
-        trace = identify(made, loop, settings, parameters=off, filtering=Filtering(cutoff=edge)).trace
+        trace = identify(made, loop, settings, parameters=off, filtering=Filtering(cutoff=edge)).fit.trace
         errors = [max(abs(line.values[name] / value - 1) for name, value in RIGID.items()) for line in trace]
         w = 2 * math.pi * np.linspace(0.1, edge, 100)
         plant = 1 / (RIGID["inertia"] * (1j * w) ** 2 + RIGID["viscous"] * 1j * w)
@@ -306,7 +306,7 @@ def test_what_a_rigid_identification_of_the_twin_sees(loop: str, masses: tuple[f
 
 def test_the_condition_numbers_of_idim() -> None:
     axis = twin("L19", noise="none")
-    conditioning = identify(axis.record, axis.loop, IDIM()).conditioning
+    conditioning = identify(axis.record, axis.loop, IDIM()).fit.conditioning
     assert conditioning is not None
     assert conditioning.raw == pytest.approx(4.5e4, rel=0.02)
     assert conditioning.normalised == pytest.approx(5.0, abs=0.05)

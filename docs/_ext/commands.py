@@ -6,28 +6,43 @@ python docs/_ext/commands.py        writes them again; a test holds the page to 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jointid.apps.cli.app import app
 
 if TYPE_CHECKING:
-    from cyclopts import Argument
+    from cyclopts import App, Argument
 
 PAGE = Path(__file__).resolve().parents[1] / "commands.md"
 
-_SECTION = re.compile(r"^## `jointid ([a-z-]+)", re.MULTILINE)
+_SECTION = re.compile(r"^## `jointid ((?:data |diagnose )?[a-z-]+)", re.MULTILINE)
 _TABLE = re.compile(r"^\| option \|.*\n(?:\|.*\n)*", re.MULTILINE)
 
 
 def names() -> list[str]:
     """Return the commands there are, in the order of their help."""
-    return [name for name in app if not name.startswith("-")]
+    return [" ".join(path) for path in _commands(app)]
+
+
+def _commands(parent: App, above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    for name in parent:
+        if not name.startswith("-"):
+            inner = list(_commands(parent[name], (*above, name)))
+            yield from inner or [(*above, name)]
 
 
 def arguments(name: str) -> list[Argument]:
     """Return what a command takes, as its help shows it."""
-    return [one for one in app[name].assemble_argument_collection(parse_docstring=True) if one.show]
+    return [one for one in _command(name).assemble_argument_collection(parse_docstring=True) if one.show]
+
+
+def _command(name: str) -> App:
+    found = app
+    for word in name.split():
+        found = found[word]
+    return found
 
 
 def table(name: str) -> str:

@@ -28,11 +28,10 @@ from .estimation.methods.flexible import FlexibleDIDIM
 from .estimation.methods.idim import IDIM
 from .estimation.methods.open_loop import OpenLoopFit
 from .estimation.result.estimate import Estimate, IdentifiedJoint
-from .estimation.result.estimated import EstimatedParameter
-from .estimation.several_records.common_estimate import CommonEstimate, RecordShare
-from .estimation.several_records.identify_together import identify_together
-from .estimation.streaming.identify_long import identify_long
-from .estimation.streaming.long_estimate import LongEstimate
+from .estimation.result.params import EstimatedParameter, Params
+from .estimation.result.record_fit import RecordFit
+from .estimation.several_records.settings import SeveralRecords
+from .estimation.streaming.settings import Windowing
 from .models.controllers import (
     PD,
     PID,
@@ -68,29 +67,27 @@ from .output.json import (
     estimate_answer,
     inspection_answer,
     learned_answer,
-    long_answer,
     loop_answer,
     read_report,
     revealing_answer,
     simulation_answer,
-    together_answer,
     tuning_answer,
     validation_answer,
 )
 from .output.report.report import Report, report_estimate, report_file
 from .paper.twin import Twin, twin
-from .records.checks import check_record
-from .records.chunks import Log
+from .records.checks.record_checks import check_record
 from .records.columns import Column
-from .records.converting import Conversion, convert
 from .records.drives.drive import Drive
-from .records.excitation import pulses, trapezoids
-from .records.inspection import Inspection, inspect
-from .records.reading import read
+from .records.files.converting import Conversion, convert
+from .records.files.inspection import Inspection, inspect
+from .records.files.writing import write
+from .records.reading.chunks import Log
+from .records.reading.read import read
 from .records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, record_of
-from .records.signals import Filtering
+from .records.signals.excitation import pulses, trapezoids
+from .records.signals.filtering import Filtering
 from .records.time_base.resampling import Resampling
-from .records.writing import write
 from .simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_many
 from .simulation.drive_side import DriveSide
 from .simulation.loop_input import ClosedLoop, prepare
@@ -112,7 +109,6 @@ __all__ = [
     "Channel",
     "ClosedLoop",
     "Column",
-    "CommonEstimate",
     "Comparison",
     "Conversion",
     "Counterbalance",
@@ -144,7 +140,6 @@ __all__ = [
     "JointidError",
     "LearnedLoop",
     "Log",
-    "LongEstimate",
     "LoopCheck",
     "LoopTests",
     "Matlab",
@@ -157,16 +152,18 @@ __all__ = [
     "OpenLoopFit",
     "Outcome",
     "Parameter",
+    "Params",
     "PositionHarmonics",
     "Record",
     "RecordError",
-    "RecordShare",
+    "RecordFit",
     "Report",
     "ReportComparison",
     "Resampling",
     "Revealing",
     "RigidJoint",
     "SecondOrder",
+    "SeveralRecords",
     "Simulation",
     "StateSpace",
     "StateSpaceController",
@@ -180,6 +177,7 @@ __all__ = [
     "Twin",
     "Urdf",
     "Validation",
+    "Windowing",
     "advice_answer",
     "advise",
     "channels_figure",
@@ -197,15 +195,12 @@ __all__ = [
     "frequencies",
     "frequency_response",
     "identify",
-    "identify_long",
-    "identify_together",
     "inspect",
     "inspection_answer",
     "intervals",
     "learn_loop",
     "learned_answer",
     "load",
-    "long_answer",
     "loop_answer",
     "prepare",
     "pulses",
@@ -225,7 +220,6 @@ __all__ = [
     "simulated_record",
     "simulation_answer",
     "state_space",
-    "together_answer",
     "torque_figure",
     "trapezoids",
     "tune",

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from jointid.common.arrays import FloatArray
-from jointid.controller_id.columns import combined, response
+from jointid.controller_id.columns import law_coefficients, response
 from jointid.controller_id.fitting import Task
-from jointid.controller_id.loop_record import watched
-from jointid.controller_id.noise import by_band, loudness, widths
+from jointid.controller_id.loop_record import prepare_loop_record
+from jointid.controller_id.noise import band_means, band_power, band_widths
 from jointid.models.controllers import POSITION, Cascade
 from jointid.models.joints import RigidJoint
-from jointid.records.excitation import trapezoids
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from studies.learned import LoopTwin, loop_twin
@@ -25,18 +25,18 @@ SEEDS = (57, 134, 140, 160, 180, 500, 506, 512)
 
 def against_the_truth(twin: LoopTwin) -> tuple[Task, FloatArray]:
     """The task, and how much louder each band of the torque is than what the true law leaves of it."""
-    task = Task(watched(twin.record), 1.0)
+    task = Task(prepare_loop_record(twin.record), 1.0)
     left = task.residual(twin.structure, twin.numbers)
-    return task, loudness(task.watched.torque) / loudness(left)
+    return task, band_power(task.log.torque) / band_power(left)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_without_a_law_as_much_is_heard_as_with_the_true_one(seed: int) -> None:
     """Position loops every 2 to 8 periods, a notch, feed-forwards: no law is named to what listens."""
     task, louder = against_the_truth(loop_twin(seed))
-    heard, wide, error = by_band(task.watched.heard), widths(task.watched.heard.size), task.watched.error
-    clear = (louder > 8.0) & (error.power > 8.0 * error.variance * by_band(error.shape**2))
-    assert wide[clear] @ heard[clear] > 0.9 * np.sum(wide[clear])
+    informative, wide, error = band_means(task.log.informative), band_widths(task.log.informative.size), task.log.error
+    clear = (louder > 8.0) & (error.power > 8.0 * error.variance * band_means(error.shape**2))
+    assert wide[clear] @ informative[clear] > 0.9 * np.sum(wide[clear])
 
 
 def test_noise_is_not_heard() -> None:
@@ -47,12 +47,12 @@ def test_noise_is_not_heard() -> None:
     size = 0.05 * np.std(torque.values)
     noise = size * np.random.default_rng(1).standard_normal(torque.values.size)
     noisy = replace(torque, values=torque.values + noise)
-    heard = by_band(watched(replace(twin.record, torque=noisy)).heard)
-    law = watched(twin.record).torque  # less what was added
-    louder = loudness(law - law.mean()) / size**2
+    informative = band_means(prepare_loop_record(replace(twin.record, torque=noisy)).informative)
+    law = prepare_loop_record(twin.record).torque  # less what was added
+    louder = band_power(law - law.mean()) / size**2
     assert np.mean(louder > 10.0) > 0.05 and np.mean(louder < 1.0) > 0.5
-    assert np.mean(heard[louder > 10.0]) > 0.9
-    assert np.mean(heard[louder < 1.0]) < 0.02
+    assert np.mean(informative[louder > 10.0]) > 0.9
+    assert np.mean(informative[louder < 1.0]) < 0.02
 
 
 def test_a_position_that_is_all_rounding_is_heard_if_the_controller_saw_it() -> None:
@@ -62,19 +62,19 @@ def test_a_position_that_is_all_rounding_is_heard_if_the_controller_saw_it() -> 
     values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
     record = simulated_record(ClosedLoop(RigidJoint(), law), reference, values, sample_time=1e-3, encoder_step=1e-6)
     assert record.motor_position is not None and record.torque is not None
-    unseen = watched(record)
-    saw = unseen.predicted(law.law(1e-3))  # the law on the rounded position
+    unseen = prepare_loop_record(record)
+    saw = unseen.predict(law.law(1e-3))  # the law on the rounded position
     noise = 1e-3 * np.std(saw) * np.random.default_rng(1).standard_normal(saw.size)
-    seen = watched(replace(record, torque=replace(record.torque, values=saw + noise)))
-    high = slice(unseen.heard.size // 3, None)
-    assert np.mean(unseen.heard[high]) < 0.05
-    assert np.mean(seen.heard[high]) > 0.9
+    seen = prepare_loop_record(replace(record, torque=replace(record.torque, values=saw + noise)))
+    high = slice(unseen.informative.size // 3, None)
+    assert np.mean(unseen.informative[high]) < 0.05
+    assert np.mean(seen.informative[high]) > 0.9
 
 
 def test_a_wrong_law_silences_nothing() -> None:
     """Else the evidence against it would be left out with the frequencies that it does not explain."""
     twin = loop_twin(134)
-    task = Task(watched(twin.record), 1.0)
+    task = Task(prepare_loop_record(twin.record), 1.0)
     wrong = replace(twin.structure, torque_filter="none")
     numbers = {name: value for name, value in twin.numbers.items() if name in wrong.names}
     right, other = task.noise(twin.structure, twin.numbers), task.noise(wrong, numbers)
@@ -86,26 +86,28 @@ def test_a_slower_position_loop_is_heard_by_its_images() -> None:
     """Every second period: what moves slowly is in the torque again near half the rate."""
     twin = loop_twin(57)
     assert twin.structure.every == 2
-    heard = watched(twin.record).heard
-    assert np.mean(heard[-heard.size // 20 :]) > 0.8
-    assert np.mean(heard[heard.size // 2 : -heard.size // 4]) < 0.1
+    informative = prepare_loop_record(twin.record).informative
+    assert np.mean(informative[-informative.size // 20 :]) > 0.8
+    assert np.mean(informative[informative.size // 2 : -informative.size // 4]) < 0.1
 
 
 @pytest.mark.parametrize("seed", [57, 160, 180])
 def test_a_slower_position_loop_folds_the_position_s_error(seed: int) -> None:
     """White errors through the law itself: their spectrum in the torque is as foretold, position loops every 2 or 8."""
     twin = loop_twin(seed)
-    task = Task(watched(twin.record), 1.0)
-    on, rng, size = task.watched, np.random.default_rng(2), 1e-6
+    task = Task(prepare_loop_record(twin.record), 1.0)
+    on, rng, size = task.log, np.random.default_rng(2), 1e-6
     flat = replace(on, error=replace(on.error, shape=np.ones(on.samples // 2 + 1)))
     law, inputs = task.law(twin.structure, twin.numbers), on.inputs(1, False)
-    plain, before = on.predicted(law), inputs[:, POSITION].copy()
+    plain, before = on.predict(law), inputs[:, POSITION].copy()
     seen = np.zeros(160)
     for _ in range(20):
         inputs[:, POSITION] = before + size * rng.standard_normal(on.samples)
-        seen += loudness(on.predicted(law) - plain) / (20 * size**2)
+        seen += band_power(on.predict(law) - plain) / (20 * size**2)
     inputs[:, POSITION] = before
-    foretold = by_band(response(flat, twin.structure, twin.numbers, combined(twin.structure, twin.numbers, 1.0)) ** 2)
+    foretold = band_means(
+        response(flat, twin.structure, twin.numbers, law_coefficients(twin.structure, twin.numbers, 1.0)) ** 2
+    )
     assert twin.structure.every > 1
     assert np.allclose(seen[2:-2], foretold[2:-2], rtol=0.25)
     assert np.median(seen / foretold) == pytest.approx(1.0, abs=0.03)
@@ -119,7 +121,7 @@ def test_a_long_record_needs_no_memory_for_all_columns_at_once() -> None:
         reference = trapezoids([0.1, 0.3, 0.5], 2.0, 0.2, 1e-3, 0.1, duration)
         record = simulated_record(ClosedLoop(RigidJoint(), law), reference, values, sample_time=1e-3)
         tracemalloc.start()
-        samples = watched(record).samples
+        samples = prepare_loop_record(record).samples
         peaks.append((samples, tracemalloc.get_traced_memory()[1]))
         tracemalloc.stop()
     (few, low), (many, high) = peaks

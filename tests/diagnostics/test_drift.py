@@ -137,17 +137,17 @@ def test_a_damaged_answer_is_one_sentence(tmp_path: Path) -> None:
 
 def test_the_command_prints_the_table_and_writes_the_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "drift.json"
-    assert run("compare-reports", of_rigid(1, tmp_path), of_rigid(2, tmp_path, inertia=0.05), "--json", out) == 0
+    assert run("compare", of_rigid(1, tmp_path), of_rigid(2, tmp_path, inertia=0.05), "--json", out) == 0
     assert "ZZ rose by" in capsys.readouterr().out
     answer = json.loads(out.read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.drift/1"
     assert answer["quantities"]["inertia"]["changed"]
     assert not answer["quantities"]["viscous"]["changed"]
-    assert run("compare-reports", out, out) == 2
+    assert run("compare", out, out) == 2
     assert "no estimate" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_seldom_is_anything_called_changed_where_nothing_did(tmp_path: Path) -> None:
     files = [ji.read_report(of_rigid(seed, tmp_path)) for seed in range(60)]
     alarms = [bool(ji.compare_reports(files[i], files[i + 1]).changed) for i in range(0, 60, 2)]

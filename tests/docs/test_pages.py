@@ -72,7 +72,7 @@ def test_every_public_name_has_an_entry_and_a_docstring() -> None:
         assert inspect.getdoc(getattr(jointid, name)), name
 
 
-@pytest.mark.slow
+@pytest.mark.docs
 def test_the_examples_of_the_docstrings_hold() -> None:
     modules = {importlib.import_module(getattr(jointid, name).__module__) for name in jointid.__all__}
     tried = 0

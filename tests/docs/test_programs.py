@@ -17,7 +17,7 @@ RUNNING = [page for page in pages() if page != ROOT / "README.md" and any(block.
 """The README is run by its own test, which reads what it printed."""
 
 
-@pytest.mark.slow
+@pytest.mark.docs
 @pytest.mark.parametrize("page", RUNNING, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_a_page_runs(page: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     mpl.use("agg")

@@ -13,7 +13,7 @@ from jointid.estimation.methods.inverse_model import InverseModel, inverse_model
 from jointid.models.joints import FlexibleJoint
 from jointid.models.parameters import Parameter, Quantity
 from jointid.records.record import Channel, Record, Tap, Timing
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.solvers.regression import least_squares
 
 PERIOD = 4e-4

@@ -11,7 +11,7 @@ from jointid.models.controllers import Cascade
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.paper.twin import CONTROLLERS, twin
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.uncertainty.flexible_vs_rigid_test import BoundarySettings, BoundaryTest, flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import cells
@@ -106,6 +106,7 @@ def test_the_best_of_several_shares_counts_in_the_draws_too() -> None:
     assert single.significant
 
 
+@pytest.mark.slow
 def test_what_repeats_with_the_motion_is_not_taken_for_a_spring() -> None:
     """Two functions of the place that have nothing to do with each other: over time one seems to explain the other."""
     random = np.random.default_rng(7)

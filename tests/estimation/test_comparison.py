@@ -30,7 +30,7 @@ def test_every_method_that_can_run_has_run(flexible: Comparison) -> None:
     names = ["DIDIM", "IDIM-LS", "IDIM-WLS", "IDIM-IRLS", "IDIM-IV", "DIDIM asymmetric", "IDIM-LS asymmetric"]
     assert [method.name for method in flexible.methods] == names
     assert list(flexible.estimates) == names
-    assert flexible.estimates["DIDIM"].channels == ("torque", "reference", "injected")
+    assert flexible.estimates["DIDIM"].data.channels == ("torque", "reference", "injected")
     assert all(method.seconds > 0 for method in flexible.methods)
 
 

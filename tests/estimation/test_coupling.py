@@ -12,8 +12,8 @@ import jointid as ji
 from jointid.estimation.methods.cross_axis import coupling_warnings
 from jointid.records.drives.drive import Drive
 from jointid.records.formats import Table, write_table
-from jointid.records.other_axes import other_axes
-from jointid.records.reading import read
+from jointid.records.reading.other_axes import find_other_axes
+from jointid.records.reading.read import read
 from jointid.uncertainty.coupling import coupling
 
 T = 1e-3
@@ -44,7 +44,7 @@ def recorded(tmp_path: Path, shared: float, gravity: float, noise: float = 0.3) 
 
 def warned(record: ji.Record) -> str:
     estimate = ji.identify(record, ji.RigidJoint("revolute"))
-    (said,) = (text for text in estimate.warnings if text.startswith("other axes moved too"))
+    (said,) = (text for text in estimate.checks.warnings if text.startswith("other axes moved too"))
     assert said == coupling_warnings(record, estimate)[0]
     return said
 
@@ -74,7 +74,7 @@ def test_an_axis_alone_is_not_warned_of(tmp_path: Path) -> None:
     alone = ji.identify(
         ji.Record(torque=record.torque, motor_position=record.motor_position), ji.RigidJoint("revolute")
     )
-    assert not any("other axes" in text for text in alone.warnings)
+    assert not any("other axes" in text for text in alone.checks.warnings)
 
 
 @pytest.mark.parametrize(
@@ -91,12 +91,12 @@ def test_which_columns_are_other_axes(
     channels: tuple[str, str], names: tuple[str, ...], expected: tuple[str, ...]
 ) -> None:
     torque, position = channels
-    assert other_axes({"torque": torque, "motor_position": position}, names) == expected
+    assert find_other_axes({"torque": torque, "motor_position": position}, names) == expected
 
 
 def test_the_load_of_this_axis_is_no_other_axis() -> None:
     columns = {"torque": "i[0]", "motor_position": "q[0]", "load_position": "q[1]"}
-    assert other_axes(columns, ("i[0]", "i[1]", "q[0]", "q[1]")) == ()
+    assert find_other_axes(columns, ("i[0]", "i[1]", "q[0]", "q[1]")) == ()
 
 
 def test_chance_is_that_of_motions_that_have_nothing_to_do_with_each_other() -> None:

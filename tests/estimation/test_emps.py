@@ -16,7 +16,7 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import RigidJoint
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from tests.estimation.conftest import CONTROLLER
 
@@ -33,10 +33,10 @@ def test_idim_repeats_the_published_results_to_every_digit(emps: Record, emps_pu
     digits = {"inertia": 4, "viscous": 4, "coulomb": 4, "offset": 4}
     expected = {"inertia": 95.1089, "viscous": 203.5034, "coulomb": 20.3935, "offset": -3.1648}
     assert rounded(estimate, digits) == expected
-    assert round(100 * estimate.filtered_error, 4) == 4.0834
-    assert estimate.conditioning is not None
-    assert round(estimate.conditioning.raw, 4) == 25.9883
-    assert any("as sampled" in warning for warning in estimate.warnings)
+    assert round(100 * estimate.fit.filtered_error, 4) == 4.0834
+    assert estimate.fit.conditioning is not None
+    assert round(estimate.fit.conditioning.raw, 4) == 25.9883
+    assert any("as sampled" in warning for warning in estimate.checks.warnings)
     cross = validate(estimate, emps_pulses)
     assert cross.test == "cross"
     assert round(100 * cross.filtered_error, 4) == 5.9824
@@ -50,7 +50,7 @@ def test_idim_repeats_the_published_asymmetric_results(emps: Record) -> None:
         "inertia": 95.154, "viscous_forwards": 166.71, "coulomb_forwards": 20.14, "viscous_backwards": 240.42,
         "coulomb_backwards": 20.63,
     }  # fmt: skip
-    assert round(100 * estimate.filtered_error, 4) == 3.1117
+    assert round(100 * estimate.fit.filtered_error, 4) == 3.1117
 
 
 def test_idim_with_the_timing_respected(emps: Record) -> None:
@@ -75,26 +75,26 @@ def in_the_published_bounds(estimate: Estimate) -> None:
     assert estimate.values["viscous"] == pytest.approx(207.5, abs=5)
     assert estimate.values["coulomb"] == pytest.approx(20.1, abs=0.5)
     assert estimate.values["offset"] == pytest.approx(-3.2, abs=0.1)
-    assert estimate.converged
+    assert estimate.fit.converged
 
 
 def test_didim_identifies_the_axis_from_torque_and_reference_only(torque_only: Estimate) -> None:
     in_the_published_bounds(torque_only)
-    assert torque_only.method == "didim"
-    assert torque_only.channels == ("torque", "reference")
-    assert torque_only.relative_error <= 0.046
+    assert torque_only.settings.method == "didim"
+    assert torque_only.data.channels == ("torque", "reference")
+    assert torque_only.fit.relative_error <= 0.046
     assert torque_only["initial_velocity"].value == pytest.approx(0.007, abs=0.001)
 
 
 def test_didim_is_the_default_and_does_not_read_the_motor_position(emps: Record, torque_only: Estimate) -> None:
     estimate = identify(emps, LOOP)
     assert estimate.values == torque_only.values
-    assert estimate.method == "didim"
+    assert estimate.settings.method == "didim"
 
 
 def test_didim_with_asymmetric_friction(emps: Record) -> None:
     estimate = identify(emps.without("motor_position"), ASYMMETRIC)
-    assert estimate.relative_error <= 0.038
+    assert estimate.fit.relative_error <= 0.038
     assert estimate.values["inertia"] == pytest.approx(95.0, abs=0.5)
     assert not estimate["offset"].free
     assert estimate.values["offset"] == 0.0
@@ -103,7 +103,7 @@ def test_didim_with_asymmetric_friction(emps: Record) -> None:
 def test_the_simulation_tracks_like_the_axis(emps: Record, torque_only: Estimate) -> None:
     direct = validate(torque_only, emps)
     assert direct.test == "direct"
-    assert direct.relative_error == pytest.approx(torque_only.relative_error, rel=1e-3)
+    assert direct.relative_error == pytest.approx(torque_only.fit.relative_error, rel=1e-3)
     assert direct.tracking_error is not None
     assert direct.tracking_error <= 0.005
 
@@ -128,11 +128,11 @@ def test_starts_ten_times_wrong_end_at_the_same_place(emps: Record, torque_only:
     starts = {p.name: replace(p, start=factor * torque_only.values[p.name]) for p in LOOP.joint.parameters}
     estimate = identify(emps, LOOP, DIDIM(start="given"), parameters=starts)
     assert_same(estimate, torque_only)
-    assert estimate.trace[0].values["inertia"] == pytest.approx(factor * torque_only.values["inertia"])
+    assert estimate.fit.trace[0].values["inertia"] == pytest.approx(factor * torque_only.values["inertia"])
 
 
 def assert_same(estimate: Estimate, other: Estimate) -> None:
-    assert estimate.converged
+    assert estimate.fit.converged
     for name, value in other.values.items():
         assert estimate.values[name] == pytest.approx(value, rel=1e-5)
 
@@ -140,8 +140,8 @@ def assert_same(estimate: Estimate, other: Estimate) -> None:
 def test_the_paper_s_form_stops_early_and_says_so(emps: Record) -> None:
     """As printed: form (11), regular start, 2.5 %, at rest on the reference at t = 0, where the axis already moves."""
     estimate = identify(emps, LOOP, DIDIM.paper())
-    assert estimate.iterations <= 10
-    assert "limit 2.5 %" in estimate.stop
+    assert estimate.fit.iterations <= 10
+    assert "limit 2.5 %" in estimate.fit.stop
     assert estimate.values["inertia"] == pytest.approx(95.0, abs=1.0)
     assert not estimate["initial_velocity"].free
 
@@ -153,9 +153,9 @@ def test_the_count_of_simulations_is_the_count_of_simulations(emps: Record, monk
     original = kernels.run
     monkeypatch.setattr(kernels, "run", lambda *arguments: (calls.append(1), original(*arguments))[1])
     estimate = identify(emps, LOOP)
-    assert estimate.simulations == len(calls)
-    assert estimate.trace[-1].simulations <= estimate.simulations
-    assert validate(estimate, emps).simulations == len(calls) - estimate.simulations
+    assert estimate.fit.simulations == len(calls)
+    assert estimate.fit.trace[-1].simulations <= estimate.fit.simulations
+    assert validate(estimate, emps).simulations == len(calls) - estimate.fit.simulations
 
 
 def test_two_records_agree_within_their_intervals(emps: Record, emps_pulses: Record) -> None:
@@ -163,10 +163,10 @@ def test_two_records_agree_within_their_intervals(emps: Record, emps_pulses: Rec
     first, second = (identify(record, LOOP) for record in (emps, emps_pulses))
     for name in ("inertia", "viscous", "coulomb", "offset"):
         gap = abs(first.values[name] - second.values[name])
-        assert gap <= 2 * float(np.hypot(first[name].std or 0.0, second[name].std or 0.0)), name
+        assert gap <= 2 * float(np.hypot(first[name].stderr or 0.0, second[name].stderr or 0.0)), name
     assert abs(first.values["inertia"] - second.values["inertia"]) > 0.4
-    assert 0.3 < float(first["inertia"].std or 0.0) < 0.6
-    (repeats,) = (v for v in first.verdicts if v.subject == "repeatable residual")
+    assert 0.3 < float(first["inertia"].stderr or 0.0) < 0.6
+    (repeats,) = (v for v in first.checks.verdicts if v.subject == "repeatable residual")
     assert not repeats.good
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +10,23 @@ import pytest
 
 from jointid.common.errors import RecordError
 from jointid.common.text import interval, number
-from jointid.estimation.result.estimate import Estimate, Iteration, fingerprint, law_fingerprint, relative_error
-from jointid.estimation.result.estimated import EstimatedParameter
+from jointid.estimation.result.estimate import (
+    Checks,
+    Data,
+    Estimate,
+    Fit,
+    Iteration,
+    Settings,
+    fingerprint,
+    law_fingerprint,
+    relative_error,
+)
+from jointid.estimation.result.params import EstimatedParameter, Params
 from jointid.models.controllers import Cascade
 from jointid.models.joints import RigidJoint
 from jointid.output import json as answers
 from jointid.output.figures.figures import save, torque_figure
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.regression import Conditioning, least_squares
 from tests.estimation.conftest import CONTROLLER
@@ -33,40 +42,50 @@ def parameter(
 
 
 ESTIMATE = Estimate(
-    method="didim",
-    variant="DIDIM in residual form from an inversion start",
-    joint=LOOP.joint,
-    loop=LOOP,
-    parameters=(
-        parameter("inertia", "ZZ", "kg", 94.9034, 0.1101),
-        parameter("viscous", "Fv", "N s/m", 207.534, 1.25),
-        parameter("coulomb", "Fc", "N", None, None, lower_bound=12.5),
-        parameter("offset", "offset", "N", 0.0, None),
-        parameter("initial_position", "q(0)", "m", 3.2e-7, 2.2e-6, of_joint=False),
+    params=Params(
+        (
+            parameter("inertia", "ZZ", "kg", 94.9034, 0.1101),
+            parameter("viscous", "Fv", "N s/m", 207.534, 1.25),
+            parameter("coulomb", "Fc", "N", None, None, lower_bound=12.5),
+            parameter("offset", "offset", "N", 0.0, None),
+            parameter("initial_position", "q(0)", "m", 3.2e-7, 2.2e-6, of_joint=False),
+        ),
+        ("inertia", "viscous"),
+        np.zeros((0, 0)),
+        "for a white residual",
     ),
-    channels=("torque", "reference"),
-    record="run 1",
-    sample_time=1e-3,
-    torque_unit="N",
-    measured=TORQUE,
-    predicted=0.96 * TORQUE,
-    borders=(50, 50),
-    relative_error=0.04,
-    filtered_error=0.0397,
-    rows=31,
-    conditioning=None,
-    initial=None,
-    filtering=Filtering().resolved(1e-3),
-    trace=(
-        Iteration(0, {"inertia": 90.0}, 2.0, None, None, 1),
-        Iteration(1, {"inertia": 94.9}, 1.0, 0.5, 0.05, 4),
+    fit=Fit(
+        measured=TORQUE,
+        predicted=0.96 * TORQUE,
+        borders=(50, 50),
+        relative_error=0.04,
+        filtered_error=0.0397,
+        rows=31,
+        conditioning=None,
+        initial=None,
+        trace=(
+            Iteration(0, {"inertia": 90.0}, 2.0, None, None, 1),
+            Iteration(1, {"inertia": 94.9}, 1.0, 0.5, 0.05, 4),
+        ),
+        simulations=14,
+        stop="converged: nothing changes any more",
+        converged=True,
     ),
-    simulations=14,
-    stop="converged: nothing changes any more",
-    converged=True,
-    intervals="for a white residual",
-    warnings=("something to know",),
-    fingerprint=fingerprint(TORQUE),
+    checks=Checks(warnings=("something to know",)),
+    data=Data(
+        channels=("torque", "reference"),
+        record="run 1",
+        sample_time=1e-3,
+        torque_unit="N",
+        fingerprint=fingerprint(TORQUE),
+    ),
+    settings=Settings(
+        method="didim",
+        variant="DIDIM in residual form from an inversion start",
+        joint=LOOP.joint,
+        loop=LOOP,
+        filtering=Filtering().resolved(1e-3),
+    ),
 )
 
 TABLE = """\
@@ -93,7 +112,7 @@ def test_the_table_to_the_letter() -> None:
 
 
 def test_conditioning_is_printed_three_ways() -> None:
-    regressed = replace(ESTIMATE, conditioning=Conditioning(25.98830347, 4.33, 12.294))
+    regressed = ESTIMATE.amended(fit={"conditioning": Conditioning(25.98830347, 4.33, 12.294)})
     assert "conditioning  25.9883 raw, 4.33 normalised, 12.29 scaled by the parameters" in str(regressed)
 
 
@@ -105,7 +124,7 @@ def test_a_parameter_is_found_by_name_or_symbol() -> None:
 
 
 def test_json_says_null_and_never_nan(tmp_path: Path) -> None:
-    answer = answers.estimate_answer(replace(ESTIMATE, relative_error=float("nan")))
+    answer = answers.estimate_answer(ESTIMATE.amended(fit={"relative_error": float("nan")}))
     answers.write(answer, tmp_path / "out.json")
     text = (tmp_path / "out.json").read_text(encoding="utf-8")
     read = json.loads(text)
@@ -126,9 +145,8 @@ def test_every_key_of_the_json_is_documented() -> None:
 
 
 def test_an_estimate_is_read_back(tmp_path: Path) -> None:
-    whole = replace(
-        ESTIMATE,
-        parameters=(*ESTIMATE.parameters[:2], parameter("coulomb", "Fc", "N", 20.1, 0.1), *ESTIMATE.parameters[3:]),
+    whole = ESTIMATE.amended(
+        params={"rows": (*ESTIMATE.params[:2], parameter("coulomb", "Fc", "N", 20.1, 0.1), *ESTIMATE.params[3:])}
     )
     answers.write(answers.estimate_answer(whole), tmp_path / "out.json")
     assert answers.read_identified(tmp_path / "out.json", LOOP.joint, LOOP) == whole.identified

@@ -16,8 +16,8 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade
 from jointid.models.joints import RigidJoint
 from jointid.paper.twin import Twin, twin
-from jointid.records.excitation import trapezoids
 from jointid.records.record import Record
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from jointid.uncertainty.endogeneity_test import durbin_wu_hausman
@@ -44,12 +44,12 @@ def test_instruments_remove_the_bias_of_a_disturbance_in_the_loop(loop: str, exp
     for name in truth:
         assert abs(bias(instrumented, truth, name)[1]) <= 3.5, name  # 3.5 of t with 9 degrees of freedom: 0.7 %
     assert abs(bias(instrumented, truth, "motor_inertia")[0]) < 0.002
-    assert all(estimate.tests[0].rejected for estimate in instrumented)
-    assert all(estimate.converged and estimate.simulations <= 6 for estimate in instrumented)
+    assert all(estimate.checks.tests[0].rejected for estimate in instrumented)
+    assert all(estimate.fit.converged and estimate.fit.simulations <= 6 for estimate in instrumented)
     inside = [
-        abs(estimate.values[p.name] - truth[p.name]) <= 2 * float(p.std or 0.0)
+        abs(estimate.values[p.name] - truth[p.name]) <= 2 * float(p.stderr or 0.0)
         for estimate in instrumented
-        for p in estimate.parameters
+        for p in estimate.params
     ]
     assert np.mean(inside) >= 0.85
 
@@ -66,8 +66,8 @@ def test_instruments_on_a_rigid_axis() -> None:
         instrumented.append(identify(made, loop, IDIM("iv")))
     assert abs(bias(plain, truth, "inertia")[1]) > 6
     assert all(abs(bias(instrumented, truth, name)[1]) <= 3.5 for name in truth)
-    assert all(estimate.tests[0].rejected for estimate in instrumented)
-    assert instrumented[0].channels == ("torque", "reference", "motor_position")
+    assert all(estimate.checks.tests[0].rejected for estimate in instrumented)
+    assert instrumented[0].data.channels == ("torque", "reference", "motor_position")
     assert "its least-squares values are biased; use IV or DIDIM" in str(instrumented[0])
 
 
@@ -75,7 +75,7 @@ def test_instruments_on_a_rigid_axis() -> None:
 @pytest.mark.parametrize("loop", ["L19", "L30"])
 def test_noise_on_the_log_alone_raises_no_alarm(loop: str) -> None:
     axes = (twin(loop, noise="white", seed=seed) for seed in range(1, 41))  # type: ignore[arg-type]
-    alarms = [identify(axis.record, axis.loop, IDIM("iv")).tests[0].rejected for axis in axes]
+    alarms = [identify(axis.record, axis.loop, IDIM("iv")).checks.tests[0].rejected for axis in axes]
     assert np.mean(alarms) <= 0.1
 
 
@@ -129,11 +129,11 @@ def test_spikes_in_the_torque_do_not_move_the_robust_estimate() -> None:
     plain, moved = (identify(record, axis.loop, IDIM()) for record in (axis.record, wrong))
 
     def change(one: Estimate, two: Estimate) -> float:
-        return max(abs(two.values[p.name] - one.values[p.name]) / float(p.std or 1.0) for p in one.parameters)
+        return max(abs(two.values[p.name] - one.values[p.name]) / float(p.stderr or 1.0) for p in one.params)
 
     assert change(plain, moved) > 4.0
     assert change(before, after) < 1.0
-    assert "of the rows do not fit and weigh nothing" in after.stop
+    assert "of the rows do not fit and weigh nothing" in after.fit.stop
 
 
 def test_the_robust_estimate_is_95_percent_efficient_and_knows_its_deviation() -> None:
@@ -156,8 +156,8 @@ def test_the_robust_estimate_is_95_percent_efficient_and_knows_its_deviation() -
 def test_weights_tell_the_damping_and_pull_nothing_to_zero(loop: str, monkeypatch: pytest.MonkeyPatch) -> None:
     axis = twin(loop, noise="white")  # type: ignore[arg-type]
     plain, balanced = (identify(axis.record, axis.loop, IDIM(e)) for e in ("ols", "weighted"))  # type: ignore[arg-type]
-    assert float(balanced["damping"].std or 0.0) < 0.5 * float(plain["damping"].std or 0.0)
-    assert all(abs(p.value - axis.truth[p.name]) <= 3 * float(p.std or 0.0) for p in balanced.parameters)  # type: ignore[operator]
+    assert float(balanced["damping"].stderr or 0.0) < 0.5 * float(plain["damping"].stderr or 0.0)
+    assert all(abs(p.value - axis.truth[p.name]) <= 3 * float(p.stderr or 0.0) for p in balanced.params)  # type: ignore[operator]
     monkeypatch.setattr(linear, "_PULL", 0.0)
     pulled = identify(axis.record, axis.loop, IDIM("weighted"))
     assert pulled.values["stiffness"] < 0.975 * axis.truth["stiffness"]
@@ -179,7 +179,7 @@ def test_what_an_estimator_lacks_is_said() -> None:
         identify(axis.record, rigid, IDIM("iv"))
     with pytest.raises(RecordError, match="controller needs reference"):
         identify(axis.record.without("reference"), axis.loop, IDIM("iv"))
-    with pytest.raises(MethodError, match="An estimator of IDIM is one of ols, weighted, robust, iv; received 'best'"):
+    with pytest.raises(MethodError, match=r'IDIM\.estimator is "best"; expected "ols", "weighted", "robust" or "iv"'):
         IDIM("best")  # type: ignore[arg-type]
     with pytest.raises(MethodError, match="instruments of IV come from a simulation, but with these values the loop"):
         identify(axis.record, under(axis, kv=1e4, limit=np.inf), IDIM("iv"))

@@ -41,18 +41,18 @@ def test_without_the_load_encoder_the_frequencies_are_there(hidden: ji.Estimate)
     found = ji.frequencies(hidden.values)
     assert found["motor_locked"] == pytest.approx(54.0, abs=0.3)
     assert found["free_free"] == pytest.approx(76.1, abs=0.3)
-    assert hidden.converged
-    assert hidden.simulations < 150
+    assert hidden.fit.converged
+    assert hidden.fit.simulations < 150
 
 
 def test_stiffness_and_inertias_are_those_of_both_encoders(hidden: ji.Estimate, reference: dict[str, float]) -> None:
     for name in PHYSICAL:
         line = hidden[name]
         assert line.value is not None
-        assert line.std is not None
+        assert line.stderr is not None
         assert line.value == pytest.approx(reference[name], rel=0.03), name
-        assert abs(line.value - reference[name]) < 2 * line.std, name
-        assert 2 * line.std < 0.05 * line.value, name
+        assert abs(line.value - reference[name]) < 2 * line.stderr, name
+        assert 2 * line.stderr < 0.05 * line.value, name
 
 
 def test_both_encoders_need_the_difference_of_their_zeros(bench: Bench, reference: dict[str, float]) -> None:
@@ -97,7 +97,7 @@ def test_the_band_moves_what_reads_the_commanded_current_and_not_the_measured_on
     assert abs(measured[1] / measured[0] - 1) < 0.005
     lagged = fit(bench, "command", 200.0, current_lag=None)
     assert lagged["stiffness"].value == pytest.approx(measured[1], rel=0.015)
-    assert lagged["current_lag"].value > 3 * lagged["current_lag"].std
+    assert lagged["current_lag"].value > 3 * lagged["current_lag"].stderr
     # The loop that makes one current of the other is what the first leaves out.
     spectra = [np.abs(np.fft.rfft(s.reshape(20, 2500)[1:].mean(axis=0))) for s in (bench.measured, bench.command)]
     gain = spectra[0] / spectra[1]

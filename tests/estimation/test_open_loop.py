@@ -37,15 +37,15 @@ def exact() -> ji.Estimate:
 def test_a_record_without_noise_gives_the_truth(exact: ji.Estimate) -> None:
     for name, value in (TRUTH | {"log_delay": T}).items():
         assert exact[name].value == pytest.approx(value, rel=1e-5), name
-    assert exact.converged
-    assert exact.filtered_error < 1e-8
+    assert exact.fit.converged
+    assert exact.fit.filtered_error < 1e-8
 
 
 def test_it_says_what_it_compares_and_that_drift_is_left_out(exact: ji.Estimate) -> None:
-    assert exact.compared == "position"
+    assert exact.fit.compared == "position"
     assert "position error" in str(exact)
     assert "torque error" not in str(exact)
-    assert any("1.8 Hz are drift" in warning for warning in exact.warnings)
+    assert any("1.8 Hz are drift" in warning for warning in exact.checks.warnings)
 
 
 def test_drift_of_the_position_does_not_matter(exact: ji.Estimate) -> None:
@@ -58,9 +58,9 @@ def test_noise_of_the_encoder_leaves_the_truth_in_the_intervals() -> None:
     found = ji.identify(record(noise=2e-6, seed=3), ji.OpenLoop(JOINT), FIT, filtering=FILTERING)
     for name in ("motor_inertia", "motor_coulomb", "stiffness", "load_inertia", "load_coulomb"):
         line = found[name]
-        assert line.std is not None
-        assert abs(line.value - TRUTH[name]) < 3 * line.std, name
-        assert line.std < 0.01 * line.value, name
+        assert line.stderr is not None
+        assert abs(line.value - TRUTH[name]) < 3 * line.stderr, name
+        assert line.stderr < 0.01 * line.value, name
 
 
 def test_what_is_missing_is_named() -> None:

@@ -12,7 +12,7 @@ from jointid.common.errors import MethodError
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.parameters import Parameter, Quantity
 from jointid.paper.twin import twin
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.combination import ByCompliance, Combination, single
 from jointid.uncertainty.covariance import larger, sandwich, stationary, white
 from jointid.uncertainty.profile import Profiling, profile

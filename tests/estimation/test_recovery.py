@@ -16,9 +16,9 @@ from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.models.parameters import Parameter, Quantity
-from jointid.records.excitation import pulses, trapezoids
 from jointid.records.record import Channel, Record, Tap, Timing
-from jointid.records.signals import Filtering
+from jointid.records.signals.excitation import pulses, trapezoids
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial, simulate
 from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.simulation.synthesis import simulated_record
@@ -47,7 +47,7 @@ def test_didim_recovers_a_rigid_truth(motion: np.ndarray, start: str) -> None:
     made = simulated_record(LOOP, motion, TRUTH, sample_time=T).without("motor_position")
     estimate = identify(made, LOOP, DIDIM(start=start))  # type: ignore[arg-type]
     assert errors(estimate.values, TRUTH) <= 1e-6
-    assert estimate.converged
+    assert estimate.fit.converged
 
 
 def test_the_paper_s_form_is_biased_where_the_axis_rests() -> None:
@@ -108,7 +108,7 @@ def test_a_fixed_parameter_keeps_its_value_and_a_wrong_one_biases_the_others() -
     right = {"offset": Parameter("offset", "offset", Quantity.FORCE).fixed(-3.2)}
     estimate = identify(made, LOOP, parameters=right)
     assert estimate.values["offset"] == -3.2
-    assert estimate["offset"].std is None
+    assert estimate["offset"].stderr is None
     assert errors(estimate.values, TRUTH) <= 1e-6
     idim = identify(made, LOOP, IDIM(), parameters=right)
     assert idim.values["offset"] == -3.2
@@ -139,6 +139,7 @@ def test_idim_respects_delay_and_averaging() -> None:
     assert errors(same.values, TRUTH) < 3e-3
 
 
+@pytest.mark.statistical
 def test_the_intervals_cover_the_truth_for_white_noise_on_the_log() -> None:
     """A smoke test of the scale of the deviations, 60 seeds; the statistics proper come with the solver."""
     clean = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
@@ -150,7 +151,7 @@ def test_the_intervals_cover_the_truth_for_white_noise_on_the_log() -> None:
         torque = Channel(clean.torque.values + noise, "N", T, Timing.HELD)
         estimate = identify(Record(torque=torque, reference=clean.reference), LOOP)
         for name, value in TRUTH.items():
-            std = estimate[name].std
+            std = estimate[name].stderr
             assert std is not None
             inside[name] += abs(estimate.values[name] - value) <= 2 * std
     assert all(count >= 0.85 * runs for count in inside.values())
@@ -204,14 +205,14 @@ def test_an_axis_at_rest_is_not_taken_to_move_for_the_sake_of_noise() -> None:
         assert not estimate["initial_velocity"].free
         assert estimate["initial_velocity"].value == 0.0
         # Once that is decided the search is taken to its end.
-        assert estimate.converged
-        assert f"limit {100 * DIDIM().step_tolerance:g} %" in estimate.stop
+        assert estimate.fit.converged
+        assert f"limit {100 * DIDIM().step_tolerance:g} %" in estimate.fit.stop
 
 
 def test_the_gains_are_the_true_ones_after_the_first_iterations() -> None:
     made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
     estimate = identify(made, LOOP, DIDIM(start="regular", scaled_iterations=2))
-    scales = [line.gain_scale for line in estimate.trace]
+    scales = [line.gain_scale for line in estimate.fit.trace]
     assert scales[1] != 1.0
     assert set(scales[2:]) == {1.0}
 
@@ -223,7 +224,7 @@ def test_a_parameter_beyond_its_bound_is_kept_there_with_a_warning() -> None:
         high = identify(made, LOOP, method, parameters={"inertia": replace(inertia, lower=100.0)})
         assert high.values["inertia"] == 100.0
         assert not high["inertia"].free
-        assert "inertia is at its bound: without it, it would be 95" in high.warnings[0]
+        assert "inertia is at its bound: without it, it would be 95" in high.checks.warnings[0]
         low = identify(made, LOOP, method, parameters={"viscous": replace(viscous, upper=150.0)})
         assert low.values["viscous"] == 150.0
         assert low.values["coulomb"] > TRUTH["coulomb"] + 1.0  # it takes what the other may not
@@ -243,8 +244,8 @@ def test_a_wrong_loop_is_not_called_a_good_fit() -> None:
     made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T).without("motor_position")
     wrong = ClosedLoop(RigidJoint(), Cascade(kp=16.0, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15))
     estimate = identify(made, wrong)
-    assert any("of the filtered torque unexplained" in warning for warning in estimate.warnings)
-    assert not any("unexplained" in warning for warning in identify(made, LOOP).warnings)
+    assert any("of the filtered torque unexplained" in warning for warning in estimate.checks.warnings)
+    assert not any("unexplained" in warning for warning in identify(made, LOOP).checks.warnings)
 
 
 def test_an_inertia_that_is_known_may_be_fixed_under_every_start() -> None:
@@ -336,6 +337,6 @@ def test_a_search_that_begins_at_the_answer_ends_there(form: str, state: str) ->
     starts = {p.name: replace(p, start=TRUTH[p.name]) for p in LOOP.joint.parameters}
     settings = DIDIM(form=form, start="given", scaled_iterations=0, initial_state=state)  # type: ignore[arg-type]
     estimate = identify(made, LOOP, settings, parameters=starts)
-    assert estimate.converged and estimate.simulations == 1
-    assert estimate.stop == "the torque is reproduced to rounding"
+    assert estimate.fit.converged and estimate.fit.simulations == 1
+    assert estimate.fit.stop == "the torque is reproduced to rounding"
     assert errors(estimate.values, TRUTH) == 0.0

@@ -13,7 +13,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_pr
 from jointid.models.joints import RigidJoint
 from jointid.paper.twin import twin
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.uncertainty.covariance import sandwich
 from jointid.uncertainty.position_dependent_error import Cells, Uncertainty, by_place, cells, repeatable, uncertainty
@@ -124,6 +124,7 @@ def test_the_widening_does_not_spoil_the_coverage_of_noise() -> None:
     assert np.mean([one.repeatable.significant for one in found]) <= 0.08
 
 
+@pytest.mark.statistical
 def test_the_widening_covers_what_repeats() -> None:
     robust, widened, found = of_many("place", 120, 6)
     assert np.all(widened >= 0.90)
@@ -150,7 +151,7 @@ def at_rows(problem: ClosedLoopProblem, x: np.ndarray) -> tuple[np.ndarray, np.n
 
 def emps_fit(record: Record) -> tuple[ClosedLoopProblem, np.ndarray, np.ndarray, Cells]:
     estimate = identify(record, LOOP)
-    values = {p.name: p.value for p in estimate.parameters}
+    values = {p.name: p.value for p in estimate.params}
     problem = torque_problem(record, LOOP, Filtering(), LOOP.joint.parameters)
     x = problem.vector({name: value or 0.0 for name, value in values.items()})
     residual, J = problem.linearised(x)

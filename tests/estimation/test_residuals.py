@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.records.signals import Filtering, decimate
+from jointid.records.signals.filtering import Filtering, decimate
 from jointid.uncertainty.covariance import different, robust, white
 from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.residual_tests import residual_report, whiteness

@@ -35,13 +35,13 @@ class Outcome:
 
 def search_of(estimate: Estimate) -> int:
     """The simulations of the search, up to its last step; the verdicts on its answer take some more."""
-    return estimate.trace[-1].simulations if estimate.trace else estimate.simulations
+    return estimate.fit.trace[-1].simulations if estimate.fit.trace else estimate.fit.simulations
 
 
 def cost(case: Case, record: Record, estimate: Estimate) -> float:
     """The criterion at the end over the criterion at the truth, on the band of the estimate."""
-    problem = torque_problem(record, case.loop, estimate.filtering, case.loop.joint.parameters)
-    found = {p.name: p.value for p in estimate.parameters}
+    problem = torque_problem(record, case.loop, estimate.settings.filtering, case.loop.joint.parameters)
+    found = {p.name: p.value for p in estimate.params}
     if None in found.values():
         return np.inf
     assert record.reference is not None
@@ -68,7 +68,16 @@ def outcome(make: Callable[[int], Case], seed: int, spread: float = 0.0) -> Outc
     return Outcome(seed, cost(case, record, estimate), search_of(estimate))
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize("make", [prismatic, rotary])
+def test_a_plant_is_identified_from_nothing(make: Callable[[int], Case]) -> None:
+    """One of each family; below there are sixty."""
+    found = outcome(make, 2)
+    assert not found.error
+    assert found.ratio <= 1.01
+    assert found.simulations <= 250
+
+
+@pytest.mark.statistical
 @pytest.mark.parametrize("make", [prismatic, rotary])
 def test_random_plants_are_identified_from_nothing(make: Callable[[int], Case]) -> None:
     """Of 60 of each family 98 % end at the noise floor, whatever their size; a refused stiffness counts as lost."""
@@ -81,7 +90,7 @@ def test_random_plants_are_identified_from_nothing(make: Callable[[int], Case]) 
     assert np.percentile(effort, 95) <= 250
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 @pytest.mark.parametrize("make", [prismatic, rotary])
 def test_starts_within_a_factor_of_ten_lead_there_too(make: Callable[[int], Case]) -> None:
     found = in_threads(lambda seed: outcome(make, seed, spread=10.0), range(24))
@@ -100,13 +109,14 @@ def test_a_poor_rigid_start_is_not_the_end_of_it(seed: int) -> None:
 
 @pytest.mark.parametrize("loop", ["L19", "L30"])
 @pytest.mark.parametrize("frequency", [15.0, 22.0, 30.0, 45.0, 60.0, None])
-def test_any_start_from_15_to_60_hz_ends_at_the_truth(loop: str, frequency: float | None) -> None:
+def test_any_start_from_15_to_60_hz_ends_at_the_truth(
+    loop: str, frequency: float | None, identified: Callable[..., Estimate]
+) -> None:
     axis = twin(loop, noise="none")  # type: ignore[arg-type]
-    record = axis.record.without("motor_position", "load_position")
-    estimate = identify(record, axis.loop, FlexibleDIDIM(frequency=frequency))
+    estimate = identified(loop, FlexibleDIDIM(frequency=frequency), noise="none")
     for name, value in axis.truth.items():
         assert estimate.values[name] == pytest.approx(value, rel=1e-4), name
-    assert estimate.simulations <= 700
+    assert estimate.fit.simulations <= 700
 
 
 def test_units_of_mass_length_and_time_do_not_matter() -> None:
@@ -133,7 +143,7 @@ def test_units_of_mass_length_and_time_do_not_matter() -> None:
     )
     slow = replace(controller, kp=controller.kp / time, kv=controller.kv * torque * time)
     moved = identify(other, replace(case.loop, controller=slow))
-    assert moved.simulations == plain.simulations
+    assert moved.fit.simulations == plain.fit.simulations
     units = {"inertia": torque * time**2, "viscous": torque * time, "coulomb": torque, "damping": torque * time}
     for name, value in plain.values.items():
         factor = units.get(name.split("_")[-1], torque)

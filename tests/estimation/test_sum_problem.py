@@ -17,7 +17,7 @@ from jointid.estimation.problems.sum import SumProblem, filter_rows
 from jointid.models.joints import RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 

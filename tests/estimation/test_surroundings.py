@@ -14,8 +14,8 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM, refined_least_squares
 from jointid.models.controllers import Cascade, FirstOrder, Notch, SecondOrder, numbers_of, with_numbers
 from jointid.models.joints import RigidJoint
-from jointid.records.excitation import trapezoids
 from jointid.records.record import Record
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
@@ -39,9 +39,9 @@ def test_a_rigid_joint_is_identified_with_the_delay_of_its_loop() -> None:
     assert estimate["delay"].unit == "s"
     assert not estimate["delay"].of_joint
     assert "delay" not in estimate.values
-    assert estimate.delay == estimate["delay"].value
-    assert estimate.loop is not None
-    assert estimate.loop.controller.law(1e-3).delay == estimate["delay"].value
+    assert estimate.settings.delay == estimate["delay"].value
+    assert estimate.settings.loop is not None
+    assert estimate.settings.loop.controller.law(1e-3).delay == estimate["delay"].value
     for name, value in RIGID.items():
         assert estimate.values[name] == pytest.approx(value, rel=1e-5)
     assert "delay" in str(estimate)
@@ -55,7 +55,7 @@ def test_a_flexible_joint_is_identified_with_gains_and_delay() -> None:
     estimate = identify(record, where.loop, FlexibleDIDIM(frequency=30.0, free=("kp", "kv", "delay")))
     for name, value in (where.truth | line_7(where.loop)).items():
         assert estimate[name].value == pytest.approx(value, rel=1e-4), name
-    assert estimate.relative_error < 1e-5
+    assert estimate.fit.relative_error < 1e-5
 
 
 @pytest.mark.parametrize(
@@ -93,12 +93,12 @@ def test_torque_alone_finds_the_delay_of_the_real_axis(emps: Record, emps_pulses
     loop = ClosedLoop(RigidJoint(), CONTROLLER)
     pulsed = identify(emps_pulses, loop, DIDIM(free=("kp", "kv", "delay")))["delay"]
     assert pulsed.value == pytest.approx(0.31e-3, abs=0.02e-3)
-    assert pulsed.std == pytest.approx(0.08e-3, rel=0.2)
+    assert pulsed.stderr == pytest.approx(0.08e-3, rel=0.2)
     plain = identify(emps, loop, DIDIM(free=("delay",)))["delay"]
-    assert float(plain.value or 0.0) < 2 * float(plain.std or 0.0)
+    assert float(plain.value or 0.0) < 2 * float(plain.stderr or 0.0)
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 @pytest.mark.parametrize("noise", ["white", "disturbance"])
 def test_a_wrong_loop_biases_nothing_where_it_is_free_and_is_flagged_where_it_is_not(noise: Noise) -> None:
     """kp +3 %, kv -4 %, 0.4 ms and no offset declared, over 200 runs of the twin."""
@@ -154,5 +154,5 @@ def test_any_number_of_a_law_is_found_from_beside(name: str, declared: float) ->
     wrong = ClosedLoop(RigidJoint(), with_numbers(true, {name: declared}))
     estimate = identify(record, wrong, DIDIM(free=(name,)))
     found = estimate[name]
-    assert abs((found.value or 0.0) - numbers_of(true)[name]) <= 4 * (found.std or 0.0)
+    assert abs((found.value or 0.0) - numbers_of(true)[name]) <= 4 * (found.stderr or 0.0)
     assert estimate.values["inertia"] == pytest.approx(100.0, rel=5e-3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from jointid.diagnostics.scores import whitener
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import RigidJoint
 from jointid.output.json import LOOP_SCHEMA, dumps, loop_answer
 from jointid.paper.twin import twin
@@ -132,10 +134,10 @@ def test_the_whitener_leaves_no_correlation() -> None:
         assert abs(float(white[lag:] @ white[:-lag]) / float(white @ white)) < 0.08
 
 
-def test_an_answer_is_checked_with_its_record() -> None:
+def test_an_answer_is_checked_with_its_record(identified: Callable[..., Estimate]) -> None:
     axis = twin(noise="white")
     record = axis.record.without("motor_position", "load_position")
-    estimate = identify(record, axis.loop, FlexibleDIDIM(frequency=30.0))
+    estimate = identified("L19", FlexibleDIDIM(frequency=30.0), noise="white")
     assert check_loop(estimate, record).as_declared
     only = check_loop(estimate, record, LoopTests(suspects=("kp", "delay")))
     assert {s.name for s in only.suspects} == {"kp", "delay"}
@@ -240,7 +242,7 @@ def test_the_real_axis_is_told_what_it_has(emps: Record, emps_pulses: Record) ->
         assert 2 * late.std < 0.13e-3
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_clean_records_raise_no_more_false_alarms_than_allowed() -> None:
     """All tests together, on 400 records of both loops with either noise."""
     alarms = 0
@@ -250,7 +252,7 @@ def test_clean_records_raise_no_more_false_alarms_than_allowed() -> None:
     assert alarms <= 0.05 * 400
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 @pytest.mark.parametrize(("name", "noise"), [("L19", "disturbance"), ("L30", "white")])
 @pytest.mark.parametrize("fault", FAULTS)
 def test_the_fault_that_is_there_is_the_one_named_first(name: Loop, noise: Noise, fault: str) -> None:

@@ -17,14 +17,14 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.problems.several_records import several
-from jointid.estimation.several_records.common_estimate import CommonEstimate
-from jointid.estimation.several_records.identify_together import identify_together
+from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.several_records.per_record_fit import SOLVER, by_itself, starts, whitened
+from jointid.estimation.several_records.settings import SeveralRecords
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import InjectionPoint, Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
@@ -77,33 +77,31 @@ def test_two_records_under_different_gains() -> None:
     axis = twins("none")
     slower = ClosedLoop(axis.loop.joint, replace(axis.loop.controller, kp=120.0, kv=200.0))  # type: ignore[type-var]
     records = [logged(axis.loop, axis.truth), logged(slower, axis.truth)]
-    found = identify_together(records, [axis.loop, slower], method=QUICK)
+    found = identify(records, [axis.loop, slower], method=QUICK)
     for name, value in found.values.items():
         assert value == pytest.approx(axis.truth[name], rel=1e-4), name
-    assert found.converged
-    assert not found.agreement.differs
+    assert found.fit.converged
+    assert not found.checks.agreement.differs
     with pytest.raises(MethodError, match="gain cannot be told"):
-        identify_together(records, [axis.loop, slower], free=["drive_gain"], method=QUICK)
-    wrong = identify_together(records, axis.loop, method=QUICK)  # the second under the gains of the first
-    assert wrong.agreement.differs
-    assert any("disagree" in warning for warning in wrong.warnings)
+        identify(records, [axis.loop, slower], several=SeveralRecords(free=["drive_gain"]), method=QUICK)
+    wrong = identify(records, axis.loop, method=QUICK)  # the second under the gains of the first
+    assert wrong.checks.agreement.differs
+    assert any("disagree" in warning for warning in wrong.checks.warnings)
 
 
 def test_a_known_mass_an_own_friction_and_the_gain_of_the_drive() -> None:
     axis, gain = twins("none"), 1.03
     loaded = heavier(axis.truth) | {"motor_coulomb": 11.0, "load_coulomb": 12.0, "load_viscous": 130.0}
     per_log = [{name: value / gain for name, value in truth.items()} for truth in (axis.truth, loaded)]
-    found = identify_together(
-        [logged(axis.loop, values) for values in per_log],
-        axis.loop, added_inertia=[0.0, KILOGRAMS], own=[(), FRICTION], free=["drive_gain"], method=QUICK,
-    )  # fmt: skip
+    shared = SeveralRecords(added_inertia=[0.0, KILOGRAMS], own=[(), FRICTION], free=["drive_gain"])
+    found = identify([logged(axis.loop, values) for values in per_log], axis.loop, several=shared, method=QUICK)
     assert found["drive_gain"].value == pytest.approx(gain, rel=1e-6)
     for name in ("motor_inertia", "load_inertia", "stiffness", "damping", "offset"):
         assert found[name].value == pytest.approx(axis.truth[name], rel=1e-4), name
     for name in FRICTION:
         assert found[f"{name}@1"].value == pytest.approx(axis.truth[name], rel=1e-4), name
         assert found[f"{name}@2"].value == pytest.approx(loaded[name], rel=1e-4), name
-    second = found.records[1]
+    second = found.data.records[1]
     assert second.values["load_inertia"] == pytest.approx(loaded["load_inertia"], rel=1e-6)
     assert second.measured == pytest.approx(second.predicted, abs=1e-5)
     # By itself each record has the same inertia on the load: the gain takes it to kilograms, what was added is off.
@@ -122,8 +120,8 @@ def test_a_torque_constant_from_a_known_mass() -> None:
         for values in (truth, truth | {"inertia": 105.0})
     ]
     with pytest.raises(MethodError, match="per A; free drive_gain"):
-        identify_together(records, loop, added_inertia=[0.0, KILOGRAMS])
-    found = identify_together(records, loop, added_inertia=[0.0, KILOGRAMS], free=["drive_gain"])
+        identify(records, loop, several=SeveralRecords(added_inertia=[0.0, KILOGRAMS]))
+    found = identify(records, loop, several=SeveralRecords(added_inertia=[0.0, KILOGRAMS], free=["drive_gain"]))
     assert found["drive_gain"].value == pytest.approx(35.0, rel=1e-6)
     assert found["drive_gain"].unit == "N/A"
     assert found["inertia"].value == pytest.approx(95.0, rel=1e-6)
@@ -135,34 +133,38 @@ def test_what_is_fixed_and_bounded_is_so_without_the_added_mass() -> None:
     known = {p.name: p for p in axis.loop.joint.parameters}
     records = [logged(axis.loop, axis.truth), logged(axis.loop, heavier(axis.truth))]
     fixed = {"load_inertia": known["load_inertia"].fixed(axis.truth["load_inertia"])}
-    found = identify_together(records, axis.loop, added_inertia=[0.0, KILOGRAMS], parameters=fixed, method=QUICK)
+    found = identify(
+        records, axis.loop, several=SeveralRecords(added_inertia=[0.0, KILOGRAMS]), parameters=fixed, method=QUICK
+    )
     assert found["load_inertia"].value == axis.truth["load_inertia"]
-    assert found["load_inertia"].std is None
+    assert found["load_inertia"].stderr is None
     assert found["stiffness"].value == pytest.approx(axis.truth["stiffness"], rel=1e-6)
     bounded = {"load_inertia": replace(known["load_inertia"], upper=30.0)}
-    found = identify_together(records, axis.loop, added_inertia=[0.0, KILOGRAMS], parameters=bounded, method=QUICK)
+    found = identify(
+        records, axis.loop, several=SeveralRecords(added_inertia=[0.0, KILOGRAMS]), parameters=bounded, method=QUICK
+    )
     assert float(found["load_inertia"].value or 0.0) <= 30.0
-    assert any("load_inertia is at its bound" in warning for warning in found.warnings)
+    assert any("load_inertia is at its bound" in warning for warning in found.checks.warnings)
 
 
 # With noise: what a second record is worth
 
 
 @pytest.fixture(scope="module")
-def noisy() -> CommonEstimate:
+def noisy() -> Estimate:
     axis = twins("white")
     records = [logged(axis.loop, t, "white", s) for s, t in enumerate((axis.truth, heavier(axis.truth)), 50)]
-    return identify_together(records, axis.loop, added_inertia=[0.0, KILOGRAMS], method=QUICK)
+    return identify(records, axis.loop, several=SeveralRecords(added_inertia=[0.0, KILOGRAMS]), method=QUICK)
 
 
-def test_a_second_record_narrows_the_intervals(noisy: CommonEstimate) -> None:
+def test_a_second_record_narrows_the_intervals(noisy: Estimate) -> None:
     """Each record by itself, and both: about the root of the sum of their informations."""
-    first, second = ({p.name: p for p in record.alone} for record in noisy.records)
-    for p in noisy.parameters:
-        alone = [float(each[p.name].std or 0.0) for each in (first, second)]
-        assert float(p.std or 0.0) <= 1.1 * np.sum(np.array(alone) ** -2.0) ** -0.5, p.name
-        assert abs(float(p.value or 0.0) - twins("white").truth[p.name]) <= 3 * float(p.std or 0.0)
-    assert not noisy.agreement.differs
+    first, second = ({p.name: p for p in record.alone} for record in noisy.data.records)
+    for p in noisy.params:
+        alone = [float(each[p.name].stderr or 0.0) for each in (first, second)]
+        assert float(p.stderr or 0.0) <= 1.1 * np.sum(np.array(alone) ** -2.0) ** -0.5, p.name
+        assert abs(float(p.value or 0.0) - twins("white").truth[p.name]) <= 3 * float(p.stderr or 0.0)
+    assert not noisy.checks.agreement.differs
 
 
 def test_a_record_that_is_much_noisier_does_no_harm() -> None:
@@ -172,20 +174,21 @@ def test_a_record_that_is_much_noisier_does_no_harm() -> None:
     assert loud.torque is not None
     more = 100.0 * np.random.default_rng(52).standard_normal(len(loud.torque))
     loud = replace(loud, torque=replace(loud.torque, values=loud.torque.values + more))
-    found = identify_together([quiet, loud], axis.loop, method=QUICK)
-    assert found.records[1].level > 5 * found.records[0].level
-    for p in found.records[0].alone:
+    found = identify([quiet, loud], axis.loop, method=QUICK)
+    assert found.data.records[1].level > 5 * found.data.records[0].level
+    for p in found.data.records[0].alone:
         if p.of_joint:
-            assert float(found[p.name].std or 0.0) <= 1.02 * float(p.std or 0.0), p.name
-            assert abs(float(found[p.name].value or 0.0) - float(p.value or 0.0)) <= 0.5 * float(p.std or 0.0), p.name
+            assert float(found[p.name].stderr or 0.0) <= 1.02 * float(p.stderr or 0.0), p.name
+            assert abs(float(found[p.name].value or 0.0) - float(p.value or 0.0)) <= 0.5 * float(p.stderr or 0.0), (
+                p.name
+            )
 
 
 def test_what_one_record_refuses_another_may_tell() -> None:
     truth = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.0}
     estimate = identify(logged(RIGID, truth), RIGID)
-    refusing = replace(
-        estimate,
-        parameters=tuple(replace(p, value=None) if p.name == "coulomb" else p for p in estimate.parameters),
+    refusing = estimate.amended(
+        params={"rows": tuple(replace(p, value=None) if p.name == "coulomb" else p for p in estimate.params)}
     )
     first, second = starts([refusing, estimate])
     assert first == second
@@ -193,7 +196,7 @@ def test_what_one_record_refuses_another_may_tell() -> None:
         starts([refusing, refusing])
 
 
-def test_the_answer_prints(noisy: CommonEstimate) -> None:
+def test_the_answer_prints(noisy: Estimate) -> None:
     text = str(noisy)
     assert "2 records together" in text
     assert "record 2: run 51, 10.000 kg added to the load; read: torque, reference, injected" in text
@@ -215,8 +218,8 @@ def test_simulations_are_those_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
     original = kernels.run
     monkeypatch.setattr(kernels, "run", lambda *arguments: (calls.append(1), original(*arguments))[1])
-    found = identify_together(records, RIGID)
-    assert found.simulations == len(calls)
+    found = identify(records, RIGID)
+    assert found.fit.simulations == len(calls)
     assert axis.noise > 0
 
 
@@ -242,7 +245,7 @@ def differences(noise: Noise, seed: int) -> tuple[float, float]:
     return apart, float(found["load_inertia@2"] - found["load_inertia@1"])
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 @pytest.mark.parametrize(("noise", "apart"), [("white", 0.161), ("disturbance", 0.22)])
 def test_ten_kilograms_more_by_records_apart_and_together(noise: Noise, apart: float) -> None:
     """Apart: what the sensitivities foretell, which for white noise no estimator betters. Together: 0.07 kg."""
@@ -262,14 +265,17 @@ def gain_of(noise: Noise, seed: int) -> tuple[float, float, bool]:
     records = [
         logged(axis.loop, {n: v / gain for n, v in t.items()}, noise, 2 * seed + k) for k, t in enumerate(truths)
     ]
-    found = identify_together(
-        records, axis.loop, added_inertia=[0.0, KILOGRAMS], own=[(), FRICTION], free=["drive_gain"], method=QUICK
+    found = identify(
+        records,
+        axis.loop,
+        several=SeveralRecords(added_inertia=[0.0, KILOGRAMS], own=[(), FRICTION], free=["drive_gain"]),
+        method=QUICK,
     )
     told = found["drive_gain"]
-    return (float(told.value or 0.0) / gain - 1, float(told.std or 0.0) / gain, found.agreement.differs)
+    return (float(told.value or 0.0) / gain - 1, float(told.stderr or 0.0) / gain, found.checks.agreement.differs)
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 @pytest.mark.parametrize("noise", ["disturbance", "white"])
 def test_the_gain_of_a_drive_by_a_known_mass(noise: Noise) -> None:
     """A drive whose torque is 3 % more than its log says, two records, 10 kg on the load, friction free in each."""
@@ -292,23 +298,25 @@ def test_the_two_emps_records_disagree_on_the_inertia_and_it_is_said(
     loop = RIGID if friction == "symmetric" else ClosedLoop(RigidJoint(friction=AsymmetricFriction()), CONTROLLER)
     assert emps_pulses.injected is not None
     pulses = replace(emps_pulses, injected=replace(emps_pulses.injected, at=InjectionPoint.BEFORE_LIMIT))
-    found = identify_together([emps.without("motor_position"), pulses.without("motor_position")], loop)
-    alone = [{p.name: p for p in record.alone}["inertia"] for record in found.records]
-    values, spreads = (np.array([getattr(p, key) for p in alone]) for key in ("value", "std"))
+    found = identify([emps.without("motor_position"), pulses.without("motor_position")], loop)
+    alone = [{p.name: p for p in record.alone}["inertia"] for record in found.data.records]
+    values, spreads = (np.array([getattr(p, key) for p in alone]) for key in ("value", "stderr"))
     assert values == pytest.approx([95.4, 94.1], abs=0.1)
     assert abs(values[0] - values[1]) > 2 * np.hypot(*spreads)
-    inertia = found.agreement["inertia"]
+    inertia = found.checks.agreement["inertia"]
     assert inertia.differs
     assert inertia.between == pytest.approx(0.85, abs=0.1)
-    assert float(found["inertia"].std or 0.0) > 0.7 * inertia.between  # widened by it
-    assert any("disagree by more than their intervals allow" in warning for warning in found.warnings)
-    assert abs(values - found["inertia"].value) == pytest.approx(0.0, abs=2 * float(found["inertia"].std or 0.0))
+    assert float(found["inertia"].stderr or 0.0) > 0.7 * inertia.between  # widened by it
+    assert any("disagree by more than their intervals allow" in warning for warning in found.checks.warnings)
+    assert abs(values - found["inertia"].value) == pytest.approx(0.0, abs=2 * float(found["inertia"].stderr or 0.0))
     for name in found.values:
         if name not in ("inertia", "offset"):
-            assert not found.agreement[name].differs, name
-    assert "by the level of its residual alone, because it repeats with the motion" in found.weighting
-    assert all(record.repeatable.significant for record in found.records)
-    assert all(record.relative_error <= (0.0479 if friction == "symmetric" else 0.0402) for record in found.records)
+            assert not found.checks.agreement[name].differs, name
+    assert "by the level of its residual alone, because it repeats with the motion" in found.settings.weighting
+    assert all(record.repeatable.significant for record in found.data.records)
+    assert all(
+        record.relative_error <= (0.0479 if friction == "symmetric" else 0.0402) for record in found.data.records
+    )
 
 
 def test_weighing_what_repeats_away_would_believe_a_wrong_model(emps: Record) -> None:
@@ -316,7 +324,7 @@ def test_weighing_what_repeats_away_would_believe_a_wrong_model(emps: Record) ->
     state = tuple(replace(p, start=0.0) for p in INITIAL_STATE)
     estimate = identify(emps, RIGID)
     problem = torque_problem(emps, RIGID, Filtering(), RIGID.joint.parameters, state)
-    one = by_itself(problem, {p.name: p.value or 0.0 for p in estimate.parameters})
+    one = by_itself(problem, {p.name: p.value or 0.0 for p in estimate.params})
     assert one.values["viscous"] == pytest.approx(210, abs=2)
     assert whitened(one).values["viscous"] > 235
 
@@ -328,7 +336,7 @@ def test_what_cannot_be_is_refused_in_a_sentence() -> None:
     axis = twins("none")
     records = [axis.record, axis.record]
     for arguments, sentence in (
-        ({"records": records[:1]}, "Two or more records are identified together; received 1: use identify"),
+        ({"records": records[:1]}, "Two or more records are identified together; received 1"),
         ({"loops": [axis.loop]}, "loops has one entry for each of the 2 records"),
         ({"added_inertia": [10.0]}, "added_inertia has one entry for each of the 2 records"),
         ({"own": ["offset", "offset"]}, "own has one entry for each of the 2 records"),
@@ -340,4 +348,5 @@ def test_what_cannot_be_is_refused_in_a_sentence() -> None:
     ):
         given = {"records": records, "loops": axis.loop, "method": QUICK} | arguments
         with pytest.raises(MethodError, match=sentence):
-            identify_together(given.pop("records"), given.pop("loops"), **given)  # type: ignore[arg-type]
+            records_, loops, method = (given.pop(name) for name in ("records", "loops", "method"))
+            identify(records_, loops, method, several=SeveralRecords(**given))  # type: ignore[arg-type, call-overload]

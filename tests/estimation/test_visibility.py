@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,6 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import FlexibleJoint
 from jointid.models.parameters import Parameter
 from jointid.output.json import dumps, estimate_answer
-from jointid.paper.twin import twin
 from jointid.records.record import Record
 from jointid.simulation.loop_input import ClosedLoop
 from tests.estimation.conftest import CONTROLLER
@@ -24,7 +24,7 @@ LOOP = ClosedLoop(FlexibleJoint(), CONTROLLER)
 
 
 def stiffness_verdict(estimate: Estimate) -> tuple[bool | None, str]:
-    (found,) = (verdict for verdict in estimate.verdicts if verdict.subject == "stiffness")
+    (found,) = (verdict for verdict in estimate.checks.verdicts if verdict.subject == "stiffness")
     return found.good, found.said
 
 
@@ -35,17 +35,34 @@ def require_refused(estimate: Estimate) -> None:
     assert "not identifiable from this record" in said
     for name in ("motor_inertia", "load_inertia", "stiffness", "damping"):
         assert estimate[name].value is None, name
-    bounds = {bound.share: bound.stiffness for bound in estimate.bounds}
+    bounds = {bound.share: bound.stiffness for bound in estimate.checks.bounds}
     assert 0.6e6 <= (bounds[0.05] or 0.0) <= 4e6
     assert (bounds[0.5] or 0.0) >= 3e6
     assert (bounds[0.33] or 0.0) <= 1e8
     found = [bound or 0.0 for bound in bounds.values()]
     assert found == sorted(found)
-    assert estimate.known is not None
-    whole = {known.combination.name: known for known in estimate.known.physical}
+    assert estimate.checks.known is not None
+    whole = {known.combination.name: known for known in estimate.checks.known.physical}
     assert whole["total inertia"].value == pytest.approx(95.0, abs=1.5)
 
 
+def test_an_axis_that_is_as_good_as_rigid_shows_no_spring(stiff_axis: tuple[Record, Estimate]) -> None:
+    record, estimate = stiff_axis
+    good, said = stiffness_verdict(estimate)
+    assert good is False
+    assert "not identifiable from this record" in said
+    for name in ("motor_inertia", "load_inertia", "stiffness", "damping"):
+        assert estimate[name].value is None, name
+    assert all(1e5 <= bound.stiffness <= 1e9 for bound in estimate.checks.bounds if bound.stiffness is not None)
+    assert estimate.checks.known is not None
+    whole = {known.combination.name: known for known in estimate.checks.known.physical}
+    assert whole["total inertia"].value == pytest.approx(105.0, rel=0.05)
+    assert json.loads(dumps(estimate_answer(estimate)))["parameters"]["stiffness"]["value"] is None
+    with pytest.raises(MethodError, match=r"stiffness, .*cannot be told from this record"):
+        validate(estimate, record)
+
+
+@pytest.mark.slow
 def test_the_emps_axis_shows_no_spring(emps: Record) -> None:
     estimate = identify(emps.without("motor_position"), LOOP)
     require_refused(estimate)
@@ -55,6 +72,7 @@ def test_the_emps_axis_shows_no_spring(emps: Record) -> None:
         validate(estimate, emps)
 
 
+@pytest.mark.slow
 def test_nor_does_it_with_pulses(emps_pulses: Record) -> None:
     require_refused(identify(emps_pulses.without("motor_position"), LOOP))
 
@@ -76,9 +94,8 @@ def test_whatever_the_start(seed: int, which: str, request: pytest.FixtureReques
 
 @pytest.mark.parametrize("loop", ["L19", "L30"])
 @pytest.mark.parametrize("noise", ["disturbance", "white"])
-def test_the_twin_shows_its_spring(loop: str, noise: str) -> None:
-    axis = twin(loop, noise=noise, seed=3)  # type: ignore[arg-type]
-    estimate = identify(axis.record.without("motor_position", "load_position"), axis.loop)
+def test_the_twin_shows_its_spring(loop: str, noise: str, identified: Callable[..., Estimate]) -> None:
+    estimate = identified(loop, noise=noise, seed=3)
     assert stiffness_verdict(estimate)[0] is True
-    assert not estimate.bounds
+    assert not estimate.checks.bounds
     assert estimate.values["stiffness"] == pytest.approx(8e5, rel=0.02)

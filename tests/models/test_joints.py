@@ -7,11 +7,11 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.models.controllers import Cascade
-from jointid.models.friction import AsymmetricFriction, SymmetricFriction
-from jointid.models.joints import FlexibleJoint, Motion, RigidJoint, frequencies, friction_named, rigid_sums
+from jointid.models.friction import AsymmetricFriction, SymmetricFriction, friction_named
+from jointid.models.joints import FlexibleJoint, Motion, RigidJoint, frequencies, rigid_sums
 from jointid.models.parameters import Parameter, Quantity, adjusted
 from jointid.paper.twin import TABLE_2, TABLE_4
-from jointid.records.excitation import trapezoids
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 

@@ -108,13 +108,13 @@ def test_a_filter_of_first_order_has_the_pole_of_the_sampled_one() -> None:
 def test_a_filter_that_does_not_exist_is_refused_in_a_sentence() -> None:
     with pytest.raises(MethodError, match=r"80 Hz does not exist at a period of 0\.01 s"):
         Notch(80.0, 20.0).coefficients(0.01)
-    with pytest.raises(MethodError, match="A notch has a positive frequency and bandwidth"):
+    with pytest.raises(MethodError, match=r"Notch\.bandwidth is 0\.0; expected a positive number"):
         Notch(80.0, 0.0)
-    with pytest.raises(MethodError, match="1 to 1000 samples, a whole number; received 0"):
+    with pytest.raises(MethodError, match=r"MovingAverage\.samples is 0; expected a whole number, 1 to 1000"):
         MovingAverage(0)
-    with pytest.raises(MethodError, match="time constant is 0 s or more; received -1"):
+    with pytest.raises(MethodError, match=r"time_constant is -1\.0; expected a number, 0 or more"):
         FirstOrder(-1.0)
-    with pytest.raises(MethodError, match="positive frequencies and damping"):
+    with pytest.raises(MethodError, match=r"damping is 0\.0; expected a positive number"):
         SecondOrder(60.0, 0.0)
 
 

@@ -26,7 +26,7 @@ def test_the_rigid_joint_is_the_sum_of_its_sides(run: Reproduction) -> None:
     for name, truth in (("inertia", 105.0), ("viscous", 202.0), ("coulomb", 20.4)):
         found = run.rigid[name]
         assert found.value is not None
-        assert abs(found.value - truth) <= 3 * float(found.std or 0.0)
+        assert abs(found.value - truth) <= 3 * float(found.stderr or 0.0)
 
 
 @pytest.mark.slow
@@ -47,9 +47,9 @@ def test_ten_kilograms_are_found_on_the_load(run: Reproduction, method: str) -> 
 def test_the_simplex_and_least_squares_end_together(run: Reproduction) -> None:
     for part in (run.first, run.second):
         # A simplex may stop early even after a restart: on the second experiment it does, a little.
-        assert (part.didim.filtered_error / part.best.filtered_error) ** 2 - 1 <= 5e-3
-        assert part.didim.simulations > part.best.simulations
-        assert part.didim.filtered_error == pytest.approx(0.08, abs=0.001)
+        assert (part.didim.fit.filtered_error / part.best.fit.filtered_error) ** 2 - 1 <= 5e-3
+        assert part.didim.fit.simulations > part.best.fit.simulations
+        assert part.didim.fit.filtered_error == pytest.approx(0.08, abs=0.001)
         assert part.idim_simulated.test == "cross"
         assert part.didim_direct.test == "direct"
         assert part.idim_simulated.filtered_error == pytest.approx(0.08, abs=0.003)

@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 
 import jointid as ji
 from jointid.common.errors import RecordError
+from jointid.records.checks.record_warnings import find_record_warnings
 from jointid.records.columns import Column
 from jointid.records.drives.drive import Drive
 from jointid.records.formats import Table, write_table
-from jointid.records.reading import read
+from jointid.records.reading.read import read
 from jointid.records.record import Record, Timing, record_of
-from jointid.records.record_warnings import record_notes
-from jointid.records.unwrap import changing_every, quantum, unwrapped, wrap_faults
+from jointid.records.signals.unwrap import find_quantum, unwrap, wrap_faults
+from jointid.records.time_base.update_rate import update_interval
 
 T = 1e-3
 TIME = np.arange(1000) * T
@@ -34,7 +35,7 @@ def saved(path: Path, **columns: np.ndarray) -> Path:
 @given(st.integers(200, 100_000), st.integers(-10_000, 10_000))
 def test_a_position_that_wraps_is_the_one_that_does_not(wrap: int, start: int) -> None:
     whole = np.round(MOTION) + start
-    again = unwrapped(np.mod(whole, wrap), wrap)
+    again = unwrap(np.mod(whole, wrap), wrap)
     assert wrap_faults("q", np.mod(whole, wrap), wrap) == []
     np.testing.assert_array_equal(again - again[0], whole - whole[0])
 
@@ -56,7 +57,7 @@ def test_what_cannot_be_unwrapped_is_refused(tmp_path: Path) -> None:
         read(path, {"motor_position": Column("q", wrap=100.0)})
     with pytest.raises(RecordError, match="torque has a wrap of 100, which is for a position"):
         read(path, {"torque": Column("q", wrap=100.0)})
-    with pytest.raises(RecordError, match="wrap of column"):
+    with pytest.raises(RecordError, match=r"wrap is -1\.0; expected a positive number"):
         Column("q", wrap=-1.0)
 
 
@@ -98,7 +99,7 @@ def test_two_slow_columns_begin_together(tmp_path: Path) -> None:
         (3, 4 * T, "said to be refreshed every 4 samples, but"),
         (8, 4 * T, "but changes only every 8; set update_time = 0.008"),
         (4, 2.5 * T, "which is 2.5 of its samples of 0.001 s; expected a whole number"),
-        (4, -1.0, "The update time of column"),
+        (4, -1.0, "update_time is -1.0; expected a positive number"),
     ],
 )
 def test_a_rhythm_that_is_not_there_is_refused(tmp_path: Path, every: int, update_time: float, part: str) -> None:
@@ -108,18 +109,18 @@ def test_a_rhythm_that_is_not_there_is_refused(tmp_path: Path, every: int, updat
 
 
 def test_a_rhythm_and_a_rounding_are_found() -> None:
-    assert changing_every(slow(4, 1)) == 4
-    assert changing_every(TORQUE) == 1
-    assert changing_every(np.zeros(100)) == 1
-    assert quantum(np.round(MOTION / 37) * 37 * 1e-6) == pytest.approx(37e-6)
-    assert quantum(np.round(TORQUE, 1)) == pytest.approx(0.1)
-    assert quantum(TORQUE) is None
-    assert quantum(np.ones(5)) is None
+    assert update_interval(slow(4, 1)) == 4
+    assert update_interval(TORQUE) == 1
+    assert update_interval(np.zeros(100)) == 1
+    assert find_quantum(np.round(MOTION / 37) * 37 * 1e-6) == pytest.approx(37e-6)
+    assert find_quantum(np.round(TORQUE, 1)) == pytest.approx(0.1)
+    assert find_quantum(TORQUE) is None
+    assert find_quantum(np.ones(5)) is None
 
 
 def notes(**values: np.ndarray) -> tuple[str, ...]:
     record: Record = record_of(T, unit="N m", position_unit="rad", **values)
-    return record_notes(record, record.channels)
+    return find_record_warnings(record, record.channels)
 
 
 def test_what_rounding_and_refreshing_do_is_said() -> None:
@@ -151,7 +152,7 @@ def test_the_load_encoder_of_the_kr300_is_late(data_dir: Path) -> None:
     for name in ("rec_A", "rec_B"):
         for axis in (1, 2, 3):
             record = read(data_dir / "kr300" / f"{name}.mat", drive=Drive("kuka", axis=axis), kind="revolute")
-            (said,) = record_notes(record, record.channels)
+            (said,) = find_record_warnings(record, record.channels)
             share, lag = (float(text) for text in re.findall(r"(\d+)%.* were ([\d.]+) ms later", said)[0])
             assert share >= 94
             assert 2.7 <= lag <= 3.2

@@ -11,7 +11,7 @@ import pytest
 from jointid.apps.cli.app import main
 from jointid.common.errors import RecordError
 from jointid.config import load
-from jointid.records.converting import convert
+from jointid.records.files.converting import convert
 from jointid.records.formats import Table, read_table, write_table
 from tests.records.logged import LOGGED
 
@@ -85,6 +85,7 @@ def test_the_source_is_never_written_over(tmp_path: Path) -> None:
     assert source.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_emps_is_the_same_record_in_every_format(emps_path: Path, tmp_path: Path) -> None:
     file = load(ROOT / "examples" / "emps" / "joint.toml")
 
@@ -105,11 +106,11 @@ def test_the_commands_print_what_the_verbs_return(tmp_path: Path, capsys: pytest
     source, target = tmp_path / "run.h5", tmp_path / "run.mat"
     LOGGED["hdf5"].write(source)
     for words, code in (
-        (["inspect", source, "--json", tmp_path / "run.json", "--figure", tmp_path / "run.svg"], 0),
-        (["convert", source, target, "--columns", "t", "--columns", "axis/q", "--mat-version", "7.3"], 0),
-        (["convert", source, source], 2),
-        (["inspect", tmp_path / "none.h5"], 2),
-        (["inspect", source, "--decimal", ","], 2),
+        (["data", "inspect", source, "--json", tmp_path / "run.json", "--figure", tmp_path / "run.svg"], 0),
+        (["data", "convert", source, target, "--columns", "t", "--columns", "axis/q", "--mat-version", "7.3"], 0),
+        (["data", "convert", source, source], 2),
+        (["data", "inspect", tmp_path / "none.h5"], 2),
+        (["data", "inspect", source, "--decimal", ","], 2),
     ):
         with pytest.raises(SystemExit) as end:
             main([str(word) for word in words])

@@ -16,8 +16,8 @@ from jointid.config import load, loads
 from jointid.models.transmission import Transmission
 from jointid.records.columns import Column, known_units
 from jointid.records.drives.drive import Drive
-from jointid.records.drives.profiles import profile_named, profile_names
-from jointid.records.reading import read
+from jointid.records.drives.profiles import load_profile, profile_names
+from jointid.records.reading.read import read
 from jointid.records.record import CHANNELS, Record, Tap, Timing
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -146,16 +146,16 @@ def test_a_torque_constant_takes_ampere_to_newton_metres(tmp_path: Path) -> None
 
 def test_every_unit_of_a_drive_comes_out_in_si() -> None:
     drive = Drive(rated_current=2.0, torque_constant=0.6, counts_per_turn=4096, counts_per_metre=1e6)
-    assert drive.resolved(unit("counts"), "revolute").factor == pytest.approx(2 * math.pi / 4096)
-    assert drive.resolved(unit("counts"), "prismatic").factor == pytest.approx(1e-6)
-    assert drive.resolved(unit("permille"), "revolute").factor == pytest.approx(1.2e-3)
-    assert drive.resolved(unit("%"), "prismatic").factor == pytest.approx(1.2e-2)
-    assert drive.resolved(unit("%"), "prismatic").si == "N"
-    assert drive.resolved(unit("deg"), "revolute") == unit("deg")
+    assert drive.resolve_unit(unit("counts"), "revolute").factor == pytest.approx(2 * math.pi / 4096)
+    assert drive.resolve_unit(unit("counts"), "prismatic").factor == pytest.approx(1e-6)
+    assert drive.resolve_unit(unit("permille"), "revolute").factor == pytest.approx(1.2e-3)
+    assert drive.resolve_unit(unit("%"), "prismatic").factor == pytest.approx(1.2e-2)
+    assert drive.resolve_unit(unit("%"), "prismatic").si == "N"
+    assert drive.resolve_unit(unit("deg"), "revolute") == unit("deg")
     for kind in ("prismatic", "revolute"):
         own = [name for channel in CHANNELS for name in known_units(channel, kind)]
         for name in own:
-            assert drive.resolved(unit(name), kind).dimension not in (COUNTS, SHARE)
+            assert drive.resolve_unit(unit(name), kind).dimension not in (COUNTS, SHARE)
 
 
 def test_a_missing_number_is_one_sentence(tmp_path: Path) -> None:
@@ -206,9 +206,9 @@ def test_an_axis_of_several_is_found_by_its_number(tmp_path: Path) -> None:
 
 def test_a_drive_that_cannot_be_is_refused() -> None:
     for wrong, part in (
-        ({"rated_torque": -1.0}, "rated_torque is a positive number; got -1"),
-        ({"axis": 0}, "axis is a whole number from 1 on; got 0"),
-        ({"profile": "abc"}, 'No drive profile is called "abc"; there are cia402, generic,'),
+        ({"rated_torque": -1.0}, "rated_torque is -1.0; expected a positive number"),
+        ({"axis": 0}, "axis is 0; expected a whole number, 1 or more"),
+        ({"profile": "abc"}, 'profile is "abc"; expected "cia402", "generic",'),
         ({"rated_torque": 1.0, "rated_current": 2.0, "torque_constant": 0.707}, "1.41 times as much"),
     ):
         with pytest.raises(RecordError, match=re.escape(part)):
@@ -221,7 +221,7 @@ def test_a_drive_that_cannot_be_is_refused() -> None:
 
 @pytest.mark.parametrize("name", profile_names())
 def test_a_profile_is_whole(name: str) -> None:
-    profile = profile_named(name)
+    profile = load_profile(name)
     assert profile.title
     assert all(profile.sources)
     assert all(text.endswith((".", '".')) for text in profile.assumed)
@@ -230,9 +230,9 @@ def test_a_profile_is_whole(name: str) -> None:
         assert channel in CHANNELS
         for signal in signals:
             known = known_units(channel, "revolute")
-            assert signal.unit is None or drive.resolved(unit(signal.unit), "revolute").si == unit(known[0]).si
+            assert signal.unit is None or drive.resolve_unit(unit(signal.unit), "revolute").si == unit(known[0]).si
             assert signal.tap is None or channel == "torque"
-            for called in signal.called(2):
+            for called in signal.names_on(2):
                 # No name of one channel may be another's, or its own twice.
                 others = [c for c in profile.channels if profile.signals(c, called, 2)]
                 assert (others, len(profile.signals(channel, called, 2))) == ([channel], 1), called
@@ -242,7 +242,7 @@ def test_every_profile_is_on_the_page() -> None:
     """The page's table is the data's: one row to a signal, in its order."""
     rows = []
     for name in profile_names():
-        for channel, signals in profile_named(name).channels.items():
+        for channel, signals in load_profile(name).channels.items():
             for signal in signals:
                 names = ", ".join(f"`{called}`" for called in signal.names)
                 timing, tap = signal.timing or "", signal.tap or ""
@@ -252,7 +252,7 @@ def test_every_profile_is_on_the_page() -> None:
     written = [line for line in page.splitlines() if line.startswith("| ") and line.split(" | ")[1] in CHANNELS]
     assert written == rows
     for name in profile_names():
-        for text in (*profile_named(name).sources, *profile_named(name).assumed):
+        for text in (*load_profile(name).sources, *load_profile(name).assumed):
             assert f"- {text}" in page
 
 

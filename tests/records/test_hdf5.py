@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import RecordError
-from jointid.records.formats import Table, h5, read_blocks, read_table, write_table
+from jointid.records.formats import Table, isolated, read_blocks, read_table, write_table
 from tests.records.logged import matlab_dataset, matlab_header
 from tests.records.spoiled import spoiled
 
@@ -138,16 +138,19 @@ def test_what_is_written_carries_checksums(suffix: str, options: dict[str, str],
             np.testing.assert_array_equal(found[name], good[name])
 
 
-def test_a_text_over_which_the_library_does_not_come_to_an_end_is_given_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("program", ["while True: pass", "import os; os.abort()", "print('half', end='')"])
+def test_a_text_that_ends_the_library_or_keeps_it_busy_for_ever_is_one_sentence(
+    program: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "run.h5"
     with h5py.File(path, "w") as file:
         file["q"] = np.arange(3.0)
         file["q"].attrs["units"] = "rad"
     assert read_table(path).units == {"q": "rad"}
-    monkeypatch.setattr(h5, "_TEXTS", "while True: pass")
-    monkeypatch.setattr(h5, "_PATIENCE", 0.3)
+    reader = tmp_path / "reader.py"
+    reader.write_text(program)
+    monkeypatch.setattr(isolated, "_PROGRAM", reader)
+    monkeypatch.setattr(isolated, "PATIENCE", 0.3)
     with pytest.raises(RecordError, match=r"run\.h5 cannot be read as HDF5: it is damaged"):
         read_table(path)
 

@@ -14,9 +14,9 @@ from jointid.common.errors import RecordError
 from jointid.output.figures.channels import channels_figure
 from jointid.output.figures.figures import save
 from jointid.output.json import dumps, inspection_answer
+from jointid.records.files.inspection import draw_sparkline, inspect
+from jointid.records.files.outline import OutlineBuilder
 from jointid.records.formats import Table, write_table
-from jointid.records.inspection import inspect, picture
-from jointid.records.outline import Outlining
 from tests.records.logged import LOGGED, ROWS
 
 numbers = st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=1, max_size=3000)
@@ -25,10 +25,10 @@ numbers = st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=1, m
 @given(values=numbers, cuts=st.lists(st.integers(1, 2999), max_size=3))
 def test_an_outline_in_parts_is_that_of_the_whole(values: list[float], cuts: list[int]) -> None:
     signal = np.array(values)
-    made = Outlining()
+    made = OutlineBuilder()
     for part in np.split(signal, sorted({cut for cut in cuts if cut < signal.size})):
         made.take(part)
-    outline = made.outline()
+    outline = made.build()
     assert (outline.rows, outline.missing) == (signal.size, np.isnan(signal).sum())
     if not np.isnan(signal).all():
         assert (outline.minimum, outline.maximum) == (np.nanmin(signal), np.nanmax(signal))
@@ -59,12 +59,12 @@ def test_every_format_is_inspected(name: str, tmp_path: Path) -> None:
 
 
 def test_the_picture_shows_where_a_signal_is() -> None:
-    made = Outlining()
+    made = OutlineBuilder()
     made.take(np.repeat([0.0, 1.0, 0.5, np.nan], 6))
-    assert picture(made.outline()) == "▁▁▁▁▁▁██████▅▅▅▅▅▅      "
-    flat = Outlining()
+    assert draw_sparkline(made.build()) == "▁▁▁▁▁▁██████▅▅▅▅▅▅      "
+    flat = OutlineBuilder()
     flat.take(np.full(5, 3.0))
-    assert picture(flat.outline()) == "▁▁▁▁▁"
+    assert draw_sparkline(flat.build()) == "▁▁▁▁▁"
 
 
 def test_clocks_of_different_lengths_are_told_apart(tmp_path: Path) -> None:

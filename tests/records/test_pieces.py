@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import RecordError
-from jointid.records.chunks import InMemory, Log
 from jointid.records.columns import Column
 from jointid.records.formats import Table, read_blocks, read_table, write_table
-from jointid.records.reading import read
+from jointid.records.reading.chunks import InMemory, Log
+from jointid.records.reading.read import read
 from jointid.records.record import Record, record_of
 
 CHANNELS = {"torque": "torque", "reference": "reference"}
@@ -66,7 +66,7 @@ def test_a_bad_row_far_down_is_named_by_its_line(tmp_path: Path, line: int, bad:
     made.write_text("\n".join(lines) + "\n", encoding="utf-8")
     log = Log(made, CHANNELS)
     with pytest.raises(RecordError, match=said):  # row 50 is the last of a block of ten, and not of the file
-        list(log.pieces(10, 2))
+        list(log.chunks(10, 2))
 
 
 def test_a_row_that_is_no_cells_is_named_by_its_line(tmp_path: Path) -> None:
@@ -77,14 +77,14 @@ def test_a_row_that_is_no_cells_is_named_by_its_line(tmp_path: Path) -> None:
     lines[1499] = '"' + "1" * 200_000
     made.write_text("\n".join(lines) + "\n", encoding="utf-8")
     with pytest.raises(RecordError, match=r"line 1500 cannot be split into cells .*; mend or delete that line"):
-        list(Log(made, CHANNELS).pieces(100, 2))
+        list(Log(made, CHANNELS).chunks(100, 2))
 
 
 def test_a_piece_is_a_cut_of_the_record(path: Path) -> None:
     whole, log = read(path, CHANNELS), Log(path, CHANNELS)
     assert log.sample_time == pytest.approx(0.01)
     assert log.name == "day"
-    pieces, same = list(log.pieces(20, 6)), list(InMemory(whole).pieces(20, 6))
+    pieces, same = list(log.chunks(20, 6)), list(InMemory(whole).chunks(20, 6))
     assert [p.number for p in pieces] == [p.number for p in same] == [0, 1, 2, 3, 4]
     assert [p.last for p in pieces] == [p.last for p in same] == [False] * 4 + [True]
     for piece, cut in zip(pieces, same, strict=True):
@@ -105,7 +105,7 @@ def test_a_rest_that_is_in_the_piece_before_is_no_piece(tmp_path: Path, rows: in
     made, clock = tmp_path / "day.npy", {"time": "t"} if overlap else {"sample_time": 0.01}
     write_table(made, Table(numbers(rows)))
     log = Log(made, CHANNELS, clock)
-    for pieces in (list(log.pieces(20, overlap)), list(InMemory(read(made, CHANNELS)).pieces(20, overlap))):
+    for pieces in (list(log.chunks(20, overlap)), list(InMemory(read(made, CHANNELS)).chunks(20, overlap))):
         assert [p.last for p in pieces] == [False] * (count - 1) + [True]
         torque = pieces[-1].record.torque
         assert torque is not None
@@ -114,7 +114,7 @@ def test_a_rest_that_is_in_the_piece_before_is_no_piece(tmp_path: Path, rows: in
 
 def test_one_piece_in_so_many_is_read(path: Path) -> None:
     log = Log(path, CHANNELS)
-    every, some = list(log.pieces(20, 6)), list(log.pieces(20, 6, every=2))
+    every, some = list(log.chunks(20, 6)), list(log.chunks(20, 6, every=2))
     assert [p.number for p in some] == [0, 2, 4]
     for piece in some:
         there = every[piece.number].record
@@ -130,7 +130,7 @@ def test_what_is_injected_is_cut_too() -> None:
 
     injected = Injection(Channel(values, "N", 0.01))
     whole = Record(torque=record.torque, reference=record.reference, injected=injected)
-    (_, second, _) = InMemory(whole).pieces(10, 2)
+    (_, second, _) = InMemory(whole).chunks(10, 2)
     assert second.record.injected is not None
     np.testing.assert_array_equal(second.record.injected.channel.values, values[10:22])
     assert second.record.injected.at is injected.at
@@ -141,8 +141,10 @@ def test_a_jump_of_the_clock_is_found_where_it_is(tmp_path: Path) -> None:
     columns["t"] = np.where(np.arange(2000) < 1555, columns["t"], columns["t"] + 3.0)
     made = tmp_path / "day.npy"
     write_table(made, Table(columns))
-    with pytest.raises(RecordError, match=r"day.npy, rows from 1501 on: The time jumps 1 time: .*\(t = 15.54 s\)"):
-        list(Log(made, CHANNELS).pieces(100, 4))
+    with pytest.raises(
+        RecordError, match=r'day.npy, rows from 1501 on: The time column "t" jumps 1 time: .*\(t = 15.54 s\)'
+    ):
+        list(Log(made, CHANNELS).chunks(100, 4))
 
 
 def test_what_cannot_be_read_in_pieces_says_so(tmp_path: Path) -> None:
@@ -152,11 +154,11 @@ def test_what_cannot_be_read_in_pieces_says_so(tmp_path: Path) -> None:
         RecordError,
         match=r"day\.mat is a MAT file of version 7 or older, which cannot be read in pieces; save it with -v7\.3",
     ):
-        list(Log(made, CHANNELS).pieces(20, 4))
+        list(Log(made, CHANNELS).chunks(20, 4))
     with pytest.raises(RecordError, match="torque has one of its own"):
         Log(made, {**CHANNELS, "torque": Column("torque", sample_time=0.02)})
     with pytest.raises(RecordError, match="cannot be opened"):
-        list(Log(tmp_path / "none.csv", CHANNELS).pieces(20, 4))
+        list(Log(tmp_path / "none.csv", CHANNELS).chunks(20, 4))
 
 
 @pytest.mark.parametrize(

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from jointid.common.errors import JointidError, RecordError
 from jointid.records.columns import Column
+from jointid.records.files.writing import write
 from jointid.records.formats import Table, read_table, write_table
-from jointid.records.reading import read
+from jointid.records.reading.read import read
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
-from jointid.records.writing import write
 
 NAN = float("nan")
 RATE = 1e-3
@@ -176,7 +176,7 @@ def test_all_faults_are_reported_at_once(saved: Saved) -> None:
     )
     expected = [
         'run.mat has no column "i" (for torque); it has "t", "q", "v".',
-        "The time jumps 1 time: after sample 198",
+        'The time column "t" jumps 1 time: after sample 198',
         'reference (column "q") has 2 samples without a finite number, the first nan at sample 70',
         "reference has tap = filtered",
         'load_position (column "v") is in "rad"; expected one of m, mm',
@@ -195,11 +195,11 @@ def test_the_time_of_a_gap_is_told(saved: Saved) -> None:
 @pytest.mark.parametrize(
     ("how", "part"),
     [
-        ({"gain": -2.0}, "got -2: use sign = -1"),
-        ({"gain": 0.0}, "positive number; got 0"),
-        ({"gain": NAN}, "positive number; got nan"),
-        ({"sign": 2}, "sign of column .* is 1 or -1; got 2: use gain"),
-        ({"sample_time": -1.0}, "sample time of column .* positive number of seconds; got -1"),
+        ({"gain": -2.0}, r"gain is -2\.0; expected a positive number: use sign = -1"),
+        ({"gain": 0.0}, r"gain is 0\.0; expected a positive number"),
+        ({"gain": NAN}, "gain is nan; expected a positive number"),
+        ({"sign": 2}, 'Column "q": sign is 2; expected 1 or -1'),
+        ({"sample_time": -1.0}, r"sample_time is -1\.0; expected a positive number"),
     ],
 )
 def test_a_column_that_cannot_be_is_refused(how: dict[str, Any], part: str) -> None:

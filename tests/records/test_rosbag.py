@@ -14,8 +14,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from jointid.common.errors import RecordError
-from jointid.records.formats import Table, mcap, read_table, write_table
-from jointid.records.formats.messages import types_of
+from jointid.records.formats import Table, read_table, write_table
+from jointid.records.formats.isolated_readers import message_types
+from jointid.records.formats.messages import Field, Types
 from tests.records.logged import POSITION, bag
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -30,6 +31,7 @@ bool on
 float32 LIMIT=2.5
 float32[2] pair
 """
+MAGIC = b"\x89MCAP0\r\n"
 GAIN = "float64 kp\nint16 step"
 
 
@@ -141,6 +143,13 @@ def test_a_folder_is_read_in_the_order_of_its_files(tmp_path: Path) -> None:
         read_table(tmp_path / "none")
 
 
+@pytest.mark.parametrize("name", ["run #1 50%.db3", "run%20.MCAP"])
+def test_a_file_of_a_bag_can_have_any_name(name: str, tmp_path: Path) -> None:
+    made = tmp_path / f"run{Path(name).suffix.lower()}"
+    bag(made)
+    assert "/goal" in read_table(made.rename(tmp_path / name)).columns
+
+
 def test_a_bag_is_written_as_joint_states(tmp_path: Path) -> None:
     from rosbags.highlevel import AnyReader
 
@@ -189,6 +198,11 @@ def test_a_topic_of_two_kinds_is_told_and_not_mixed(tmp_path: Path) -> None:
 # -------------
 
 
+def types_of(definition: str) -> Types:
+    found = message_types("my/msg/A", definition)
+    return Types({kind: tuple(Field(*field) for field in fields) for kind, fields in found.items()})
+
+
 @pytest.mark.parametrize(
     ("definition", "data"),
     [
@@ -203,17 +217,26 @@ def test_a_topic_of_two_kinds_is_told_and_not_mixed(tmp_path: Path) -> None:
 )
 def test_no_definition_makes_a_message_larger_than_its_bytes(definition: str, data: bytes) -> None:
     with pytest.raises(ValueError, match=r"the message|messages within messages"):
-        types_of("my/msg/A", definition).decode("my/msg/A", b"\x00\x01\x00\x00" + data)
+        types_of(definition).decode("my/msg/A", b"\x00\x01\x00\x00" + data)
 
 
-def test_a_definition_is_never_run(tmp_path: Path) -> None:
-    text = "float64 data\nfloat64 __import__('os').mkdir('owned')\nfloat64 x=__import__('os')"
-    types = types_of("my/msg/A'); import os; ('", text)
-    assert all(field.name == "data" for field in types.known["my/A'); import os; ('"])
+def test_a_definition_is_never_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for line in ("__import__('os').mkdir('owned')", "x=__import__('os').mkdir('owned')", "x import os"):
+        types = message_types("my/msg/A", f"float64 data\nfloat64 {line}\n")
+        assert all(name.isidentifier() for fields in types.values() for _, name, _ in fields)
+    assert not message_types("my/msg/A'); import os; ('", "float64 data")
+    assert not list(tmp_path.iterdir())
 
 
 def record(code: int, content: bytes) -> bytes:
     return struct.pack("<BQ", code, len(content)) + content
+
+
+def whole_file(content: bytes) -> bytes:
+    """Return an MCAP file without an index: its header, some records, and the footer."""
+    head = record(1, struct.pack("<I", 4) + b"ros2" + struct.pack("<I", 0))
+    return MAGIC + head + content + record(15, bytes(4)) + record(2, bytes(20)) + MAGIC
 
 
 def chunk(size: int, compression: bytes, packed: bytes, check: int = 0) -> bytes:
@@ -236,7 +259,10 @@ def chunk(size: int, compression: bytes, packed: bytes, check: int = 0) -> bytes
 )
 def test_no_length_in_an_mcap_file_is_trusted(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    path.write_bytes(mcap.MAGIC + content)
+    path.write_bytes(whole_file(content))
+    with pytest.raises(RecordError, match=r"run\.mcap (cannot be read as ROS 2 bag|holds no topic)"):
+        read_table(path)
+    path.write_bytes(whole_file(content)[: -len(MAGIC)])
     with pytest.raises(RecordError, match=r"run\.mcap cannot be read as (a )?ROS 2 bag"):
         read_table(path)
 
@@ -259,10 +285,10 @@ def test_a_chunk_does_not_unpack_to_more_than_it_says(compression: str, tmp_path
         + record(4, struct.pack("<HHI", 1, 1, 2) + b"/q" + struct.pack("<I", 3) + b"cdr" + struct.pack("<I", 0))
         + record(5, struct.pack("<HIQQ", 1, 0, 5, 5) + b"\x00\x01\x00\x00" + struct.pack("<d", 2.5))
     )  # fmt: skip
-    packed, end = compress(inside), record(15, bytes(4))
-    path.write_bytes(mcap.MAGIC + chunk(len(inside), compression.encode(), packed, zlib.crc32(inside)) + end)
+    packed = compress(inside)
+    path.write_bytes(whole_file(chunk(len(inside), compression.encode(), packed, zlib.crc32(inside))))
     assert read_table(path).columns["/q"].tolist() == [2.5]
-    path.write_bytes(mcap.MAGIC + chunk(10, compression.encode(), compress(bytes(2**26))) + end)
+    path.write_bytes(whole_file(chunk(10, compression.encode(), compress(bytes(2**26)))))
     with pytest.raises(RecordError, match="damaged"):
         read_table(path)
 

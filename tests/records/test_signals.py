@@ -7,17 +7,17 @@ import pytest
 from scipy.signal import cheby1, sosfiltfilt
 
 from jointid.common.errors import MethodError, RecordError
-from jointid.records.excitation import pulses, trapezoids
 from jointid.records.record import Channel, Timing
-from jointid.records.signals import (
+from jointid.records.signals.excitation import pulses, trapezoids
+from jointid.records.signals.filtering import (
     Filtering,
+    apply_window,
     decimate,
     decimate_all,
-    derivative,
-    differences,
+    differentiate,
+    differentiate_twice,
     lowpass,
-    windowed,
-    windowed_torque,
+    window_torque,
 )
 
 T = 1e-3
@@ -40,7 +40,7 @@ def test_a_filter_passes_a_straight_line_with_small_ends() -> None:
 
 def test_derivatives_are_central_inside_and_one_sided_at_the_ends() -> None:
     parabola = (np.arange(50) * T) ** 2
-    found = derivative(parabola, T)
+    found = differentiate(parabola, T)
     assert np.allclose(found[1:-1], 2 * np.arange(1, 49) * T, atol=1e-12)
     assert found[0] == pytest.approx(T)
     assert found[-1] == pytest.approx(2 * 49 * T - T)
@@ -107,10 +107,10 @@ def test_the_published_preset() -> None:
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"cutoff": -1.0}, "positive numbers of Hz"),
-        ({"decimation": 0}, "1 or more; received 0"),
+        ({"cutoff": -1.0}, r"Filtering\.cutoff is -1\.0; expected a positive number"),
+        ({"decimation": 0}, "decimation is 0; expected a whole number, 1 or more"),
         ({"borders": (-1, 0)}, "0 or more"),
-        ({"timing": "guessed"}, 'received "guessed"'),
+        ({"timing": "guessed"}, 'timing is "guessed"; expected "respected" or "as_sampled"'),
     ],
 )
 def test_wrong_settings_are_refused(settings: dict[str, object], sentence: str) -> None:
@@ -126,9 +126,9 @@ def test_a_record_too_short_to_filter_is_refused() -> None:
 def test_a_held_torque_is_windowed_exactly() -> None:
     """Held: weights 1, 3, 3, 1 over 8, later samples first. Averaged: one sample later. Sampled: between the two."""
     values = np.arange(12.0) ** 3
-    held = windowed_torque(Channel(values, "N", T, Timing.HELD))
+    held = window_torque(Channel(values, "N", T, Timing.HELD))
     assert held[2:-1] == pytest.approx((values[:-3] + 3 * values[1:-2] + 3 * values[2:-1] + values[3:]) / 8)
-    averaged = windowed_torque(Channel(values, "N", T, Timing.AVERAGED))
+    averaged = window_torque(Channel(values, "N", T, Timing.AVERAGED))
     assert averaged[1:-2] == pytest.approx(held[2:-1])
 
 
@@ -139,7 +139,7 @@ def test_columns_go_through_the_torque_s_window() -> None:
     fine = np.sin(2 * np.pi * 40.0 * (np.arange(-20_000, 60_000) * T / 100))
     window = np.convolve(np.ones(200) / 200, np.ones(200) / 200)
     exact = np.convolve(fine, window, "same")[20_000::100][:400]
-    assert np.max(np.abs(windowed(smooth) - exact)[5:-5]) < 1e-4
+    assert np.max(np.abs(apply_window(smooth) - exact)[5:-5]) < 1e-4
     assert np.max(np.abs(smooth - exact)[5:-5]) > 1e-2
 
 
@@ -147,7 +147,7 @@ def test_five_point_differences_are_of_fourth_order() -> None:
     errors = []
     for period in (2e-3, 1e-3):
         time = np.arange(int(0.5 / period)) * period
-        first, second = differences(np.sin(40.0 * time), period)
+        first, second = differentiate_twice(np.sin(40.0 * time), period)
         inside = slice(4, -4)
         errors.append(np.max(np.abs(first - 40.0 * np.cos(40.0 * time))[inside]))
         assert np.max(np.abs(second + 1600.0 * np.sin(40.0 * time))[inside]) < 1e-3 * 1600.0
@@ -168,7 +168,7 @@ def test_a_delayed_torque_acts_later(timing: Timing) -> None:
         Timing.HELD: torque(time + period / 2),  # the middle of what it is held for
         Timing.AVERAGED: torque(time - period / 2),
     }[timing]
-    found = windowed_torque(Channel(stamped, "N", period, timing), delay)
+    found = window_torque(Channel(stamped, "N", period, timing), delay)
     assert np.max(np.abs(found - torque(time - delay))[20:-20]) < 1e-5
 
 

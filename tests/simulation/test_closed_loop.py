@@ -14,8 +14,8 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.models.controllers import PD, Cascade, DigitalFilter, StateSpaceController
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
-from jointid.records.excitation import pulses, trapezoids
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
+from jointid.records.signals.excitation import pulses, trapezoids
 from jointid.simulation.closed_loop import Initial, Outcome, require_finished, simulate, simulate_many, simulate_torque
 from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.simulation.synthesis import simulated_record
@@ -41,6 +41,7 @@ def record(
     return Record(torque=torque, reference=Channel(reference, "m", period, commanded), **more)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_the_measuring_stick_and_the_reference_agree_over_25_seconds(bench_dir: Path) -> None:
     """All 230 events, 1e-9 of peak torque: against C with gcc, and against DOP853 (a quarter of a minute)."""
     sys.path.insert(0, str(bench_dir))

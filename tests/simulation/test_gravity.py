@@ -11,8 +11,8 @@ import pytest
 from jointid.models.controllers import Cascade
 from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, RigidJoint
-from jointid.records.excitation import trapezoids
 from jointid.records.record import Channel, Record, Timing
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_torque
 from jointid.simulation.drive_side import prescribed_motion, simulate_drive_side
 from jointid.simulation.kernels import drive as kernels
@@ -59,7 +59,9 @@ def test_agrees_with_the_oracle_to_second_order(plant: Plant) -> None:
     assert events >= 2
 
 
-@pytest.mark.parametrize("plant", [RIGID, FLEXIBLE], ids=["rigid", "flexible"])
+@pytest.mark.parametrize(
+    "plant", [pytest.param(RIGID, id="rigid", marks=pytest.mark.slow), pytest.param(FLEXIBLE, id="flexible")]
+)
 def test_agrees_with_the_oracle_where_a_period_has_two_parts(plant: Plant) -> None:
     assert errors(plant, 1e-3, delay=1.3e-3)[0] < 3e-7
 
@@ -182,7 +184,7 @@ def test_the_derivative_by_the_delay_agrees(model: str) -> None:
     assert np.linalg.norm(found - (ends[1] - ends[0]) / 2e-7) < 5e-5 * np.linalg.norm(found)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(4, 12))])
 def test_the_derivatives_agree_on_random_plants(seed: int) -> None:
     case, rng = rotary(seed), np.random.default_rng([seed, 3])
     assert case.clean.torque is not None

@@ -33,6 +33,7 @@ def test_agrees_with_the_oracle_on_random_joints_loops_and_references(seed: int)
     assert np.all(np.abs(states[:, :width] - expected.x) <= 1e-8 * size)
 
 
+@pytest.mark.slow
 def test_the_random_cases_cover_the_hard_parts() -> None:
     """The 50 cases above are worth something only if they stick, saturate, and delay by fractions of a period."""
     cases = [random_case(seed) for seed in range(50)]

@@ -13,10 +13,10 @@ from scipy.linalg import expm
 
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
-from jointid.models.controllers import PD, PID, REFERENCE, Cascade, FirstOrder, Notch, SecondOrder, begun_later
+from jointid.models.controllers import PD, PID, REFERENCE, Cascade, FirstOrder, Notch, SecondOrder, shift_start
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
-from jointid.records.excitation import trapezoids
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
@@ -201,7 +201,7 @@ def test_a_loop_without_coulomb_friction_is_its_matrix_exponentials(name: str, j
 
 
 @pytest.mark.parametrize("joint", [RigidJoint(), FlexibleJoint()], ids=["rigid", "flexible"])
-@pytest.mark.parametrize("name", ["P-PI, limits, hold", "P-PI, after, track"])
+@pytest.mark.parametrize("name", [pytest.param("P-PI, limits, hold", marks=pytest.mark.slow), "P-PI, after, track"])
 def test_a_loop_that_sticks_is_the_event_driven_one(name: str, joint: Joint) -> None:
     check(LAWS[name], joint, RIGID if joint.model == "rigid" else FLEXIBLE, Driven(2e-3, 200), None, 1e-9)
 
@@ -256,7 +256,7 @@ def test_a_position_loop_keeps_its_instants_where_a_log_begins_later(cut: int) -
 
 def test_a_record_that_begins_between_two_samples_of_the_file_takes_the_next_instant() -> None:
     """Evaluated at 2, 6, ... ms after the file's first sample; the record's instants are at 2.5, 3.5, ... ms."""
-    assert begun_later(SLOW, 2.5 * T) == replace(SLOW, position_offset=3.5 * T)
+    assert shift_start(SLOW, 2.5 * T) == replace(SLOW, position_offset=3.5 * T)
     for off_grid, first in ((3.5, 4), (3.001, 3), (3.1, 4), (0.0, 0)):
         law, on_grid = (replace(SLOW, position_offset=at * T).law(T) for at in (off_grid, first))
         np.testing.assert_array_equal(law.A, on_grid.A)
@@ -268,9 +268,9 @@ def test_a_learned_offset_is_counted_from_the_file(later: int) -> None:
     """What a record that begins later shows, and what its file is told, lead to each other, on any grid."""
     slow = replace(SLOW, period=4 * T, position_period=16 * T, position_offset=8 * T)
     for learned in (SLOW, slow):
-        declared = begun_later(learned, -later * T)
+        declared = shift_start(learned, -later * T)
         assert isinstance(declared, Cascade)
         cycle = learned.position_period or T
         assert declared.position_offset == pytest.approx((learned.position_offset + later * T) % cycle, abs=1e-15)
-        assert begun_later(declared, later * T) == learned
-    assert begun_later(PD(kp=1.0, kd=1.0), later * T) == PD(kp=1.0, kd=1.0)
+        assert shift_start(declared, later * T) == learned
+    assert shift_start(PD(kp=1.0, kd=1.0), later * T) == PD(kp=1.0, kd=1.0)

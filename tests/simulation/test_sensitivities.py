@@ -13,8 +13,8 @@ from jointid.models.controllers import Cascade, DigitalFilter, StateSpaceControl
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.paper.twin import twin
-from jointid.records.excitation import trapezoids
 from jointid.records.record import Channel, Record, Tap, Timing
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.closed_loop import Initial, Outcome, simulate, simulate_torque
 from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.simulation.sensitivities import simulate_sensitivities

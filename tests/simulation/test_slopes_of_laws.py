@@ -12,8 +12,8 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.models.controllers import PID, Cascade, FirstOrder, Notch, SecondOrder, number, with_numbers
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
-from jointid.records.excitation import trapezoids
 from jointid.records.record import Channel, Record, Tap, Timing
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.closed_loop import Initial, Outcome, Response, simulate_torque
 from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.simulation.sensitivities import simulate_sensitivities

@@ -18,7 +18,7 @@ from scipy.signal import fftconvolve
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.paper.published import SYMBOLS
 from jointid.paper.twin import TABLE_2, twin
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from studies.coverage import Coverage, coverage
 
 RUNS, FEWER = 1000, 300
@@ -29,7 +29,7 @@ def found() -> Coverage:
     return coverage(RUNS)
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_the_paper_s_intervals_miss_the_frictions_and_the_reported_ones_hold(found: Coverage) -> None:
     for name in ("motor_viscous", "load_viscous"):
         assert found.inverse_model[name] < 0.5
@@ -37,7 +37,7 @@ def test_the_paper_s_intervals_miss_the_frictions_and_the_reported_ones_hold(fou
         assert 0.93 <= share <= 0.975, name
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_the_estimates_are_unbiased_and_as_sharp_as_they_can_be(found: Coverage) -> None:
     assert all(abs(bias) <= 0.2 for bias in found.bias.values())
     assert found.spread["stiffness"] <= 0.004
@@ -75,7 +75,7 @@ def test_no_wider_band_would_tell_the_inertias_or_the_stiffness_better() -> None
     assert best[0] == pytest.approx(0.207, abs=0.002)  # kg: no estimator knows ZZ1 of these records to 0.20
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_the_viscous_frictions_are_said_to_be_known_by_their_sum(found: Coverage) -> None:
     require_honest_frictions(found, RUNS)
 
@@ -87,7 +87,7 @@ def require_honest_frictions(found: Coverage, runs: int) -> None:
     assert 0.94 - chance <= found.viscous_sum <= 0.96 + chance
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 @pytest.mark.parametrize("loop", ["L19", "L30"])
 def test_under_a_disturbance_in_the_loop_the_intervals_hold_and_the_colour_is_flagged(
     loop: Literal["L19", "L30"],
@@ -102,13 +102,13 @@ def test_under_a_disturbance_in_the_loop_the_intervals_hold_and_the_colour_is_fl
     require_honest_frictions(coloured, FEWER)
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_white_noise_is_called_white_and_not_repeatable(found: Coverage) -> None:
     assert found.not_white <= 0.08
     assert found.repeats <= 0.08
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_the_docs_show_these_numbers(found: Coverage) -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "methods.md").read_text(encoding="utf-8")
     rows = {

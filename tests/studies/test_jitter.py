@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
 from studies.jitter import Jittered, jitter
 
 
+@pytest.mark.slow
 def test_each_fault_has_one_right_remedy() -> None:
     found = {(run.late, run.remedy): run for run in jitter((0.3,)).runs}
 

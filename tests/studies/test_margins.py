@@ -11,7 +11,7 @@ from jointid.tuning.margins import NAMES
 from studies.margins import changes, held_margins
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_stated_margins_hold() -> None:
     found = held_margins(range(20))
     assert sum("present" in t.stated for t in found.twins) >= 18
@@ -21,7 +21,7 @@ def test_stated_margins_hold() -> None:
     assert "every stated margin of both loops" in str(found)
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_changes_are_told_as_often_as_is_said() -> None:
     found = changes(range(30), ("stiffness", "load_inertia"))
     for name in ("stiffness", "load_inertia"):

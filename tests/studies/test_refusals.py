@@ -35,7 +35,7 @@ def test_a_spring_is_not_made_stiffer_by_nothing() -> None:
         twin(stiffer=0.0)
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_values_and_bounds_are_true_and_given_where_they_should_be(found: Refusals) -> None:
     assert len(found.runs) == 200
     assert found.held >= 0.95
@@ -48,7 +48,7 @@ def test_values_and_bounds_are_true_and_given_where_they_should_be(found: Refusa
     assert np.mean([run.bound is not None for run in refused]) >= 0.95  # or it would say nothing
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_the_verdict_turns_once_from_values_to_bounds(found: Refusals) -> None:
     given = [np.mean([run.value is not None for run in found.runs if run.factor == factor]) for factor in FACTORS]
     assert given == sorted(given, reverse=True)
@@ -72,11 +72,11 @@ def test_a_whole_identification_says_the_same(
     if given:
         assert stiffness.value == pytest.approx(run.value, rel=1e-3)
     else:  # the search may have ended on another band, whose bound is another one
-        bounds = {bound.share: bound.stiffness for bound in estimate.bounds}
+        bounds = {bound.share: bound.stiffness for bound in estimate.checks.bounds}
         assert 1e7 <= (bounds[0.33] or 0.0) < run.stiffness
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_the_docs_show_these_numbers(found: Refusals) -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "methods.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (\d[\de.+]*) \| [\d.]+ \| [\d.e+]+ \| (\d+) \| (\S+) \| (\d+) \|", page, re.MULTILINE)

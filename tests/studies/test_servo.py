@@ -9,7 +9,7 @@ import pytest
 
 from jointid.estimation.identify import identify
 from jointid.records.drives.drive import Drive
-from jointid.records.reading import read
+from jointid.records.reading.read import read
 from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
 from studies.servo import FILTERING, LOG, RATED, SERVO, accuracy, servo_twin
@@ -36,13 +36,13 @@ def test_the_log_is_slow_and_coarse_beside_the_loop() -> None:
 def test_it_is_found_without_a_start() -> None:
     axis = servo_twin(seed=3)
     estimate = identify(axis.record, axis.loop, filtering=FILTERING)
-    assert estimate.converged
+    assert estimate.fit.converged
     for name, value in axis.truth.items():
-        assert abs(estimate.values[name] - value) <= 4 * float(estimate[name].std or 0.0), name
+        assert abs(estimate.values[name] - value) <= 4 * float(estimate[name].stderr or 0.0), name
     assert estimate["initial_torque"].free
 
 
-@pytest.mark.slow
+@pytest.mark.statistical
 def test_it_scatters_as_the_sensitivities_foretell() -> None:
     found = accuracy(RUNS)
     for name, spread in found.spread.items():

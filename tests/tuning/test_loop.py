@@ -16,9 +16,9 @@ from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.models.linear import frequency_response, linear_joints
 from jointid.paper.twin import CONTROLLERS, TABLE_2
 from jointid.tuning.loop import spectral_radius
-from jointid.tuning.margins import NAMES, all_margins, grid, of_row
-from jointid.tuning.plant import sampled_joints
-from jointid.tuning.worst_case import bench
+from jointid.tuning.margins import NAMES, all_margins, grid, margins_from_row
+from jointid.tuning.plant import sample_joints
+from jointid.tuning.worst_case import joint_set
 from studies.margins import random_drive
 from studies.servo import SERVO
 
@@ -66,7 +66,7 @@ def test_margins_are_those_of_python_control(
     import control
 
     law = controller.law(PERIOD)
-    found = of_row(bench(joint, [values], law).margins(law)[0])
+    found = margins_from_row(joint_set(joint, [values], law).margins(law)[0])
     loop = other(joint, values, law)
     gains, phases, distance, _, rates, _ = control.stability_margins(loop, returnall=True)
     assert found.gain == pytest.approx(min(g for g in gains if g > 1), rel=3e-3), name
@@ -78,7 +78,7 @@ def test_margins_are_those_of_python_control(
 
 def test_the_response_is_that_of_python_control() -> None:
     law = CONTROLLERS["L19"].law(PERIOD)
-    seen = bench(FlexibleJoint(), [dict(TABLE_2)], law)
+    seen = joint_set(FlexibleJoint(), [dict(TABLE_2)], law)
     some = slice(0, None, 50)
     expected = other(FlexibleJoint(), dict(TABLE_2), law)(np.exp(2j * math.pi * seen.hertz[some] * PERIOD))
     np.testing.assert_allclose(seen.response(law)[0, some], expected, rtol=1e-6)
@@ -88,8 +88,8 @@ def test_the_response_is_that_of_python_control() -> None:
 def test_a_delay_of_part_of_a_period_is_sampled_exactly(late: float) -> None:
     law = replace(CONTROLLERS["L19"], delay=late * PERIOD).law(PERIOD)
     linear = linear_joints(FlexibleJoint(), [dict(TABLE_2)])
-    coarse = sampled_joints(linear, law)
-    fine = sampled_joints(linear, replace(law, delay=0.0, period=PERIOD / 4))
+    coarse = sample_joints(linear, law)
+    fine = sample_joints(linear, replace(law, delay=0.0, period=PERIOD / 4))
     torque = np.random.default_rng(0).standard_normal(20)
     put_out = np.concatenate([np.zeros(round(4 * late)), np.repeat(torque, 4)])
     state, expected = np.zeros(4), []
@@ -110,10 +110,10 @@ def test_a_loop_becomes_unstable_where_its_margins_say(seed: int) -> None:
     controller = drive.loop.controller
     law = controller.law(drive.period)
     linear = linear_joints(drive.loop.joint, [drive.truth])
-    margins = of_row(bench(drive.loop.joint, [drive.truth], law).margins(law)[0])
+    margins = margins_from_row(joint_set(drive.loop.joint, [drive.truth], law).margins(law)[0])
 
     def stable(law: SampledLaw) -> bool:
-        return bool(spectral_radius(law, sampled_joints(linear, law))[0] < 1)
+        return bool(spectral_radius(law, sample_joints(linear, law))[0] < 1)
 
     assert stable(law)
     assert stable(scaled(law, 0.99 * margins.gain))
@@ -129,7 +129,7 @@ def test_a_denser_grid_says_the_same() -> None:
     drive = random_drive(1)
     law = drive.loop.controller.law(drive.period)
     linear = linear_joints(drive.loop.joint, [drive.truth])
-    usual = bench(drive.loop.joint, [drive.truth], law)
+    usual = joint_set(drive.loop.joint, [drive.truth], law)
     hertz = np.unique(np.concatenate([grid(linear, law.period), np.geomspace(usual.hertz[0], usual.hertz[-1], 40_000)]))
     response = -law.split()[0].feedback(hertz) * usual.sampled.response(hertz)
     np.testing.assert_allclose(usual.margins(law), all_margins(response, hertz), rtol=3e-3)
@@ -137,7 +137,7 @@ def test_a_denser_grid_says_the_same() -> None:
 
 def test_a_loop_that_is_not_stable_has_no_margins() -> None:
     law = scaled(CONTROLLERS["L19"].law(PERIOD), 20.0)
-    found = of_row(bench(FlexibleJoint(), [dict(TABLE_2)], law).margins(law)[0])
+    found = margins_from_row(joint_set(FlexibleJoint(), [dict(TABLE_2)], law).margins(law)[0])
     assert not found.stable
     assert str(found) == "not stable"
     assert tuple(getattr(found, name) for name in NAMES) == (0.0,) * 5
@@ -146,15 +146,15 @@ def test_a_loop_that_is_not_stable_has_no_margins() -> None:
 def test_an_integral_of_no_weight_does_not_make_a_loop_unstable() -> None:
     law, without = PID(kp=8e5, kd=1.2e4, ki=0.0).law(PERIOD), PID(kp=8e5, kd=1.2e4, ki=1e-3).law(PERIOD)
     for one in (law, without):
-        assert of_row(bench(RigidJoint(), [RIGID], one).margins(one)[0]).stable
+        assert margins_from_row(joint_set(RigidJoint(), [RIGID], one).margins(one)[0]).stable
 
 
 def test_of_two_rates_stability_is_exact_and_margins_are_near() -> None:
     law = SERVO.law(PERIOD)
     assert law.phases == 8
     linear = linear_joints(FlexibleJoint(), [dict(TABLE_2)])
-    gain = of_row(bench(FlexibleJoint(), [dict(TABLE_2)], law).margins(law)[0]).gain
-    sampled = sampled_joints(linear, law)
+    gain = margins_from_row(joint_set(FlexibleJoint(), [dict(TABLE_2)], law).margins(law)[0]).gain
+    sampled = sample_joints(linear, law)
     assert (
         spectral_radius(scaled(law, 0.9 * gain), sampled)[0] < 1 < spectral_radius(scaled(law, 1.1 * gain), sampled)[0]
     )
@@ -164,9 +164,11 @@ def test_friction_that_differs_with_the_direction_is_taken_both_ways() -> None:
     ways = {"viscous_forwards": 50.0, "viscous_backwards": 4000.0, "coulomb_forwards": 20.0, "coulomb_backwards": 20.0}
     joint = RigidJoint(friction=AsymmetricFriction())
     law = Cascade(kp=50.0, kv=2e4).law(PERIOD)
-    both = bench(joint, [{"inertia": 100.0, "offset": 0.0} | ways], law).margins(law)
+    both = joint_set(joint, [{"inertia": 100.0, "offset": 0.0} | ways], law).margins(law)
     each = [
-        bench(RigidJoint(), [{"inertia": 100.0, "viscous": ways[f"viscous_{way}"], "coulomb": 0.0, "offset": 0.0}], law)
+        joint_set(
+            RigidJoint(), [{"inertia": 100.0, "viscous": ways[f"viscous_{way}"], "coulomb": 0.0, "offset": 0.0}], law
+        )
         for way in ("forwards", "backwards")
     ]
     np.testing.assert_allclose(both[0], np.min([one.margins(law)[0] for one in each], axis=0), rtol=3e-3)

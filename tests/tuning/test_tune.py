@@ -23,16 +23,16 @@ from jointid.output.figures.tuning_figure import tuning_figure
 from jointid.output.json import dumps, tuning_answer
 from jointid.paper.twin import TABLE_2, twin
 from jointid.records.drives.drive import Drive
-from jointid.records.excitation import trapezoids
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
-from jointid.tuning.interval import interval_of, lowest_mode, reach
+from jointid.tuning.interval import ellipsoid_radius, lowest_mode, possible_joints
 from jointid.tuning.margins import NAMES
-from jointid.tuning.proposals import laid_out
+from jointid.tuning.proposals import with_gains
 from jointid.tuning.settings import Tuning
 from jointid.tuning.tune import tune
 from jointid.tuning.tuned import Tuned
-from jointid.tuning.worst_case import bench
+from jointid.tuning.worst_case import joint_set
 from jointid.uncertainty.verdict import StiffnessBound, Verdict
 from studies.margins import random_drive, true_margins
 
@@ -60,22 +60,23 @@ def rigid(controller: Cascade | PD | StateSpaceController, joint: RigidJoint | N
     return identify(record.without("motor_position", "load_position"), loop)
 
 
+@pytest.mark.slow
 def test_nothing_in_the_interval_is_worse_than_what_is_stated(estimate: Estimate, tuned: Tuned) -> None:
-    interval = interval_of(estimate, 0.95, PERIOD)
+    interval = possible_joints(estimate, 0.95, PERIOD)
     points = np.random.default_rng(9).standard_normal((3000, len(interval.names)))
     points /= np.linalg.norm(points, axis=1)[:, np.newaxis]
     for loop in (tuned.present, tuned.proposed):
         assert loop is not None
         law = loop.controller.law(PERIOD)
-        margins = bench(interval.joint, interval.at(points), law).margins(law)
+        margins = joint_set(interval.joint, interval.at(points), law).margins(law)
         stated = np.array([getattr(loop.worst, name) for name in NAMES])
         assert np.all(margins >= 0.995 * stated)
         assert np.all(np.min(margins, axis=0) <= 1.05 * stated)  # and it is no smaller than it must be
 
 
 def test_the_interval_reaches_where_chi_square_says() -> None:
-    assert reach(1, 0.95) == pytest.approx(1.95996, abs=1e-4)
-    assert reach(6, 0.95) == pytest.approx(math.sqrt(12.5916), abs=1e-4)
+    assert ellipsoid_radius(1, 0.95) == pytest.approx(1.95996, abs=1e-4)
+    assert ellipsoid_radius(6, 0.95) == pytest.approx(math.sqrt(12.5916), abs=1e-4)
 
 
 def test_a_twin_bears_what_is_stated_of_it(tuned: Tuned) -> None:
@@ -83,7 +84,7 @@ def test_a_twin_bears_what_is_stated_of_it(tuned: Tuned) -> None:
     for loop in (tuned.present, tuned.proposed):
         assert loop is not None
         law = loop.controller.law(PERIOD)
-        true = bench(FlexibleJoint(), [truth], law).margins(law)[0]
+        true = joint_set(FlexibleJoint(), [truth], law).margins(law)[0]
         assert np.all(true >= np.array([getattr(loop.worst, name) for name in NAMES]))
 
 
@@ -96,7 +97,7 @@ def test_what_is_proposed_keeps_the_margins_and_could_not_be_much_stiffer(estima
     controller = tuned.proposed.controller
     assert isinstance(controller, Cascade)
     faster = replace(controller, kp=1.1 * controller.kp, kv=1.1 * controller.kv).law(PERIOD)
-    nominal = bench(estimate.joint, [estimate.values], faster).margins(faster)[0]
+    nominal = joint_set(estimate.settings.joint, [estimate.values], faster).margins(faster)[0]
     assert np.any(nominal < asked.asked)
     assert controller.kp * controller.kv > 1.2 * 160.18 * 243.45  # stiffer than it was, and with more phase
 
@@ -142,15 +143,15 @@ def test_a_notch_is_proposed_where_the_mode_limits_the_loop() -> None:
 )
 def test_a_layout_has_the_poles_that_its_formula_says(controller: Cascade | PD, damping: float) -> None:
     inertia, rate, slow = 100.0, 10.0, 1e-5
-    made = laid_out(replace(controller, ki=0.0) if type(controller) is not PD else controller, inertia, rate, damping)
+    made = with_gains(replace(controller, ki=0.0) if type(controller) is not PD else controller, inertia, rate, damping)
     # Slow against its period the law is -(proportional + derivative s).
     response = made.law(slow).feedback(np.array([1e-3, 1.0]))
     proportional, derivative = -response[0].real, -response[1].imag / (2 * math.pi)
     assert derivative / inertia == pytest.approx(rate, rel=1e-3)
     assert proportional / inertia == pytest.approx(rate**2 / (4 * damping**2), rel=1e-3)
-    again = laid_out(laid_out(controller, inertia, rate, damping), inertia, 2 * rate, damping)
+    again = with_gains(with_gains(controller, inertia, rate, damping), inertia, 2 * rate, damping)
     if isinstance(again, PID | Cascade):
-        first = laid_out(controller, inertia, rate, damping)
+        first = with_gains(controller, inertia, rate, damping)
         assert isinstance(first, PID | Cascade)
         assert again.ki == pytest.approx(first.ki * (8 if isinstance(again, PID) else 2))
 
@@ -223,7 +224,7 @@ def test_what_cannot_be_tuned_is_refused_in_a_sentence(estimate: Estimate) -> No
     with pytest.raises(MethodError, match=r"the controller of .* is not known"):
         tune(identify(record, RigidJoint(), IDIM()))
     with pytest.raises(MethodError, match="need the deviations"):
-        tune(replace(estimate, correlation=np.zeros((0, 0))))
+        tune(estimate.amended(params={"correlation": np.zeros((0, 0))}))
     with pytest.raises(MethodError, match=r"received gain_margin = 0\.5, confidence = 1"):
         Tuning(gain_margin=0.5, confidence=1.0)
     with pytest.raises(MethodError, match="false-alarm rate"):
@@ -234,14 +235,14 @@ def test_what_cannot_be_tuned_is_refused_in_a_sentence(estimate: Estimate) -> No
 
 
 def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estimate) -> None:
-    wide = tuple(replace(p, std=6 * p.std) if p.std else p for p in estimate.parameters)
-    assert estimate.loop is not None
-    controller = estimate.loop.controller
+    wide = tuple(replace(p, stderr=6 * p.stderr) if p.stderr else p for p in estimate.params)
+    assert estimate.settings.loop is not None
+    controller = estimate.settings.loop.controller
     assert isinstance(controller, Cascade)
     fast = ClosedLoop(
-        estimate.joint, replace(controller, kv=8.2 * controller.kv)
+        estimate.settings.joint, replace(controller, kv=8.2 * controller.kv)
     )  # 8.5 times as fast it would not be stable
-    found = tune(replace(estimate, parameters=wide, loop=fast), Tuning(gain_margin=1e6, notch=False))
+    found = tune(estimate.amended(params={"rows": wide}, settings={"loop": fast}), Tuning(gain_margin=1e6, notch=False))
     assert found.present.estimate.stable
     assert not found.present.worst.stable
     assert "no margin of it can be stated" in str(found)
@@ -251,7 +252,7 @@ def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estim
 def test_a_change_that_is_told_follows_from_both_records(estimate: Estimate) -> None:
     found = detectable(estimate)
     spring = found["stiffness"]
-    assert spring.std == estimate["stiffness"].std
+    assert spring.std == estimate["stiffness"].stderr
     assert spring.size == pytest.approx((2.575829 + 1.281552) * math.sqrt(2) * spring.std, rel=1e-6)
     assert spring.limit == pytest.approx(2.575829 * math.sqrt(2) * spring.std, rel=1e-6)
     assert found["Fv1 + Fv2"].size < 0.3 * found["Fv1"].size
@@ -279,24 +280,26 @@ def test_the_figure_shows_joint_and_loops_in_their_units(tuned: Tuned) -> None:
 
 
 def test_an_interval_stops_short_of_a_joint_without_a_spring(estimate: Estimate) -> None:
-    wide = tuple(replace(p, std=p.value) if p.name == "stiffness" else p for p in estimate.parameters)
-    interval = interval_of(replace(estimate, parameters=wide), 0.95, PERIOD)
+    wide = tuple(replace(p, stderr=p.value) if p.name == "stiffness" else p for p in estimate.params)
+    interval = possible_joints(estimate.amended(params={"rows": wide}), 0.95, PERIOD)
     joints = interval.at(interval.points(0))
     assert min(one["stiffness"] for one in joints) == pytest.approx(1e-3 * estimate.values["stiffness"])
     law = Cascade(kp=10.0, kv=10.0, gain=35.0).law(PERIOD)
-    assert np.all(np.isfinite(bench(interval.joint, joints, law).margins(law)[:, -1]))
+    assert np.all(np.isfinite(joint_set(interval.joint, joints, law).margins(law)[:, -1]))
 
 
 def without_stiffness(estimate: Estimate) -> Estimate:
     """The estimate as it is where the record does not show the spring, bounded at one load share of two."""
     parted = ("motor_", "load_", "stiffness", "damping")
     lost = tuple(
-        replace(p, value=None, std=None) if p.name.startswith(parted) else p for p in estimate.parameters
+        replace(p, value=None, stderr=None) if p.name.startswith(parted) else p for p in estimate.params
     )  # fmt: skip
-    assert estimate.known is not None
-    sums = tuple(one for one in estimate.known.physical if one.combination.name.startswith("total"))
+    assert estimate.checks.known is not None
+    sums = tuple(one for one in estimate.checks.known.physical if one.combination.name.startswith("total"))
     bounds = (StiffnessBound(0.3, 8e5, 30.0), StiffnessBound(0.5, None, None))
-    return replace(estimate, parameters=lost, known=replace(estimate.known, physical=sums), bounds=bounds)
+    return estimate.amended(
+        params={"rows": lost}, checks={"known": replace(estimate.checks.known, physical=sums), "bounds": bounds}
+    )
 
 
 def test_of_a_refused_stiffness_the_worst_is_over_all_springs_that_are_left(estimate: Estimate) -> None:
@@ -304,13 +307,13 @@ def test_of_a_refused_stiffness_the_worst_is_over_all_springs_that_are_left(esti
     assert "30.0 Hz at 0.3; 95 % each" in found.interval
     assert "a share of 0.5 is not looked at" in found.interval
     assert 'what stands "at the estimate" is of the softest spring' in str(found)
-    interval = interval_of(without_stiffness(estimate), 0.95, PERIOD)
+    interval = possible_joints(without_stiffness(estimate), 0.95, PERIOD)
     modes = [frequencies(one)["free_free"] for one in interval.others]
     assert min(modes) == pytest.approx(30.0) and max(modes) == pytest.approx(500.0)
     shares = {round(one["load_inertia"] / (one["motor_inertia"] + one["load_inertia"]), 9) for one in interval.others}
     assert shares == {0.3}
     law = found.present.controller.law(PERIOD)
-    margins = bench(interval.joint, interval.others, law).margins(law)
+    margins = joint_set(interval.joint, interval.others, law).margins(law)
     stated = [getattr(found.present.worst, name) for name in NAMES]
     np.testing.assert_allclose(np.min(margins, axis=0), stated)
     inertia = next(one for one in found.feedforward if one.key == "acceleration_feedforward")
@@ -319,6 +322,6 @@ def test_of_a_refused_stiffness_the_worst_is_over_all_springs_that_are_left(esti
 
 def test_a_model_or_a_loop_in_doubt_is_said_before_its_gains_are_used(estimate: Estimate) -> None:
     doubts = (Verdict("fit", False, "32 % remains"), Verdict("loop", False, "kv is larger than declared"))
-    said = tune(replace(estimate, verdicts=doubts), Tuning(notch=False)).notes
+    said = tune(estimate.amended(checks={"verdicts": doubts}), Tuning(notch=False)).notes
     assert "the model does not explain the torque, so all of this may be of another joint: 32 % remains" in said
     assert "loop or log are not as declared, and all of this is of the declared one: kv is larger than declared" in said

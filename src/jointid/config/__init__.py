@@ -1,6 +1,6 @@
 """The joint file (TOML): what is identified, from which record, and how; checked completely before anything runs."""
 
-from jointid.config.contents import JointFile, Run, Source
+from jointid.config.contents import JointFile
 from jointid.config.loading import (
     controller_text,
     dumps,
@@ -12,6 +12,7 @@ from jointid.config.loading import (
     with_paths,
 )
 from jointid.config.schema import json_schema
+from jointid.config.sources import Run, Source
 
 __all__ = [
     "JointFile", "Run", "Source", "controller_text", "dumps", "json_schema", "load", "loads", "save", "with_controller",

@@ -7,15 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 
-from jointid.common import units
-from jointid.config import messages
+from jointid.common import messages, units
 from jointid.config.gearing import TransmissionTable, kind_of
 from jointid.config.record_table import ChannelTable
 from jointid.models.parameters import TORQUE_UNIT, Kind
 from jointid.models.transmission import Side
 from jointid.records.columns import known_units
 from jointid.records.drives.drive import Drive
-from jointid.records.drives.profiles import side_of
+from jointid.records.drives.profiles import find_side
 
 
 def channel_faults(
@@ -38,7 +37,7 @@ def channel_faults(
                 f"record.channels.{name}.column is missing; expected text in quotes (name of the column in the "
                 "record's file): add it, or give drive.profile."
             )
-        yield from (f"record.channels.{fault}" for fault in table.declared().misplaced(name))
+        yield from (f"record.channels.{fault}" for fault in table.to_column().misplaced_faults(name))
         yield from _unit_faults(name, table, kinds, transmission, drive)
     if "injected" in channels:
         both = ("injected", "torque")
@@ -60,7 +59,7 @@ def _unit_faults(
     side = _side(name, table, drive)
     moving = [kind_of(side, kind, transmission) for kind in kinds]
     known = tuple(dict.fromkeys(unit for kind in moving for unit in known_units(name, kind)))
-    stated = table.declared().stated_unit(known)
+    stated = table.to_column().stated_unit(known)
     if stated is None:
         return
     if stated not in known:
@@ -79,7 +78,7 @@ def torque_unit(
     return None if unit in TORQUE_UNIT.values() else unit
 
 
-def reachable(channels: Collection[str], drive: Drive | None) -> tuple[str, ...]:
+def list_channels(channels: Collection[str], drive: Drive | None) -> tuple[str, ...]:
     """Return the names of the channels that the file declares, or that the drive's profile may find."""
     profile = None if drive is None else drive.traces
     return tuple(dict.fromkeys([*channels, *(() if profile is None else profile.channels)]))
@@ -96,7 +95,7 @@ def _si_unit(
     table = channels.get(channel)
     moving = kind_of(_side(channel, table, drive), kind, transmission)
     known = known_units(channel, moving)
-    stated = table.declared().stated_unit(known) if table else None
+    stated = table.to_column().stated_unit(known) if table else None
     if stated is None and channel == "injected":
         torque = _si_unit("torque", channels, kind, transmission, drive)
         return torque if torque is None or torque in known else known[0]
@@ -104,20 +103,20 @@ def _si_unit(
         return known[0]
     if stated not in known or _lacking(channel, stated, moving, transmission, drive or Drive()):
         return None
-    return (drive or Drive()).resolved(units.unit(stated), moving).si
+    return (drive or Drive()).resolve_unit(units.unit(stated), moving).si
 
 
 def _side(channel: str, table: ChannelTable | None, drive: Drive | None) -> Side:
     """Return the side of a transmission on which a channel is measured."""
-    declared = None if table is None else table.declared()
-    return side_of(channel, declared, drive.traces, drive.axis) if drive else side_of(channel, declared, None, None)
+    declared = None if table is None else table.to_column()
+    return find_side(channel, declared, drive.traces, drive.axis) if drive else find_side(channel, declared, None, None)
 
 
 def _lacking(channel: str, unit: str, kind: Kind, transmission: TransmissionTable | None, drive: Drive) -> str | None:
     """Return the end of the sentence on a unit for which a number of the drive is missing."""
     try:
         geared = transmission is not None and transmission.geared
-        drive.resolved(units.unit(unit), kind, of_load=channel == "load_position", geared=geared)
+        drive.resolve_unit(units.unit(unit), kind, of_load=channel == "load_position", geared=geared)
     except units.UnitError as error:
         return str(error)
     return None
@@ -130,7 +129,7 @@ def _misfit(channel: str, unit: str, known: Collection[str], kinds: Collection[K
         dimension = units.unit(unit).dimension
     except units.UnitError:
         otherwise = "give one of them, and the gain that takes the column to it"
-        return f", which is not known; {expected}: {messages.guessed(unit, known, otherwise)}"
+        return f", which is not known; {expected}: {messages.suggest(unit, known, otherwise)}"
     fitting = [kind for kind in TORQUE_UNIT if kind not in kinds and unit in known_units(channel, kind)]
     remedy = "".join(f', or set joint.kind = "{kind}"' for kind in fitting)
     if set(moving) != set(kinds) and any(unit in known_units(channel, kind) for kind in kinds):

@@ -10,15 +10,16 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
-from jointid.config import messages
+from jointid.common import messages
 from jointid.config.mechanics import GravityTable, JointTable
 from jointid.config.schema import CLOSINGS, OF_IDIM, MethodTable, ParameterTable, RunTable
 from jointid.config.table import refusal
 from jointid.estimation.methods.inverse_model import idim_channels
 from jointid.estimation.problems.nuisance_parameters import surrounding
 from jointid.models.controllers import Controller, numbers_of, with_numbers
+from jointid.models.friction import FRICTIONS
 from jointid.models.gravity import GRAVITY_PARAMETERS
-from jointid.models.joints import FRICTIONS, Joint
+from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
 
 _NEXT_TO_ZERO = 1e-200
@@ -28,13 +29,13 @@ _BESIDE_LOAD = (
 )
 _KNOWN = " is known, and not identified; give it a value, or change it in gravity.counterbalance."
 _BESIDE_FRICTION = (
-    " cannot be identified beside asymmetric friction: a constant adds to the Coulomb force forwards and takes as much "
+    " cannot be identified beside {} friction: a constant adds to the Coulomb force forwards and takes as much "
     'from it backwards, so the two cannot be told apart; give it a value, or set joint.friction = "symmetric".'
 )
 _OTHER = {"didim": "idim", "idim": "didim", "drive_side": "didim", "open_loop": "didim"}
 
 
-def chosen_method(name: str | None, channels: Collection[str], controlled: bool, model: str) -> str | None:
+def choose_method(name: str | None, channels: Collection[str], controlled: bool, model: str) -> str | None:
     """Return the method: the one named, or the first whose needs are met, or None.
 
     DIDIM comes first, even where there is a motor position, which it does not read.
@@ -79,7 +80,7 @@ def method_faults(
         missing = [f"record.channels.{n}" for n in needed_channels(method, controller, of_model) if n not in channels]
         return missing if controlled or method != "didim" else [*missing, "controller"]
 
-    name = chosen_method(table.name, channels, controlled, of_model)
+    name = choose_method(table.name, channels, controlled, of_model)
     if name is None:
         yield _no_method({method: lacking(method) for method in ("didim", "idim")}, channels, controlled, of_model)
     else:
@@ -111,7 +112,7 @@ def _needs(method: str, model: str) -> str:
 def _no_method(lacking: Mapping[str, list[str]], channels: Collection[str], controlled: bool, model: str) -> str:
     """Return the sentence on a file that has what no method needs."""
     lacks = [f"{_called(method, model)} lacks {' and '.join(keys)}" for method, keys in lacking.items()]
-    rigid = chosen_method(None, channels, controlled, "rigid") is not None
+    rigid = choose_method(None, channels, controlled, "rigid") is not None
     remedy = "add what one of them lacks" + (', or set joint.model = "rigid"' if rigid else "")
     return f"method.name is missing, and no method can be chosen: {', '.join(lacks)}; {remedy}."
 
@@ -160,14 +161,14 @@ def record_faults(
         runs: the records that are right in themselves, by their place.
     """
     for place, run in runs.items():
-        path = messages.dotted(["records", place])
+        path = messages.dot_path(["records", place])
         known = () if joint is None else tuple(p.name for p in joint.joint(None, gravity=gravity).parameters)
         for name in run.own:
             if joint is not None and name not in known:
                 otherwise = "leave it out"
                 yield (
                     f'{path}.own names "{name}", which is no parameter of this model; expected some of '
-                    f"{', '.join(known)}: {messages.guessed(name, known, otherwise)}"
+                    f"{', '.join(known)}: {messages.suggest(name, known, otherwise)}"
                 )
         if run.controller and not controlled:
             yield f"{path}.controller changes a controller that the file does not have: add [controller]."
@@ -180,7 +181,7 @@ def _no_change(controller: Controller, numbers: Mapping[str, float]) -> str | No
     known = (*numbers_of(controller), "period")
     for name in numbers:
         if name not in known:
-            return f".{messages.dotted([name])}{messages.unknown(name, known)}"
+            return f".{messages.dot_path([name])}{messages.unknown(name, known)}"
     return refusal(lambda: with_numbers(controller, numbers))
 
 
@@ -206,15 +207,15 @@ def parameter_faults(
     """
     known = {parameter.name: parameter for parameter in joint.joint(None, gravity=gravity).parameters}
     for name, table in tables.items():
-        path = messages.dotted(["parameters", name])
+        path = messages.dot_path(["parameters", name])
         if name not in known:
             yield path + _no_parameter(name, joint, gravity, known)
             continue
-        for key, sentence in _misgiven(known[name], table, gravity):
+        for key, sentence in _misgiven(known[name], table, joint, gravity):
             yield path + (f".{key}" if key and name not in bare else "") + sentence
 
 
-def changed(parameter: Parameter, table: ParameterTable) -> Parameter:
+def change_parameter(parameter: Parameter, table: ParameterTable) -> Parameter:
     """Return a parameter of the model with what the file says of it; of two bounds the tighter one holds."""
     lower, upper = _bounds(parameter, table)
     free = table.value is None and (parameter.free if table.free is None else table.free)
@@ -228,10 +229,13 @@ def _bounds(parameter: Parameter, table: ParameterTable) -> tuple[float, float]:
     return lower, upper
 
 
-def _misgiven(parameter: Parameter, table: ParameterTable, gravity: GravityTable | None) -> Iterator[tuple[str, str]]:
+def _misgiven(
+    parameter: Parameter, table: ParameterTable, joint: JointTable, gravity: GravityTable | None
+) -> Iterator[tuple[str, str]]:
     """Yield the key and the rest of the sentence on what a parameter cannot be given."""
     if not parameter.free and table.value is None:
-        beside = _BESIDE_LOAD if gravity is not None and gravity.load == "constant" else _BESIDE_FRICTION
+        constant_load = gravity is not None and gravity.load == "constant"
+        beside = _BESIDE_LOAD if constant_load else _BESIDE_FRICTION.format(joint.friction)
         yield "", beside if parameter.name == "offset" else _KNOWN
         return
     lower, upper = _bounds(parameter, table)
@@ -260,7 +264,7 @@ def _open(lower: float) -> float:
 
 def _no_parameter(name: str, joint: JointTable, gravity: GravityTable | None, known: Collection[str]) -> str:
     """Return the rest of the sentence on a parameter that this model does not have."""
-    remedy = messages.guessed(name, known, "leave it out")
+    remedy = messages.suggest(name, known, "leave it out")
     for key, choices in (("model", ("rigid", "flexible")), ("friction", FRICTIONS)):
         for choice in choices:
             other: Joint = joint.model_copy(update={key: choice}).joint(None, gravity=None)

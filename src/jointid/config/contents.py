@@ -1,4 +1,4 @@
-"""What a joint file says, as the objects that the verbs take."""
+"""The contents of a joint file: the objects that the verbs take."""
 
 from __future__ import annotations
 
@@ -11,79 +11,28 @@ from typing import Any, Literal, Self
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.progress import Progress, silent
 from jointid.config import serialise
-from jointid.config.channels import reachable, torque_unit
-from jointid.config.consistency import changed, chosen_method, needed_channels
-from jointid.config.record_table import RecordTable
-from jointid.config.schema import CLOSINGS, RunTable
-from jointid.config.validation import checked
-from jointid.estimation.identify import Method, identify
+from jointid.config.channels import list_channels, torque_unit
+from jointid.config.consistency import change_parameter, choose_method, needed_channels
+from jointid.config.schema import CLOSINGS
+from jointid.config.sources import Run, Source
+from jointid.config.validation import check_tables
+from jointid.estimation.identify import identify
+from jointid.estimation.identify_record import Method
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller, with_numbers
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
-from jointid.records.checks import CLOCK_TOLERANCE, check_record
-from jointid.records.chunks import Log
+from jointid.records.checks.record_checks import check_record
 from jointid.records.columns import Column
 from jointid.records.drives.drive import Drive
-from jointid.records.reading import read
+from jointid.records.files.writing import write
+from jointid.records.reading.chunks import Log
+from jointid.records.reading.read import read
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
-from jointid.records.time_base.resampling import Resampling
-from jointid.records.writing import write
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
-
-
-@dataclass(frozen=True, slots=True)
-class Source:
-    """The file of the record, and how it is read; see `jointid.records.reading.read`.
-
-    Attributes:
-        file: path of the record, from the joint file's folder.
-        time, time_unit: name of the time column, and its unit.
-        sample_time: seconds between samples.
-        clock_tolerance: largest jitter of the time stamps, as a share of the sample time.
-        options: of the format's reader.
-        resample: to which uniform clock all channels are brought, and how.
-    """
-
-    file: str | None = None
-    time: str | None = None
-    time_unit: str | None = None
-    sample_time: float | None = None
-    clock_tolerance: float = CLOCK_TOLERANCE
-    options: Mapping[str, Any] = field(default_factory=dict)
-    resample: Resampling | None = None
-
-    @classmethod
-    def of(cls, table: RecordTable) -> Self:
-        """Return what [record] says of the file."""
-        options = table.options()
-        resample = None if table.resample is None else table.resample.resampling()
-        return cls(**table.given("channels", "resample", *options), resample=resample, options=options)
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """One of several records that are identified together.
-
-    Attributes:
-        file: path of the record, from the joint file's folder.
-        added_inertia: known, on the load and as it is there, on top of what is shared.
-        own: names of parameters that the others do not share.
-        controller: numbers of the controller that were others in it, by name.
-    """
-
-    file: str
-    added_inertia: float = 0.0
-    own: tuple[str, ...] = ()
-    controller: Mapping[str, float] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, table: RunTable) -> Self:
-        """Return what one of [[records]] says."""
-        return cls(table.file, table.added_inertia, tuple(table.own), table.controller)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +51,7 @@ class JointFile:
         name: what reports call the joint.
         runs: records that are identified together.
         free: names of what surrounds the joint and is then identified too.
-        weighting: of their rows; see `jointid.estimation.several_records.identify_together.identify_together`.
+        weighting: of their rows; see `jointid.SeveralRecords`.
         path: of the joint file; a text is taken to stand in `joint.toml`.
 
     Example:
@@ -143,25 +92,25 @@ class JointFile:
         Raises:
             JointFileError: with one sentence for each fault.
         """
-        file = checked(tables)
+        file = check_tables(tables)
         channels, gear, drive = file.record.channels.given(), file.transmission, file.drive.drive()
         transmission = gear.transmission(file.joint.kind) if gear else None
         joint = file.joint.joint(torque_unit(channels, file.joint.kind, gear, drive), transmission, file.gravity)
-        named = reachable(channels, drive)
-        method = chosen_method(file.method.name, named, file.controller is not None, joint.model)
+        named = list_channels(channels, drive)
+        method = choose_method(file.method.name, named, file.controller is not None, joint.model)
         assert method is not None
         known = {parameter.name: parameter for parameter in joint.parameters}
         return cls(
             joint=joint,
-            columns={name: table.declared() for name, table in channels.items()},
+            columns={name: table.to_column() for name, table in channels.items()},
             method=file.method.method(method, joint.model),
-            controller=file.controller.referred(transmission) if file.controller else None,
+            controller=file.controller.refer(transmission) if file.controller else None,
             filtering=file.filtering.filtering(),
-            parameters={name: changed(known[name], table) for name, table in file.parameters.items()},
+            parameters={name: change_parameter(known[name], table) for name, table in file.parameters.items()},
             drive=drive,
-            source=Source.of(file.record),
+            source=file.record.source(),
             name=file.joint.name,
-            runs=tuple(map(Run.of, file.records)),
+            runs=tuple(table.run() for table in file.records),
             free=tuple(file.together.free),
             weighting=file.together.weighting,
             path=path,
@@ -213,7 +162,7 @@ class JointFile:
 
     @property
     def tells_of_its_loop(self) -> bool:
-        """Whether its estimate is where a check of the loop may begin.
+        """True if a check of the loop may begin at its estimate.
 
         The paper's search need not end where least squares would, and its loop would be blamed for that.
         """
@@ -234,7 +183,7 @@ class JointFile:
         """Write a record, on the joint's side of its transmission, as this file reads it: `record(path)` gives it back.
 
         Raises:
-            RecordError: see `jointid.records.writing.write`.
+            RecordError: see `jointid.records.files.writing.write`.
         """
         write(record, path, self.columns, **self._reading)
 
@@ -261,7 +210,7 @@ class JointFile:
 
     @property
     def _reading(self) -> dict[str, Any]:
-        """What reading and writing a record have to be told, beside its columns."""
+        """Arguments of reading and writing a record, beside its columns."""
         return {
             "drive": self.drive,
             "time": self.source.time,
@@ -274,7 +223,7 @@ class JointFile:
 
     @property
     def added_inertias(self) -> tuple[float, ...]:
-        """What each run adds, which is said of the load, as it is on the joint's side."""
+        """Inertia that each run adds, given on the load, as it is on the joint's side."""
         gear = self.joint.transmission
         factor = 1.0 if gear is None else gear.torque("load") ** 2
         return tuple(factor * run.added_inertia for run in self.runs)
@@ -319,7 +268,7 @@ class JointFile:
             )
         return {p.name: float(p.start) for p in parameters if p.start is not None}
 
-    def overridden(
+    def override(
         self,
         *,
         method: str | None = None,
@@ -337,7 +286,7 @@ class JointFile:
         Args:
             method: "didim" or "idim"; another one than the file's comes with its default settings.
             filtering: a preset, "default", "published" or "as-printed".
-            friction: "symmetric" or "asymmetric".
+            friction: name of the friction law, "symmetric" or another of `jointid.models.friction`.
             minimiser: of DIDIM for a flexible joint, "least-squares" or "nelder-mead".
             frequency: in Hz, that DIDIM for a flexible joint starts from.
             estimator: of IDIM, "ols", "weighted", "robust" or "iv".

@@ -2,46 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import MISSING, fields
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
-from jointid.config import messages
-from jointid.config.messages import Says
+from jointid.common import messages
+from jointid.common.messages import Says
+from jointid.config.generate import keys_of_kinds
 from jointid.config.table import Table, refusal
-from jointid.config.values import Coefficients, Count, NotNegative, Number, Positive
-from jointid.models.controllers import DigitalFilter, Filter, FirstOrder, MovingAverage, Notch, SecondOrder, as_filter
-
-FILTERS: Mapping[str, type[Any]] = {
-    "digital": DigitalFilter,
-    "moving_average": MovingAverage,
-    "first_order": FirstOrder,
-    "second_order": SecondOrder,
-    "notch": Notch,
-}
-"""What a filter's table becomes, by its kind."""
+from jointid.models.controllers import FILTERS, DigitalFilter, Filter, as_filter
 
 
+@keys_of_kinds(FILTERS)
 class FilterTable(Table):
     """[controller.velocity_filter], and each of torque_filters: a filter; a bare list is a numerator."""
 
     shorthand = "numerator"
 
-    kind: Literal["digital", "moving_average", "first_order", "second_order", "notch"] | None = Field(
-        None, description="which filter"
+    kind: Literal[*FILTERS] | None = Field(  # type: ignore[valid-type]
+        None, description="which filter; digital if it has nothing but a numerator and a denominator"
     )
-    numerator: Coefficients | None = Field(None, description="of digital: b0, b1, ... in powers of 1/z")
-    denominator: Coefficients | None = Field(None, description="of digital: a0, a1, ... in powers of 1/z")
-    samples: Count | None = Field(None, description="of moving_average: so many, of which the mean is taken")
-    time_constant: NotNegative | None = Field(None, description="of first_order: of its pole [s]")
-    frequency: Positive | None = Field(None, description="of second_order its poles', of notch its centre [Hz]")
-    damping: Positive | None = Field(None, description="of second_order: of its poles")
-    numerator_frequency: Positive | None = Field(None, description="of second_order: its zeros' [Hz]")
-    numerator_damping: Number | None = Field(None, description="of second_order: of its zeros")
-    bandwidth: Positive | None = Field(None, description="of notch: its width [Hz]")
-    depth: NotNegative | None = Field(None, description="of notch: what it leaves at its centre, as a share")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield what is missing, what is of another kind, and that there is no such filter."""
@@ -62,8 +44,7 @@ class FilterTable(Table):
 
     def filter(self) -> Filter | tuple[float, ...]:
         """Return the filter, or the numerator where that is all there is."""
-        given = {k: tuple(value) if isinstance(value, list) else value for k, value in self.given("kind").items()}
-        made: Filter = FILTERS[self.kind or "digital"](**given)
+        made: Filter = FILTERS[self.kind or "digital"](**self.settings("kind"))
         return made.numerator if isinstance(made, DigitalFilter) and len(self.given()) == 1 else made
 
 

@@ -7,20 +7,23 @@ from collections.abc import Collection, Iterator, Mapping
 from pydantic import Field
 
 from jointid.common import units
+from jointid.config.generate import keys_from
 from jointid.config.table import Table
-from jointid.config.values import LengthUnit, Sign, Size
+from jointid.config.values import LengthUnit, Size
 from jointid.models.parameters import Kind
 from jointid.models.transmission import Side, Transmission
 
 
+@keys_from(Transmission, without=("load", "lead"))
 class TransmissionTable(Table):
     """[transmission]: what lies between motor and load, without loss."""
 
-    ratio: Size | None = Field(None, description="motor position per load position, of a gear or a belt")
-    lead: Size | None = Field(None, description="way of the load in one turn of the motor [lead_unit]")
+    lead: Size | None = Field(
+        None,
+        description="how far a prismatic load goes in one turn of the motor: of a screw, a rack or a belt; the motor "
+        "is revolute then [lead_unit]",
+    )
     lead_unit: LengthUnit = Field("m", description="unit of the lead")
-    sign: Sign = Field(1, description="-1 where motor and load count in opposite directions")
-    side: Side = Field("load", description="of all parameters, as given and as reported")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield that there is not one of ratio and lead."""
@@ -33,7 +36,7 @@ class TransmissionTable(Table):
 
     @property
     def geared(self) -> bool:
-        """Whether motor and load move alike, but not by the same amount."""
+        """True if motor and load move alike, but not by the same amount."""
         return self.ratio is not None and self.ratio != 1.0
 
     def transmission(self, kind: Kind) -> Transmission:

@@ -5,47 +5,31 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias, Union
 
-from pydantic import Field
+from pydantic import Field, create_model
 
 from jointid.config.filters import FilterTable, FilterTables, filters
+from jointid.config.generate import Typed, keys_from
 from jointid.config.table import Table, refusal
-from jointid.config.values import (
-    Limit,
-    LoopGain,
-    Matrix,
-    NotNegative,
-    Number,
-    Numbers,
-    OutputGain,
-    Positive,
-)
-from jointid.models.controllers import PD, PID, Cascade, Controller, StateSpaceController
+from jointid.config.values import Matrix, Number, Numbers
+from jointid.models.controllers import LAWS, Controller, StateSpaceController
 from jointid.models.transmission import Side, Transmission
 
-AntiWindup = Literal["hold", "track", "none"]
-ReferenceVelocity = Literal["difference", "channel", "none"]
+_NO_KEYS = ("ratio",)  # which the transmission and `side` say
 
 
 class LawTable(Table):
-    """What all laws have beside their gains."""
+    """A law: which one it is, and the side of its numbers."""
 
     law: str = Field(description="the controller's law")
-    gain: OutputGain = Field(1.0, description="torque per controller unit")
-    limit: Limit | None = Field(None, description="limit of the output [controller units]")
-    period: Positive | None = Field(None, description="period of the controller [s]")
-    delay: NotNegative = Field(0.0, description="from the sampled position to the torque [s]")
-    interpolation: Literal["hold", "linear", "cubic"] | None = Field(
-        None, description="how a reference that is slower than the controller is filled in"
-    )
-    side: Side = Field("motor", description="of the transmission, whose positions and torque its numbers are in")
+    side: Side = Field("motor", description="of the transmission, in whose positions and torque the law's numbers are")
 
     @abstractmethod
     def controller(self) -> Controller:
         """Return the controller, on its own side."""
 
-    def referred(self, transmission: Transmission | None) -> Controller:
+    def refer(self, transmission: Transmission | None) -> Controller:
         """Return the controller as a joint sees it through its transmission."""
         made = self.controller()
         if transmission is None:
@@ -61,90 +45,19 @@ class LawTable(Table):
 
 
 class DrawnTable(LawTable):
-    """What those laws have that difference the position."""
+    """A law that is drawn: it may filter velocity and torque."""
 
-    reference_delay: NotNegative = Field(0.0, description="by which the law sees the reference later [s]")
-    velocity_filter: FilterTable | None = Field(
-        None, description="filter of the velocity, the difference of the position"
-    )
-    torque_filters: FilterTables = Field([], description="filters of the torque, one after the other")
-    filters_at: Literal["before_limit", "after_limit"] = Field(
-        "before_limit", description="on which side of the torque's limit its filters stand"
-    )
-    acceleration_feedforward: NotNegative = Field(
-        0.0, description="times the reference's acceleration [controller units per m/s2 or rad/s2]"
-    )
-    viscous_feedforward: NotNegative = Field(
-        0.0, description="times the reference's velocity [controller units per m/s or rad/s]"
-    )
-    coulomb_feedforward: NotNegative = Field(
-        0.0, description="in the direction in which the reference moves [controller units]"
-    )
-    constant_feedforward: Number = Field(0.0, description="always added [controller units]")
-    torque_feedforward_delay: NotNegative = Field(
-        0.0, description="by which the feed-forwards of the torque see the reference later [s]"
-    )
-
-    def settings(self) -> dict[str, Any]:
+    def settings(self, *without: str) -> dict[str, Any]:
         """Return what the law is made of."""
-        found = self.given("law", "side", "velocity_filter", "torque_filters")
+        found = super().settings("law", "side", "velocity_filter", "torque_filters", *without)
         if self.velocity_filter is not None:
             found["velocity_filter"] = self.velocity_filter.filter()
         return found | ({"torque_filters": filters(self.torque_filters)} if self.torque_filters else {})
 
-
-class CascadeTable(DrawnTable):
-    """[controller] with law = "cascade": ``u = kv (w - v + ki I)``, ``w = kp (reference - position)`` and more."""
-
-    law: Literal["cascade"] = Field(description="the controller's law")
-    kp: LoopGain = Field(description="position gain [1/s]")
-    kv: LoopGain = Field(description="velocity gain [controller units per m/s or rad/s]")
-    ki: LoopGain = Field(0.0, description="integral gain of the velocity loop [1/s]")
-    anti_windup: AntiWindup = Field("hold", description="what becomes of the integral at the limit")
-    velocity_feedforward: NotNegative = Field(0.0, description="share of the reference's velocity")
-    velocity_feedforward_delay: NotNegative = Field(
-        0.0, description="by which the velocity feed-forward sees the reference later [s]"
-    )
-    reference_velocity: Literal["difference", "channel"] = Field(
-        "difference", description="where the reference's velocity comes from"
-    )
-    velocity_limit: Limit | None = Field(None, description="limit of the velocity command [m/s or rad/s]")
-    position_period: Positive | None = Field(None, description="period of the position loop [s]")
-    position_offset: NotNegative = Field(
-        0.0, description="from the record's first sample to the position loop's next evaluation [s]"
-    )
-
-    def controller(self) -> Cascade:
+    def controller(self) -> Controller:
         """Return the controller."""
-        return Cascade(**self.settings())
-
-
-class PDTable(DrawnTable):
-    """[controller] with law = "pd": ``u = kp (reference - position) + kd (reference velocity - velocity)``."""
-
-    law: Literal["pd"] = Field(description="the controller's law")
-    kp: LoopGain = Field(description="position gain [controller units per m or rad]")
-    kd: LoopGain = Field(description="velocity gain [controller units per m/s or rad/s]")
-    reference_velocity: ReferenceVelocity = Field("difference", description="where the reference's velocity comes from")
-
-    def controller(self) -> PD:
-        """Return the controller."""
-        return PD(**self.settings())
-
-
-class PIDTable(DrawnTable):
-    """[controller] with law = "pid": that of "pd" with an integral of the position error."""
-
-    law: Literal["pid"] = Field(description="the controller's law")
-    kp: LoopGain = Field(description="position gain [controller units per m or rad]")
-    ki: LoopGain = Field(description="integral gain [controller units per m s or rad s]")
-    kd: LoopGain = Field(description="velocity gain [controller units per m/s or rad/s]")
-    anti_windup: AntiWindup = Field("hold", description="what becomes of the integral at the limit")
-    reference_velocity: ReferenceVelocity = Field("difference", description="where the reference's velocity comes from")
-
-    def controller(self) -> PID:
-        """Return the controller."""
-        return PID(**self.settings())
+        made: Controller = LAWS[self.law](**self.settings())
+        return made
 
 
 class InputColumns(Table):
@@ -164,6 +77,7 @@ class InputGains(Table):
     position: Number | None = Field(None, description="of the motor position, usually negative")
 
 
+@keys_from(StateSpaceController, without=(*_NO_KEYS, "reference_delay"))
 class StateSpaceTable(LawTable):
     """[controller] with law = "state_space": any discrete linear law."""
 
@@ -186,7 +100,23 @@ class StateSpaceTable(LawTable):
         return StateSpaceController(B=self.B.given(), D=self.D.given(), **self.given("law", "side", "B", "D"))
 
 
-LAWS: tuple[type[LawTable], ...] = (CascadeTable, PDTable, PIDTable, StateSpaceTable)
+def _table_of(word: str, law: type[Any]) -> type[LawTable]:
+    """Return the table of a law that is drawn."""
+    make: Any = create_model
+    made: type[LawTable] = make(
+        f"{law.__name__}Table",
+        __base__=DrawnTable,
+        __module__=__name__,
+        __doc__=f'[controller] with law = "{word}".',
+        law=(Literal[word], Field(description="the controller's law")),
+    )
+    types: dict[str, Typed] = {"velocity_filter": (FilterTable, None), "torque_filters": (FilterTables, [])}
+    return keys_from(law, without=_NO_KEYS, types=types)(made)
+
+
+LAW_TABLES: tuple[type[LawTable], ...] = tuple(
+    StateSpaceTable if law is StateSpaceController else _table_of(word, law) for word, law in LAWS.items()
+)
 """The tables of the laws there are."""
 
-ControllerTable: TypeAlias = Annotated[CascadeTable | PDTable | PIDTable | StateSpaceTable, Field(discriminator="law")]
+ControllerTable: TypeAlias = Annotated[Union[LAW_TABLES], Field(discriminator="law")]  # type: ignore[valid-type] # noqa: UP007

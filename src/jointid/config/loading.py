@@ -6,12 +6,14 @@ import json
 import os
 import re
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
 from jointid.common.errors import JointFileError
+from jointid.config.changes import apply_changes
 from jointid.config.contents import JointFile
 from jointid.config.serialise import controller_table
 from jointid.models.controllers import Controller
@@ -28,11 +30,12 @@ _FILE = re.compile(r"""^(\s*file\s*=\s*)("(?:[^"\\\n]|\\.)*"|'[^'\n]*')""", re.M
 _HEADING = r"\s*\[{{1,2}}\s*({0}|\"{0}\"|'{0}')\s*[.\]]"
 
 
-def load(path: str | os.PathLike[str]) -> JointFile:
+def load(path: str | os.PathLike[str], changes: Iterable[str] = ()) -> JointFile:
     """Load a joint file, checked completely.
 
     Args:
         path: of the TOML file, in UTF-8.
+        changes: keys to set before it is checked, each as ``method.frequency=30``.
 
     Raises:
         JointFileError: the file cannot be read, is no TOML, or has faults; `faults` has a sentence for each.
@@ -48,17 +51,18 @@ def load(path: str | os.PathLike[str]) -> JointFile:
         raise JointFileError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
     except UnicodeDecodeError as error:
         raise JointFileError(f"{path} is not text in UTF-8 (byte {error.start}); save it as UTF-8.") from error
-    return JointFile.of(_parsed(text), path)
+    return JointFile.of(apply_changes(_parse(text), changes), path)
 
 
-def loads(text: str, folder: str | os.PathLike[str] = ".") -> JointFile:
+def loads(text: str, folder: str | os.PathLike[str] = ".", changes: Iterable[str] = ()) -> JointFile:
     """Load a joint file from its text; see `load`.
 
     Args:
         text: TOML.
         folder: from which the path of the record is taken.
+        changes: keys to set before it is checked, each as ``method.frequency=30``.
     """
-    return JointFile.of(_parsed(text), Path(folder) / "joint.toml")
+    return JointFile.of(apply_changes(_parse(text), changes), Path(folder) / "joint.toml")
 
 
 def dumps(file: JointFile) -> str:
@@ -135,8 +139,8 @@ def with_parameters(text: str, written: str) -> str:
 
 def _with_table(text: str, name: str, written: str) -> str:
     """Return a TOML text with one of its tables replaced by a text that has that table alone."""
-    tables = _parsed(text)
-    made = _joined(_sections(text), written, re.compile(_HEADING.format(name)))
+    tables = _parse(text)
+    made = _join(_sections(text), written, re.compile(_HEADING.format(name)))
     expected = tables | tomllib.loads(written)
     try:
         return made if tomllib.loads(made) == expected else tomli_w.dumps(expected)
@@ -158,7 +162,7 @@ def with_paths(text: str, before: Path, after: Path) -> str:
     Raises:
         JointFileError: the text is no TOML.
     """
-    expected = _parsed(text)
+    expected = _parse(text)
     if before.resolve() == after.resolve():
         return text
     listed = expected.get("records")
@@ -207,7 +211,7 @@ def _is_whole(text: str) -> bool:
     return True
 
 
-def _joined(sections: list[str], written: str, heading: re.Pattern[str]) -> str:
+def _join(sections: list[str], written: str, heading: re.Pattern[str]) -> str:
     """Return the sections with those under a heading replaced, in the first one's place, or at the end."""
     kept: list[str] = []
     place = None
@@ -222,7 +226,7 @@ def _joined(sections: list[str], written: str, heading: re.Pattern[str]) -> str:
     return "".join(kept[:place]) + written + ("\n" if after else "") + after
 
 
-def _parsed(text: str) -> dict[str, Any]:
+def _parse(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text."""
     if any(line.count(".") > _DEEPEST and "," not in line for line in text.splitlines()):
         raise JointFileError("The joint file nests lists or tables too deeply; no key of it needs that.")

@@ -7,10 +7,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from jointid.config.table import Table, accepted, refusal
-from jointid.config.values import Number, Text
+from jointid.config.generate import keys_from
+from jointid.config.table import Table, accept_by, refusal
+from jointid.config.values import Text
+from jointid.models.friction import FRICTIONS, friction_named
 from jointid.models.gravity import Counterbalance, Gravity
-from jointid.models.joints import FRICTIONS, FlexibleJoint, Joint, RigidJoint, friction_named
+from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.models.transmission import Transmission
 
 
@@ -19,7 +21,7 @@ class JointTable(Table):
 
     kind: Literal["prismatic", "revolute"] = Field(description="how the joint moves: m and N, or rad and N m")
     model: Literal["rigid", "flexible"] = Field("rigid", description="one inertia, or two joined by a spring")
-    friction: Annotated[Text, accepted(friction_named)] = Field(
+    friction: Annotated[Text, accept_by(friction_named)] = Field(
         "symmetric", description="the friction's law", json_schema_extra={"enum": list(FRICTIONS)}
     )
     name: Text | None = Field(None, description="what reports call the joint")
@@ -34,23 +36,14 @@ class JointTable(Table):
         return made(kind, friction_named(self.friction), torque_unit, transmission=transmission, gravity=weight)
 
 
+@keys_from(Counterbalance)
 class CounterbalanceTable(Table):
     """[gravity.counterbalance]: what a known counterbalance takes off the load, on the side that is reported."""
 
-    constant: Number = Field(0.0, description="wherever the joint is [N or N m]")
-    cos: Number = Field(0.0, description="times the cosine of the link's angle [N m]")
-    sin: Number = Field(0.0, description="times the sine of the link's angle [N m]")
-    rate: Number = Field(0.0, description="times the position, of a spring or a cylinder [N/m or N m/rad]")
 
-
+@keys_from(Gravity, types={"counterbalance": (CounterbalanceTable, CounterbalanceTable)})
 class GravityTable(Table):
     """[gravity]: what the load weighs."""
-
-    load: Literal["constant", "link"] = Field(description="a vertical axis, or a body that turns in a vertical plane")
-    angle: Number = Field(1.0, description="of the link, per unit of the joint's position")
-    counterbalance: CounterbalanceTable = Field(
-        default_factory=CounterbalanceTable, description="the known part that something else carries"
-    )
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield that there is no such gravity."""

@@ -13,33 +13,31 @@ from pydantic import Field
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
 
-from jointid.config import messages
+from jointid.common import messages
+from jointid.common.messages import Says
 from jointid.config.gearing import TransmissionTable
+from jointid.config.generate import keys_from
 from jointid.config.laws import ControllerTable
 from jointid.config.mechanics import GravityTable, JointTable
-from jointid.config.messages import Says
-from jointid.config.record_table import DriveTable, RecordFile, RecordTable
+from jointid.config.record_table import DriveTable, RecordTable
+from jointid.config.sources import Run
 from jointid.config.table import Table
 from jointid.config.values import (
-    Borders,
     Bound,
-    ControllerNumbers,
-    Count,
     Flag,
     Names,
     Natural,
-    NotNegative,
     Number,
     Positive,
 )
-from jointid.estimation.identify import Method
+from jointid.estimation.identify_record import Method
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.open_loop import OpenLoopFit
 from jointid.models.disturbances import Drift, Effect, PositionHarmonics
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 
 OF_IDIM = ("estimator", "harmonics", "period", "drift")
 """The keys of [method] that are IDIM's."""
@@ -52,22 +50,19 @@ FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
 """The presets of [filtering]."""
 
 DIDIMS: Mapping[str, type[DIDIM] | type[FlexibleDIDIM]] = {"rigid": DIDIM, "flexible": FlexibleDIDIM}
-"""What [method] becomes with the name "didim", by the joint's model."""
+"""Settings of the method "didim", by the joint's model."""
 
 CLOSINGS: Mapping[str, type[DriveSideFit] | type[OpenLoopFit]] = {"drive_side": DriveSideFit, "open_loop": OpenLoopFit}
-"""What [method] becomes with the other names that simulate, by the name; neither needs the controller."""
+"""Settings of the other methods that simulate, by their name; neither needs the controller."""
 
 
+@keys_from(Filtering)
 class FilteringTable(Table):
     """[filtering]: how torque and columns are filtered, position and decimation each with its cut-off."""
 
-    preset: Literal["default", "published", "as-printed"] | None = Field(None, description="all of it at once")
-    position_cutoff: Positive | None = Field(None, description="cut-off of the low-pass on measured positions [Hz]")
-    cutoff: Positive | None = Field(None, description="cut-off of the decimation filter on torque and columns [Hz]")
-    decimation: Count | None = Field(None, description="one sample is kept in so many")
-    borders: Borders = Field([50, 50], description="samples dropped at the start and at the end")
-    timing: Literal["respected", "as_sampled"] = Field("respected", description="how a held torque is read")
-    aliasing: Literal["refused", "warned"] = Field("refused", description="what becomes of a decimation that aliases")
+    preset: Literal["default", "published", "as-printed"] | None = Field(
+        None, description="all of it at once, in place of the other keys"
+    )
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield the keys beside a preset."""
@@ -79,47 +74,27 @@ class FilteringTable(Table):
         """Return the filtering."""
         if self.preset is not None:
             return FILTERINGS[self.preset]()
-        given = self.given()
-        return Filtering(**given | ({"borders": tuple(given["borders"])} if "borders" in given else {}))
+        return Filtering(**self.settings())
 
 
+@keys_from(*DIDIMS.values(), *CLOSINGS.values(), IDIM)
 class MethodTable(Table):
     """[method]: how the joint is identified; some keys are for a rigid joint only, others for a flexible one."""
 
     name: Literal["didim", "idim", "drive_side", "open_loop"] | None = Field(
-        None, description="by which method; didim if the record has what it needs, else idim"
+        None, description="by which method; without it didim if the record has what it needs, else idim"
     )
-    preset: Literal["paper"] | None = Field(None, description="all settings of DIDIM at once")
-    form: Literal["residual", "paper"] = Field("residual", description="what each step solves")
-    start: Literal["inversion", "regular", "given"] = Field("inversion", description="where the search begins")
-    scaled_iterations: Natural = Field(2, description="first iterations under scaled controller gains")
-    tolerance: Positive | None = Field(None, description="change to stop at, relative")
-    step_tolerance: Positive = Field(1e-7, description="change of the parameters to stop at, relative")
-    iterations: Count = Field(30, description="iterations at most")
-    initial_state: Literal["free", "reference"] = Field("free", description="the motor at the first sample")
-    free: Names = Field([], description="what surrounds the joint and is identified with it")
-    minimiser: Literal["least-squares", "nelder-mead"] = Field(
-        "least-squares", description="the way down the criterion"
+    preset: Literal["paper"] | None = Field(
+        None, description="all settings of didim at once as the paper has them, in place of the others but frequency"
     )
-    frequency: Positive | None = Field(None, description="free-free, where the stiffness starts from [Hz]")
-    rigid_cutoff: Positive | None = Field(
-        None, description="cut-off of the rigid identification that gives the start [Hz]"
+    harmonics: Natural = Field(0, description="of idim: harmonics of the force over the motor position")
+    period: Positive | None = Field(
+        None,
+        description="of idim: of the first harmonic, on the side that is reported; without it searched for [m or rad]",
     )
-    simulations: Count = Field(6000, description="simulations of one descent at most")
-    restarts: Natural = Field(3, description="restarts of Nelder-Mead at most")
-    statistics: Literal["sensitivities", "inverse-model"] = Field(
-        "sensitivities", description="what the standard deviations are made from"
+    drift: Literal["force", "viscous", "both"] | None = Field(
+        None, description="of idim: what changes linearly in time"
     )
-    log_delay: Number | None = Field(None, description="how late the log shows the torque, estimated if left out [s]")
-    current_lag: NotNegative | Literal["estimated"] = Field(0.0, description="time constant between log and torque [s]")
-    instruments: Literal["tested", "always", "never"] = Field(
-        "tested", description="when they replace least squares on the drive side"
-    )
-    highpass: Positive | None = Field(None, description="below it the position of an open loop is drift [Hz]")
-    estimator: Literal["ols", "weighted", "robust", "iv"] = Field("ols", description="how IDIM solves its rows")
-    harmonics: Natural = Field(0, description="of the force over the motor position, for IDIM")
-    period: Positive | None = Field(None, description="of the first harmonic [m or rad]")
-    drift: Literal["force", "viscous", "both"] | None = Field(None, description="what changes with time, for IDIM")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield a period of no harmonics."""
@@ -132,12 +107,12 @@ class MethodTable(Table):
         return models[0] if len(models) == 1 else None
 
     def is_of(self, key: str, name: str) -> bool:
-        """Whether a key is a setting of the method of that name."""
+        """True if a key is a setting of the method of that name."""
         made = [CLOSINGS[name]] if name in CLOSINGS else list(DIDIMS.values())
         return any(key in {field.name for field in fields(one)} for one in made)
 
     def of_closing(self, key: str) -> bool:
-        """Whether a key is only for the methods that prescribe a motion or a torque."""
+        """True if a key is only for the methods that prescribe a motion or a torque."""
         return any(self.is_of(key, name) for name in CLOSINGS) and not self.is_of(key, "didim")
 
     def beside_preset(self) -> dict[str, Any]:
@@ -153,11 +128,10 @@ class MethodTable(Table):
         """Return the method of that name with these settings, for a joint of that model."""
         if name == "idim":
             return IDIM(self.estimator, self.effects())
+        given = self.settings("name", "preset")
         if name in CLOSINGS:
-            lag = {"current_lag": None} if self.current_lag == "estimated" else {}
-            return CLOSINGS[name](**self.given("name") | lag)
-        made, given = DIDIMS[model], self.given("name", "preset")
-        given |= {"free": tuple(given["free"])} if "free" in given else {}
+            return CLOSINGS[name](**given | ({"current_lag": None} if self.current_lag == "estimated" else {}))
+        made = DIDIMS[model]
         return made.paper(**given) if self.preset == "paper" else made(**given)
 
 
@@ -184,17 +158,13 @@ class ParameterTable(Table):
             yield "value", " is missing; a parameter that is not free needs the value that it keeps: add it."
 
 
+@keys_from(Run)
 class RunTable(Table):
     """[[records]]: one of several records that are identified together, and what is known to differ in it."""
 
-    file: RecordFile = Field(description="path of the record, from the joint file's folder")
-    added_inertia: NotNegative = Field(
-        0.0, description="known, on the load, beyond what is shared [kg or kg m2, load side]"
-    )
-    own: Names = Field([], description="names of parameters that the other records do not share")
-    controller: ControllerNumbers = Field(
-        default_factory=dict, description="numbers of the controller that were others, by key"
-    )
+    def run(self) -> Run:
+        """Return the record."""
+        return Run(**self.settings())
 
 
 class TogetherTable(Table):

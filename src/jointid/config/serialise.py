@@ -9,21 +9,21 @@ from typing import Any
 import numpy as np
 
 from jointid.common.errors import JointFileError
-from jointid.config.filters import FILTERS
 from jointid.config.schema import CLOSINGS, DIDIMS, FILTERINGS
-from jointid.estimation.identify import Method
+from jointid.estimation.identify_record import Method
 from jointid.estimation.methods.idim import IDIM
-from jointid.models.controllers import PD, PID, Cascade, Controller, DigitalFilter, StateSpaceController
+from jointid.models.controllers import FILTERS, LAWS, Controller, DigitalFilter
 from jointid.models.disturbances import Drift, Effect, PositionHarmonics
+from jointid.models.friction import FRICTIONS
 from jointid.models.gravity import Gravity
-from jointid.models.joints import FRICTIONS, Joint
+from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
 from jointid.models.transmission import SIDES, Transmission
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.records.time_base.resampling import Resampling
 
 _KINDS: Mapping[type, str] = {made: kind for kind, made in FILTERS.items()}
-_LAWS: Mapping[type, str] = {Cascade: "cascade", PD: "pd", PID: "pid", StateSpaceController: "state_space"}
+_LAWS: Mapping[type, str] = {made: law for law, made in LAWS.items()}
 
 
 def settings(made: Any, *without: str) -> dict[str, Any]:

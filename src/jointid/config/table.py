@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeA
 from pydantic import AfterValidator, BaseModel, ConfigDict, ModelWrapValidatorHandler, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from jointid.common import messages
 from jointid.common.errors import JointidError
-from jointid.config import messages
-from jointid.config.messages import Says
+from jointid.common.messages import Says
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -50,10 +50,19 @@ class Table(BaseModel):
         keys = [key for key in type(self).model_fields if key in self.model_fields_set and key not in without]
         return {key: getattr(self, key) for key in keys}
 
+    def settings(self, *without: str) -> dict[str, Any]:
+        """Return the values that stand in the file as the settings of a dataclass, by key, without those named."""
+        given = self.given(*without)
+        return {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
+
     def lacks(self, key: str) -> str:
         """Return the rest of the sentence on a key that is needed beside the others and not there."""
         field = type(self).model_fields[key]
-        return messages.missing(_said(field).expected, field.description or "")
+        return messages.missing(_expectation(field).expected, field.description or "")
+
+    if TYPE_CHECKING:  # keys that are generated
+
+        def __getattr__(self, name: str) -> Any: ...
 
     @model_validator(mode="wrap")
     @classmethod
@@ -86,10 +95,10 @@ class Table(BaseModel):
             return (key,), messages.unknown(str(key), cls.model_fields)
         if error["type"].startswith("union_tag"):
             deciding = cls.decided_by[str(key)]
-            return (key, deciding), _undecided(deciding, field, raw[key])
+            return (key, deciding), _describe_undecided(deciding, field, raw[key])
         if error["type"] == "missing":
-            return (key,), messages.missing(_said(field).expected, field.description or "")
-        return (key,), _unexpected(field, raw[key], short)
+            return (key,), messages.missing(_expectation(field).expected, field.description or "")
+        return (key,), _describe_unexpected(field, raw[key], short)
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
@@ -103,7 +112,7 @@ class Table(BaseModel):
 def sentences(error: ValidationError) -> list[str]:
     """Return the sentences of all that is wrong with a `Table`."""
     found = error.errors(include_url=False, include_input=False)
-    return [f"{messages.dotted(details['loc'])}{details['ctx']['sentence']}" for details in found]
+    return [f"{messages.dot_path(details['loc'])}{details['ctx']['sentence']}" for details in found]
 
 
 def refusal(make: Callable[[], object]) -> str | None:
@@ -115,26 +124,26 @@ def refusal(make: Callable[[], object]) -> str | None:
     return None
 
 
-def accepted(make: Callable[[Any], object]) -> AfterValidator:
+def accept_by(make: Callable[[Any], object]) -> AfterValidator:
     """Return the validator of a value that `make` must not refuse."""
 
     def checked(value: object) -> object:
         if refused := refusal(lambda: make(value)):
-            raise _said_so(refused)
+            raise _our_error(refused)
         return value
 
     return AfterValidator(checked)
 
 
-def _said_so(sentence: str) -> PydanticCustomError:
+def _our_error(sentence: str) -> PydanticCustomError:
     return PydanticCustomError(_OURS, "{sentence}", {"sentence": sentence})
 
 
 def _as_error(location: tuple[int | str, ...], sentence: str) -> InitErrorDetails:
-    return InitErrorDetails(type=_said_so(sentence), loc=location, input=None)
+    return InitErrorDetails(type=_our_error(sentence), loc=location, input=None)
 
 
-def _undecided(deciding: str, field: FieldInfo, raw: Mapping[str, object]) -> str:
+def _describe_undecided(deciding: str, field: FieldInfo, raw: Mapping[str, object]) -> str:
     """Return the rest of the sentence on a table that does not say which of several it is."""
     deciders = [table.model_fields[deciding] for table in _tables(field)]
     choices = [choice for decider in deciders for choice in _choices(decider)]
@@ -143,18 +152,18 @@ def _undecided(deciding: str, field: FieldInfo, raw: Mapping[str, object]) -> st
     return messages.missing(messages.either(choices), deciders[0].description or "")
 
 
-def _unexpected(field: FieldInfo, value: object, short: bool) -> str:
+def _describe_unexpected(field: FieldInfo, value: object, short: bool) -> str:
     """Return the rest of the sentence on a value that is not what the key's annotation says."""
     if choices := _choices(field):
         return messages.no_choice(value, choices)
-    says = _said(field)
+    says = _expectation(field)
     if _tables(field) and says not in field.metadata:
         return messages.no_table(value)
     expected = f"{says.expected}, or a table" if short else says.expected
     return messages.unexpected(value, Says(expected, says.negative), optional=not (short or field.is_required()))
 
 
-def _said(field: FieldInfo) -> Says:
+def _expectation(field: FieldInfo) -> Says:
     """Return what is expected of a key's value."""
     says = [part for part in _parts(field) if isinstance(part, Says)]
     return says[0] if says else Says(messages.either(_choices(field)) or "a table")

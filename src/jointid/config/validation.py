@@ -13,10 +13,10 @@ from typing import Any, Self, TypeVar
 from pydantic import ValidationError
 
 from jointid.common.errors import JointFileError
-from jointid.config.channels import channel_faults, reachable
+from jointid.config.channels import channel_faults, list_channels
 from jointid.config.consistency import free_faults, gravity_refusal, method_faults, parameter_faults, record_faults
 from jointid.config.gearing import TransmissionTable, side_faults, transmission_faults
-from jointid.config.laws import LAWS, LawTable
+from jointid.config.laws import LAW_TABLES, LawTable
 from jointid.config.mechanics import GravityTable, JointTable
 from jointid.config.record_table import ChannelsTable, ChannelTable, DriveTable
 from jointid.config.schema import DIDIMS, FileTable, MethodTable, ParameterTable, RunTable, TogetherTable
@@ -34,7 +34,7 @@ _MOST = 1000  # keys of a table, records of a file
 _KINDS: tuple[Kind, ...] = ("prismatic", "revolute")
 
 
-def checked(raw: Mapping[str, Any]) -> FileTable:
+def check_tables(raw: Mapping[str, Any]) -> FileTable:
     """Return the tables of a joint file, given as `tomllib` reads them.
 
     Raises:
@@ -55,7 +55,7 @@ def checked(raw: Mapping[str, Any]) -> FileTable:
 
 @dataclass(frozen=True, slots=True)
 class _Draft:
-    """What of a joint file is right in itself; what is not is None, or left out.
+    """The tables of a joint file that are right in themselves; one that is not is None, or left out.
 
     Attributes:
         joint: what is identified.
@@ -101,7 +101,7 @@ class _Draft:
         drives = _part(DriveTable, raw.get("drive", {}))
         drive = drives.drive() if drives else None
         channels, parameters = _table(raw, "record", "channels"), _table(raw, "parameters")
-        law = next(filter(None, (_part(law, controller) for law in LAWS)), None)
+        law = next(filter(None, (_part(law, controller) for law in LAW_TABLES)), None)
         return cls(
             joint=_part(JointTable, raw.get("joint")),
             gravity=_part(GravityTable, raw.get("gravity")),
@@ -116,7 +116,7 @@ class _Draft:
                 if (table := _part(ChannelsTable, {name: value}))
             },
             # Of a drive that is wrong nobody knows which channels its profile finds.
-            named=reachable(channels, drive) if drive is not None else CHANNELS,
+            named=list_channels(channels, drive) if drive is not None else CHANNELS,
             drive=drive,
             law=law,
             controlled=controller is not None,

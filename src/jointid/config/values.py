@@ -7,12 +7,13 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
+from jointid.common.messages import Says
 from jointid.common.units import units_of
-from jointid.config.messages import Says
 
 _TIME_UNITS = units_of("time")
 _LENGTH_UNITS = units_of("length")
-_MOST = 10**9  # of what is counted
+MOST = 10**9
+"""Of what is counted."""
 
 
 def _not_nan(value: float) -> float:
@@ -82,8 +83,8 @@ Sign = Annotated[
     int, AfterValidator(_direction), Field(json_schema_extra={"enum": [1, -1]}), Says("1 or -1", "use gain to scale")
 ]
 
-Natural = Annotated[int, Field(ge=0, le=_MOST), Says("a whole number, 0 or more")]
-Count = Annotated[int, Field(ge=1, le=_MOST), Says("a whole number, 1 or more")]
+Natural = Annotated[int, Field(ge=0, le=MOST), Says("a whole number, 0 or more")]
+Count = Annotated[int, Field(ge=1, le=MOST), Says("a whole number, 1 or more")]
 Borders = Annotated[list[Natural], Field(min_length=2, max_length=2), Says("a list of two whole numbers, 0 or more")]
 
 Names = Annotated[list[Text], Says("a list of names in quotes")]

@@ -1,4 +1,4 @@
-"""What laws are made of: columns in which they are linear, their filters and clocks given.
+"""Regressor columns of the controller laws, given their filters and clocks.
 
 With e = r - q, the filtered difference v = F D q, F the velocity's filter and S a sum over time, the torque of every
 law of `structures` is::
@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.controller_id.loop_record import Watched
-from jointid.controller_id.noise import seen_from
+from jointid.controller_id.loop_record import LoopRecord
+from jointid.controller_id.noise import position_response
 from jointid.controller_id.structures import (
     ACCELERATION,
     COULOMB,
@@ -45,29 +45,29 @@ EVERY = np.eye(13)
 """All coefficients free."""
 
 
-def columns(watched: Watched, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
-    """Return what the coefficients of the module's equation are of, as the log would show it, (samples, 13).
+def columns(log: LoopRecord, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
+    """Return the columns of the module's equation, as the log would show them, (samples, 13).
 
     Args:
-        watched: the record.
+        log: the record.
         structure: of the law: its filters and clocks.
         numbers: of the filters, and of the reference's delay.
 
     Raises:
         MethodError: the filters cannot be.
     """
-    rate, period = structure.rate, watched.period / structure.rate
+    rate, period = structure.rate, log.period / structure.rate
     lead, slope = _LEAD * rate, _SLOPE * rate
-    inputs = watched.inputs(rate, structure.curved)
-    r, q = (_led(inputs[:, i] - inputs[0, POSITION], lead, slope) for i in (REFERENCE, POSITION))
-    r = _delayed(r, numbers.get("reference_delay", 0.0) / period)
+    inputs = log.inputs(rate, structure.curved)
+    r, q = (_prepend_line(inputs[:, i] - inputs[0, POSITION], lead, slope) for i in (REFERENCE, POSITION))
+    r = _delay(r, numbers.get("reference_delay", 0.0) / period)
     velocity, torque = filters_of(structure, numbers)
-    filtered = _passed(velocity, np.column_stack([q, r]), period)
-    speed = _rate(filtered, period)
-    e, fed = r - q, _rate(r, period)
+    filtered = _filter_signals(velocity, np.column_stack([q, r]), period)
+    speed = _differentiate(filtered, period)
+    e, fed = r - q, _differentiate(r, period)
     w, direction = (np.concatenate([np.full(lead, x[0]), x]) for x in inputs[:, [REFERENCE_VELOCITY, DIRECTION]].T)
-    w, direction = (_delayed(one, numbers.get("reference_delay", 0.0) / period) for one in (w, direction))
-    viscous, bent = fed, _rate(fed, period)
+    w, direction = (_delay(one, numbers.get("reference_delay", 0.0) / period) for one in (w, direction))
+    viscous, bent = fed, _differentiate(fed, period)
     # Between two samples that lines join nothing is bent: what is left is rounding, and must not be a column.
     bent[np.abs(bent) < _ROUNDING * np.max(np.abs(r)) / period**2] = 0.0
     if structure.every > 1:  # the lead is a whole number of the slower loop's periods
@@ -75,31 +75,31 @@ def columns(watched: Watched, structure: Structure, numbers: Mapping[str, float]
         last = np.maximum(at - (at - structure.offset) % structure.every, 0)
         fed = (r[last] - r[np.maximum(last - structure.every, 0)]) / (structure.every * period)
         e, w = e[last], w[last]
-    e_sum, fed_sum, speed_sum, w_sum = (_summed(one, lead) * period for one in (e, fed, speed[:, 0], w))
+    e_sum, fed_sum, speed_sum, w_sum = (_running_sum(one, lead) * period for one in (e, fed, speed[:, 0], w))
     found = np.column_stack([
         e, speed[:, 0], fed, speed[:, 1], e_sum, fed_sum, speed_sum, w, w_sum,
         viscous, bent, direction, np.ones(r.size),
     ])  # fmt: skip
-    return _shown(watched, _passed(torque, found, period)[lead:], rate)
+    return _as_logged(log, _filter_signals(torque, found, period)[lead:], rate)
 
 
-def injected(watched: Watched, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
-    """Return what the log would show of what is injected before the limit, (samples, 1)."""
+def injected_torque(log: LoopRecord, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
+    """Return the torque injected before the limit, as the log would show it, (samples, 1)."""
     rate, (_, torque) = structure.rate, filters_of(structure, numbers)
-    signal = watched.inputs(rate, structure.curved)[:, [INJECTED]]
-    return _shown(watched, _passed(torque, signal, watched.period / rate), rate)
+    signal = log.inputs(rate, structure.curved)[:, [INJECTED]]
+    return _as_logged(log, _filter_signals(torque, signal, log.period / rate), rate)
 
 
-def _shown(watched: Watched, signals: FloatArray, rate: int) -> FloatArray:
-    """Return what the log shows of signals of the law, (samples, signals)."""
-    assert watched.record.torque is not None
-    if watched.record.torque.timing is not Timing.AVERAGED:
+def _as_logged(log: LoopRecord, signals: FloatArray, rate: int) -> FloatArray:
+    """Return signals of the law as the log shows them, (samples, signals)."""
+    assert log.record.torque is not None
+    if log.record.torque.timing is not Timing.AVERAGED:
         return signals[::rate]
     means = signals.reshape(-1, rate, signals.shape[1]).mean(axis=1)
     return np.concatenate([means[:1], means[:-1]])
 
 
-def response(watched: Watched, structure: Structure, numbers: Mapping[str, float], gains: FloatArray) -> FloatArray:
+def response(log: LoopRecord, structure: Structure, numbers: Mapping[str, float], gains: FloatArray) -> FloatArray:
     """Return |G| from the position's error to the torque, (frequencies,), times the shape of that error's spectrum.
 
     A position loop N times slower than the velocity loop holds what it has read: of an error's frequency f it hears
@@ -107,12 +107,12 @@ def response(watched: Watched, structure: Structure, numbers: Mapping[str, float
     is faster than the log, the position loop is taken to be as fast as the velocity loop.
 
     Args:
-        watched: the record.
+        log: the record.
         structure: of the law: its filters and clocks.
         numbers: of the filters.
         gains: the coefficients.
     """
-    period, filters = watched.period / structure.rate, filters_of(structure, numbers)
+    period, filters = log.period / structure.rate, filters_of(structure, numbers)
     held = structure.every if structure.rate == 1 else 1
 
     def slope_of(back: NDArray[np.complex128]) -> NDArray[np.complex128]:
@@ -123,24 +123,26 @@ def response(watched: Watched, structure: Structure, numbers: Mapping[str, float
         back = np.exp(-2j * np.pi * hertz * period)
         holding = np.polyval(np.ones(held), back) / held
         return np.asarray(
-            -_at(filters[1], back, period) * holding * (gains[_ERROR] + gains[_SUM] * back / slope_of(back))
+            -_filter_response(filters[1], back, period)
+            * holding
+            * (gains[_ERROR] + gains[_SUM] * back / slope_of(back))
         )
 
     def whole(hertz: FloatArray) -> NDArray[np.complex128]:
         back = np.exp(-2j * np.pi * hertz * period)
-        velocity, torque = (_at(one, back, period) for one in filters)
+        velocity, torque = (_filter_response(one, back, period) for one in filters)
         inner = gains[_SPEED] * slope_of(back) + gains[_FILTERED] * back
         return np.asarray(torque * velocity * inner + outer(hertz))
 
-    seen = seen_from(whole, watched.period, watched.samples, structure.rate) * watched.error.shape
+    seen = position_response(whole, log.period, log.samples, structure.rate) * log.error.shape
     if held == 1:
         return seen
-    alike = watched.error.alike(held)
-    return np.hypot(seen, seen_from(outer, watched.period, watched.samples, structure.rate) * alike)
+    alike = log.error.alike(held)
+    return np.hypot(seen, position_response(outer, log.period, log.samples, structure.rate) * alike)
 
 
-def parts_of(structure: Structure, ki: float) -> dict[str, FloatArray]:
-    """Return what each gain of a law is a coefficient of, as combinations of the columns.
+def coefficient_columns(structure: Structure, ki: float) -> dict[str, FloatArray]:
+    """Return the column that each gain of a law multiplies, as a combination of all columns.
 
     Args:
         structure: of the law.
@@ -166,7 +168,7 @@ def parts_of(structure: Structure, ki: float) -> dict[str, FloatArray]:
     return parts | ({INTEGRAL: EVERY[_ONE]} if structure.integrates else {})
 
 
-def combined(structure: Structure, numbers: Mapping[str, float], gain: float) -> FloatArray:
+def law_coefficients(structure: Structure, numbers: Mapping[str, float], gain: float) -> FloatArray:
     """Return the coefficients of a law, in torque.
 
     Args:
@@ -178,32 +180,32 @@ def combined(structure: Structure, numbers: Mapping[str, float], gain: float) ->
     if structure.cascade:
         known["kp"] *= known["kv"]
         known["velocity_feedforward"] = known["kv"] * known.get("velocity_feedforward", 0.0)
-    parts = parts_of(structure, known.get("ki", 0.0))
+    parts = coefficient_columns(structure, known.get("ki", 0.0))
     return np.asarray(gain * sum(known[name] * part for name, part in parts.items()))
 
 
-def _led(signal: FloatArray, lead: int, slope: int) -> FloatArray:
+def _prepend_line(signal: FloatArray, lead: int, slope: int) -> FloatArray:
     """Return a signal with a straight line before it, as it begins."""
     rate = (signal[slope] - signal[0]) / slope
     return np.concatenate([signal[0] + rate * np.arange(-lead, 0), signal])
 
 
-def _delayed(signal: FloatArray, periods: float) -> FloatArray:
+def _delay(signal: FloatArray, periods: float) -> FloatArray:
     at = np.arange(signal.size)
     return np.asarray(np.interp(at - periods, at, signal)) if periods else signal
 
 
-def _rate(signal: FloatArray, period: float) -> FloatArray:
+def _differentiate(signal: FloatArray, period: float) -> FloatArray:
     return np.asarray(np.diff(signal, axis=0, prepend=signal[:1]) / period)
 
 
-def _summed(signal: FloatArray, lead: int) -> FloatArray:
+def _running_sum(signal: FloatArray, lead: int) -> FloatArray:
     """Return the sums of the earlier values from the first sample on, where an integral's content is reckoned."""
     sums = np.concatenate([[0.0], np.cumsum(signal[:-1])])
     return np.asarray(sums - sums[lead])
 
 
-def _passed(one: Filter | Sequence[float], signals: FloatArray, period: float) -> FloatArray:
+def _filter_signals(one: Filter | Sequence[float], signals: FloatArray, period: float) -> FloatArray:
     """Return signals, (periods, signals), behind a filter that has seen their first values for ever."""
     from scipy.signal import lfilter, lfilter_zi
 
@@ -214,6 +216,6 @@ def _passed(one: Filter | Sequence[float], signals: FloatArray, period: float) -
     return np.asarray(lfilter(b, a, signals, axis=0, zi=settled)[0])
 
 
-def _at(one: Filter | Sequence[float], back: FloatArray, period: float) -> FloatArray:
+def _filter_response(one: Filter | Sequence[float], back: FloatArray, period: float) -> FloatArray:
     b, a = as_filter(one).coefficients(period)
     return np.asarray(np.polyval(b[::-1], back) / np.polyval(a[::-1], back))

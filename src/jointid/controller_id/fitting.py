@@ -1,4 +1,4 @@
-"""One structure, fitted: its numbers where the whitened residual is smallest, by Gauss and Newton."""
+"""Fit one structure: Gauss-Newton on the whitened residual."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
-from jointid.controller_id.columns import combined, response
-from jointid.controller_id.loop_record import Watched
-from jointid.controller_id.noise import Noise, noise_of
+from jointid.controller_id.columns import law_coefficients, response
+from jointid.controller_id.loop_record import LoopRecord
+from jointid.controller_id.noise import Noise, estimate_noise
 from jointid.controller_id.structures import INTEGRAL, Structure, bounds, controller
 from jointid.models.controllers import Controller, SampledLaw
 from jointid.solvers.bounds import Bounds
@@ -23,7 +23,7 @@ _HALVINGS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fitted:
+class FittedLaw:
     """A structure with its numbers.
 
     Attributes:
@@ -41,39 +41,39 @@ class Fitted:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
-    """What laws are fitted to: a record, and the gain of the drive's chain.
+    """A record and the gain of the drive's chain: the data of every fit.
 
     Attributes:
-        watched: the record.
+        log: the record.
         gain: torque per controller unit.
     """
 
-    watched: Watched
+    log: LoopRecord
     gain: float
 
-    def stretch(self, samples: int) -> Task:
+    def segment(self, samples: int) -> Task:
         """Return the same task on so many samples, where the reference is accelerated most."""
-        return Task(self.watched.stretch(samples), self.gain)
+        return Task(self.log.segment(samples), self.gain)
 
     def controller(self, structure: Structure, numbers: Mapping[str, float]) -> Controller:
         """Return a law."""
-        return controller(structure, numbers, self.watched.period, self.gain)
+        return controller(structure, numbers, self.log.period, self.gain)
 
     def law(self, structure: Structure, numbers: Mapping[str, float]) -> SampledLaw:
         """Return a law as it is run."""
-        return self.controller(structure, numbers).law(self.watched.period)
+        return self.controller(structure, numbers).law(self.log.period)
 
     def residual(self, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
         """Return logged less predicted torque, (samples,), 0 where it is left out."""
         law = self.law(structure, numbers)
-        predicted = self.watched.predicted(law, numbers.get(INTEGRAL, 0.0) * self.gain, structure.curved)
-        return (self.watched.torque - predicted) * self.watched.kept
+        predicted = self.log.predict(law, numbers.get(INTEGRAL, 0.0) * self.gain, structure.curved)
+        return (self.log.torque - predicted) * self.log.kept
 
     def response(self, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
         """Return the magnitude of a law's response to the position at the residual's frequencies."""
-        return response(self.watched, structure, numbers, combined(structure, numbers, self.gain))
+        return response(self.log, structure, numbers, law_coefficients(structure, numbers, self.gain))
 
-    def whitened(self, structure: Structure, numbers: Mapping[str, float], noise: Noise) -> FloatArray:
+    def whiten(self, structure: Structure, numbers: Mapping[str, float], noise: Noise) -> FloatArray:
         """Return the residual made white by a noise, (samples,)."""
         error = self.residual(structure, numbers)
         seen = self.response(structure, numbers) if noise.position else np.zeros(error.size // 2 + 1)
@@ -81,14 +81,14 @@ class Task:
 
     def noise(self, structure: Structure, numbers: Mapping[str, float]) -> Noise:
         """Return the noise that explains what a law leaves."""
-        watched, left = self.watched, self.residual(structure, numbers)
-        return noise_of(
-            left, self.response(structure, numbers), watched.torque, watched.kept, watched.error.most, watched.heard
+        log, left = self.log, self.residual(structure, numbers)
+        return estimate_noise(
+            left, self.response(structure, numbers), log.torque, log.kept, log.error.most, log.informative
         )
 
     def slopes(self, structure: Structure, x: FloatArray, base: FloatArray, noise: Noise) -> FloatArray:
         """Return the derivatives of the whitened residual by the numbers, (samples, numbers), by differences."""
-        names, period = structure.names, self.watched.period
+        names, period = structure.names, self.log.period
         J = np.empty((base.size, x.size))
         for i, name in enumerate(names):
             high = bounds(name, period, structure.rate)[1]
@@ -96,15 +96,15 @@ class Task:
             step = -step if x[i] + step > high else step
             moved = x.copy()
             moved[i] += step
-            J[:, i] = (self.whitened(structure, dict(zip(names, moved, strict=True)), noise) - base) / step
+            J[:, i] = (self.whiten(structure, dict(zip(names, moved, strict=True)), noise) - base) / step
         return J
 
     def _size(self, name: str, x: FloatArray, names: tuple[str, ...]) -> float:
-        """Return what the smallest change of a number is reckoned from, in its own units; what is 0 needs one."""
-        period, cascade = self.watched.period, names[1] == "kv"
+        """Return the scale of a parameter's difference step, in its own units; a parameter at 0 needs one."""
+        period, cascade = self.log.period, names[1] == "kv"
         gain = abs(float(x[0] * x[1] if cascade else x[0])) or 1.0  # controller units per m
         rate = abs(float(x[1])) or gain * period  # controller units per m/s
-        force = float(np.max(np.abs(self.watched.torque))) / self.gain
+        force = float(np.max(np.abs(self.log.torque))) / self.gain
         sizes = {
             INTEGRAL: force, "constant_feedforward": force, "coulomb_feedforward": force, "limit": force,
             "kd": rate, "kv": rate, "viscous_feedforward": rate, "acceleration_feedforward": 1e-2 * rate,
@@ -113,7 +113,7 @@ class Task:
         return sizes.get(name.rpartition(".")[2], 1.0 if cascade or not name.startswith("k") else gain)
 
 
-def fit(task: Task, structure: Structure, start: Mapping[str, float], noise: Noise, steps: int = 8) -> Fitted | None:
+def fit(task: Task, structure: Structure, start: Mapping[str, float], noise: Noise, steps: int = 8) -> FittedLaw | None:
     """Return a structure's numbers of least cost near a start; None where the law cannot be, or runs away.
 
     Args:
@@ -123,11 +123,11 @@ def fit(task: Task, structure: Structure, start: Mapping[str, float], noise: Noi
         noise: what the residual is whitened by.
         steps: at most.
     """
-    names, period = structure.names, task.watched.period
+    names, period = structure.names, task.log.period
     limits = Bounds(*np.array([bounds(name, period, structure.rate) for name in names]).T)
     x = limits.clip(np.array([start[name] for name in names], dtype=np.float64))
     try:
-        white = task.whitened(structure, dict(zip(names, x, strict=True)), noise)
+        white = task.whiten(structure, dict(zip(names, x, strict=True)), noise)
         cost = float(white @ white)
         for _ in range(steps):
             before = cost
@@ -139,10 +139,10 @@ def fit(task: Task, structure: Structure, start: Mapping[str, float], noise: Noi
                 break
     except MethodError:
         return None
-    return Fitted(structure, dict(zip(names, map(float, x), strict=True)), cost, noise)
+    return FittedLaw(structure, dict(zip(names, map(float, x), strict=True)), cost, noise)
 
 
-def outside_faster(task: Task, one: Fitted) -> Fitted:
+def order_rates(task: Task, one: FittedLaw) -> FittedLaw:
     """Return a P-PI on the reference's full velocity with the larger of its two rates as kp; another as it is.
 
     Its kp and ki are the two roots of one equation, ``kv (kp + ki)``, ``kv (1 - ki T)`` and ``kv kp ki`` being what the
@@ -152,7 +152,7 @@ def outside_faster(task: Task, one: Fitted) -> Fitted:
     plain = structure.velocity_filter == "none" and structure.every == 1
     if not (structure.law == "P-PI" and structure.reference_velocity == "full" and plain and known["kp"] < known["ki"]):
         return one
-    kp, kv, ki, period = known["kp"], known["kv"], known["ki"], task.watched.period / structure.rate
+    kp, kv, ki, period = known["kp"], known["kv"], known["ki"], task.log.period / structure.rate
     # What the other root is follows from the product and the sum of both, each with its own kv.
     proportional, slope, integral = kv * (kp + ki), kv * (1.0 - ki * period), kv * kp * ki
     other = integral / ((slope + proportional * period) * ki)
@@ -172,18 +172,18 @@ def _step(
 ) -> tuple[FloatArray, FloatArray, float]:
     """Return numbers, residual and cost after one step; those of before where none is better."""
     cost, names = float(white @ white), structure.names
-    change = _change(J, white, x, limits)
+    change = _gauss_newton_step(J, white, x, limits)
     share = 1.0
     for _ in range(_HALVINGS):
         tried = limits.clip(x + share * change)
-        after = task.whitened(structure, dict(zip(names, tried, strict=True)), noise)
+        after = task.whiten(structure, dict(zip(names, tried, strict=True)), noise)
         if (new := float(after @ after)) < cost:
             return tried, after, new
         share *= 0.25
     return x, white, cost
 
 
-def _change(J: FloatArray, white: FloatArray, x: FloatArray, limits: Bounds) -> FloatArray:
+def _gauss_newton_step(J: FloatArray, white: FloatArray, x: FloatArray, limits: Bounds) -> FloatArray:
     """Return Gauss and Newton's step; a number that would leave its bounds at once stays there."""
     free = np.ones(x.size, dtype=np.bool_)
     norms = column_norms(J)

@@ -1,4 +1,4 @@
-"""Before any law, what a record can tell of it: the frequencies at which torque and position are louder than noise.
+"""Select the frequencies at which the record is informative about the controller (signal over noise > 4).
 
 Whatever the law, but for its limit: it is linear in the reference, its direction, the position and what is injected,
 and its memory is short but for an integral. So a regression of the torque on long stretches of their past leaves little
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.controller_id.noise import PositionError, by_band, loudness, widths
+from jointid.controller_id.noise import PositionError, band_means, band_power, band_widths
 from jointid.controller_id.structures import SLOWER
 from jointid.models.controllers import DIRECTION, INJECTED, POSITION, REFERENCE
 
@@ -25,10 +25,10 @@ _ROWS = 4096  # samples whose columns are in memory at a time
 _DEPENDENT = 1e-12  # of the largest singular value: what is below is rounding
 
 
-def heard(
+def informative_frequencies(
     inputs: FloatArray, torque: FloatArray, added: FloatArray, kept: FloatArray, error: PositionError
 ) -> FloatArray:
-    """Return 1 at the frequencies of the real transform that tell of the law, else 0.
+    """Return 1 at the informative frequencies of the real transform, else 0.
 
     A law is applied to the logged position. Where that is no louder than its rounding it tells of the law only if it
     shows in the torque: if the controller saw the same rounding, or a slower position loop makes images there of what
@@ -42,18 +42,20 @@ def heard(
         error: what is known of the position's.
     """
     r, q = (inputs[:, i] - inputs[0, REFERENCE] for i in (REFERENCE, POSITION))
-    asked = [np.ones((r.size, 1)), np.cumsum(r - q)[:, np.newaxis], *_bent(r), *_images(_change(r))]
-    asked += [_past(one, _BESIDE) for one in (inputs[:, DIRECTION], inputs[:, INJECTED], added) if np.any(one)]
-    shown, left = map(loudness, _regressed(asked, [*_bent(q), *_images(r - q)], torque, kept))
-    loud = loudness(torque - torque.mean()) > _LOUDER * left
-    loud &= (error.power > _LOUDER * error.variance * by_band(error.shape**2)) | (shown > _LOUDER * left)
-    return np.concatenate([[1.0], np.repeat(np.asarray(loud, dtype=np.float64), widths(torque.size // 2 + 1))])
+    asked = [np.ones((r.size, 1)), np.cumsum(r - q)[:, np.newaxis], *_signal_and_past(r), *_images(_difference(r))]
+    asked += [
+        _lagged_columns(one, _BESIDE) for one in (inputs[:, DIRECTION], inputs[:, INJECTED], added) if np.any(one)
+    ]
+    shown, left = map(band_power, _regress(asked, [*_signal_and_past(q), *_images(r - q)], torque, kept))
+    loud = band_power(torque - torque.mean()) > _LOUDER * left
+    loud &= (error.power > _LOUDER * error.variance * band_means(error.shape**2)) | (shown > _LOUDER * left)
+    return np.concatenate([[1.0], np.repeat(np.asarray(loud, dtype=np.float64), band_widths(torque.size // 2 + 1))])
 
 
-def _regressed(
+def _regress(
     asked: list[FloatArray], seen: list[FloatArray], torque: FloatArray, kept: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what is seen does to the torque, and what is left, as large as it would be on samples of its own.
+    """Return the torque explained by the position, and the residual, scaled as on samples of its own.
 
     The hundreds of columns are made of a few thousand samples at a time: of a long record they would fill the memory.
     """
@@ -67,30 +69,30 @@ def _regressed(
     gains, _, rank, _ = np.linalg.lstsq(root[:, :-1] / norms, root[:, -1], rcond=_DEPENDENT)
     split = np.zeros((norms.size, 2))  # what is asked, and what is seen
     split[:first, 0], split[first:, 1] = (gains / norms)[:first], (gains / norms)[first:]
-    told = np.vstack([np.hstack([one[part] for one in every]) @ split for part in parts])
+    explained = np.vstack([np.hstack([one[part] for one in every]) @ split for part in parts])
     counted = float(np.sum(kept))
-    left = (torque - told.sum(axis=1)) * kept * np.sqrt(counted / max(counted - int(rank), 1.0))
-    return told[:, 1], np.asarray(left)
+    left = (torque - explained.sum(axis=1)) * kept * np.sqrt(counted / max(counted - int(rank), 1.0))
+    return explained[:, 1], np.asarray(left)
 
 
 def _images(signal: FloatArray) -> list[FloatArray]:
-    """Return what a slower position loop may make of a signal: the same, turned by parts of its rate."""
+    """Return the images of a signal in a slower position loop: the signal modulated by fractions of its rate."""
     parts = np.arange(1, max(SLOWER) // 2 + 1)[:, np.newaxis] / max(SLOWER)
     turns = np.exp(2j * np.pi * parts * np.arange(signal.size))
-    return [_past(signal * part, _IMAGES) for turn in turns for part in (turn.real, turn.imag)]
+    return [_lagged_columns(signal * part, _IMAGES) for turn in turns for part in (turn.real, turn.imag)]
 
 
-def _bent(signal: FloatArray) -> list[FloatArray]:
-    """Return what spans a signal and its earlier values: of smooth ones, mostly what bends them differs."""
-    change = _change(signal)
-    return [signal[:, np.newaxis], change[:, np.newaxis], _past(_change(change), _PAST)]
+def _signal_and_past(signal: FloatArray) -> list[FloatArray]:
+    """Return columns that span a signal and its earlier values; second differences keep them well conditioned."""
+    change = _difference(signal)
+    return [signal[:, np.newaxis], change[:, np.newaxis], _lagged_columns(_difference(change), _PAST)]
 
 
-def _change(signal: FloatArray) -> FloatArray:
+def _difference(signal: FloatArray) -> FloatArray:
     return np.diff(signal, prepend=signal[:1])
 
 
-def _past(signal: FloatArray, samples: int) -> NDArray[np.float64]:
+def _lagged_columns(signal: FloatArray, samples: int) -> NDArray[np.float64]:
     """Return a signal and its earlier values, (samples of it, samples + 1), at its first value until it begins."""
     led = np.concatenate([np.full(samples, signal[0]), signal])
     return np.lib.stride_tricks.sliding_window_view(led, samples + 1)

@@ -1,4 +1,4 @@
-"""The verb: a record in, the law that made its torque out."""
+"""Learn a controller's law from a record."""
 
 from __future__ import annotations
 
@@ -9,12 +9,18 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
-from jointid.controller_id.fitting import Fitted, Task, outside_faster
+from jointid.controller_id.fitting import FittedLaw, Task, order_rates
 from jointid.controller_id.learned import Alternative, LearnedLoop, LearnedNumber
-from jointid.controller_id.limitations import ALIKE, equivalents, untold
-from jointid.controller_id.loop_record import watched
+from jointid.controller_id.limitations import (
+    ALIKE,
+    Limitation,
+    LimitationCode,
+    list_equivalents,
+    list_limitations,
+)
+from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.search import Rival, search
-from jointid.models.controllers import Controller, begun_later, numbers_of, with_numbers
+from jointid.models.controllers import Controller, numbers_of, shift_start, with_numbers
 from jointid.models.transmission import Transmission
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import Covariance, covariance_of, larger, robust
@@ -52,7 +58,7 @@ def learn_loop(
 
     Limits of validity: a position loop slower than the log by 2, 4 or 8, or a whole loop faster by 2 to 16; a delay of
     the log of whole samples. An integral, a feed-forward or a delay that carries less than 0.1 % of the torque is taken
-    for none. What stays unknown is said in `LearnedLoop.sentences`.
+    for none. What the record leaves open is in `LearnedLoop.limitations`.
 
     Example:
         >>> import jointid as ji, numpy as np
@@ -63,33 +69,33 @@ def learn_loop(
         >>> record = ji.simulated_record(
         ...     loop, reference, values, sample_time=1e-3, torque_noise=noise, encoder_step=1e-7
         ... )
-        >>> ji.learn_loop(record).words
-        'P-P'
+        >>> print(ji.learn_loop(record).structure)
+        P-P
     """
     if not (math.isfinite(gain) and gain > 0):
         raise MethodError(f"The gain of a drive's chain is a positive number; received {gain}.")
-    task = Task(watched(record), gain)
+    task = Task(prepare_loop_record(record), gain)
     found = search(task, progress)
     _require_explained(task, found.best, record.name)
-    return _answer(task, outside_faster(task, found.best), found.rivals, transmission, declared)
+    return _build_result(task, order_rates(task, found.best), found.rivals, transmission, declared)
 
 
-def _require_explained(task: Task, best: Fitted, name: str) -> None:
-    """Raise a `MethodError` where the best law is none."""
-    residual, torque = task.residual(best.structure, best.numbers), task.watched.torque
+def _require_explained(task: Task, best: FittedLaw, name: str) -> None:
+    """Raise a `MethodError` if the best law does not explain the torque."""
+    residual, torque = task.residual(best.structure, best.numbers), task.log.torque
     share = float(np.sqrt(np.mean(residual**2) / np.mean(torque**2)))
     blind = task.law(best.structure, best.numbers).stiffness == 0.0
-    if blind or share > _EXPLAINED or not np.any(best.noise.heard[1:]):
+    if blind or share > _EXPLAINED or not np.any(best.noise.informative[1:]):
         answers = ", does not look at the position and" if blind else ","
         raise MethodError(
-            f"No law that is searched for gives the torque of {name}: the best, {best.structure.words}{answers} leaves "
+            f"No law that is searched for gives the torque of {name}: the best, {best.structure}{answers} leaves "
             f"{100 * share:.3g} % of it. Check units, signs and sides of torque, reference and motor_position, and log "
             "them as fast as the controller runs; or declare the law."
         )
 
 
-def _require_told(task: Task, best: Fitted, known: Covariance) -> None:
-    """Raise a `MethodError` where a gain or a filter could as well be 0: then the law is made of what was left over."""
+def _require_significant(task: Task, best: FittedLaw, known: Covariance) -> None:
+    """Raise a `MethodError` if a gain or a filter constant is not significantly different from 0."""
     open_ones = [
         f"{name} {value:.3g} +- {2 * std:.2g}"
         for (name, value), std in zip(best.numbers.items(), known.std, strict=True)
@@ -97,58 +103,57 @@ def _require_told(task: Task, best: Fitted, known: Covariance) -> None:
     ]
     if open_ones:
         raise MethodError(
-            f"No law that is searched for gives the torque of {task.watched.record.name}: the best, "
-            f"{best.structure.words}, leaves open what its numbers are ({', '.join(open_ones)} at 2 sigma). Use a "
+            f"No law that is searched for gives the torque of {task.log.record.name}: the best, "
+            f"{best.structure}, leaves open what its numbers are ({', '.join(open_ones)} at 2 sigma). Use a "
             "record with a livelier motion, check units, signs and sides of its channels, or declare the law."
         )
 
 
-def _kept(made: Controller, declared: Controller | None) -> tuple[Controller, tuple[str, ...]]:
-    """Return a law with the limit and the delay that are declared and that it does not say, and a sentence on them."""
+def _keep_declared(made: Controller, declared: Controller | None) -> tuple[Controller, tuple[Limitation, ...]]:
+    """Return a law with the declared limit and delay where the record does not show them, and that limitation."""
     said = {} if declared is None else numbers_of(declared)
     open_ones = {"limit": math.inf, "delay": 0.0}
     own = numbers_of(made)
     kept = {n: said[n] for n, free in open_ones.items() if n in said and own.get(n) == free != said[n]}
     if not kept:
         return made, ()
-    names = " and ".join(f"{name} = {value:g}" for name, value in kept.items())
-    return with_numbers(made, kept), (f"As declared, and not from this record: {names}.",)
+    return with_numbers(made, kept), (Limitation(LimitationCode.AS_DECLARED, {"numbers": kept}),)
 
 
-def _answer(
+def _build_result(
     task: Task,
-    best: Fitted,
+    best: FittedLaw,
     rivals: tuple[Rival, ...],
     transmission: Transmission | None,
     declared: Controller | None,
 ) -> LearnedLoop:
-    record, period = task.watched.record, task.watched.period
+    record, period = task.log.record, task.log.period
     assert record.torque is not None and record.motor_position is not None
     known = covariance(task, best)
-    _require_told(task, best, known)
-    made, said = _kept(_made(task, best), declared)
+    _require_significant(task, best, known)
+    made, declared_ones = _keep_declared(_build_controller(task, best), declared)
     residual = task.residual(best.structure, best.numbers)
-    rms = float(np.sqrt(np.sum(residual**2) / np.sum(task.watched.kept)))
+    rms = float(np.sqrt(np.sum(residual**2) / np.sum(task.log.kept)))
     others = tuple(_alternative(task, rival) for rival in rivals)
-    named = tuple(other.words for other in others if other.apart < SAME)
-    alike = tuple(r.fitted.structure for r, o in zip(rivals, others, strict=True) if o.alike and o.apart >= SAME)
-    heard = np.flatnonzero(best.noise.heard)
+    named = tuple(other.structure for other in others if other.apart < SAME)
+    alike = tuple(o.structure for o in others if o.alike and o.apart >= SAME)
+    informative = np.flatnonzero(best.noise.informative)
     return LearnedLoop(
         controller=made,
-        words=best.structure.words,
+        structure=best.structure,
         numbers=tuple(
             LearnedNumber(name, value, float(std))
             for (name, value), std in zip(best.numbers.items(), known.std, strict=True)
         ),
         correlation=known.correlation,
-        equivalent=(*equivalents(best.structure), *named),
+        equivalent=(*list_equivalents(best.structure), *named),
         alternatives=others,
-        sentences=(*untold(task, best, alike), *said),
+        limitations=(*list_limitations(task, best, alike), *declared_ones),
         rms=rms,
-        share=rms / float(np.sqrt(np.mean(task.watched.torque**2))),
+        share=rms / float(np.sqrt(np.mean(task.log.torque**2))),
         torque_noise=math.sqrt(best.noise.torque),
         position_noise=math.sqrt(best.noise.position),
-        band=float(heard[-1]) / (task.watched.samples * period) if heard.size else 0.0,
+        band=float(informative[-1]) / (task.log.samples * period) if informative.size else 0.0,
         residual=residual,
         torque_unit=record.torque.unit,
         position_unit=record.motor_position.unit,
@@ -158,28 +163,28 @@ def _answer(
     )
 
 
-def _made(task: Task, one: Fitted) -> Controller:
+def _build_controller(task: Task, one: FittedLaw) -> Controller:
     """Return a law that counts from the first sample of the record's file, as controllers do."""
-    return begun_later(task.controller(one.structure, one.numbers), -task.watched.record.begin)
+    return shift_start(task.controller(one.structure, one.numbers), -task.log.record.begin)
 
 
 def _alternative(task: Task, rival: Rival) -> Alternative:
     one = rival.fitted
-    made = _made(task, one)
+    made = _build_controller(task, one)
     alike = rival.worse < ALIKE or rival.apart < SAME
-    return Alternative(one.structure.words, made, rival.worse, rival.apart, alike)
+    return Alternative(one.structure, made, rival.worse, rival.apart, alike)
 
 
-def covariance(task: Task, best: Fitted) -> Covariance:
+def covariance(task: Task, best: FittedLaw) -> Covariance:
     """Return the covariance of a law's numbers, robust against what colour and what uneven size remain."""
     noise = task.noise(best.structure, best.numbers)
     x = np.array(list(best.numbers.values()))
-    white = task.whitened(best.structure, best.numbers, noise)
+    white = task.whiten(best.structure, best.numbers, noise)
     J = -task.slopes(best.structure, x, white, noise)
-    return larger(robust(J, J, white), by_frequency(J, white))
+    return larger(robust(J, J, white), covariance_by_frequency(J, white))
 
 
-def by_frequency(J: FloatArray, white: FloatArray) -> Covariance:
+def covariance_by_frequency(J: FloatArray, white: FloatArray) -> Covariance:
     """Return the covariance from the scores of each frequency alone.
 
     An encoder's rounding stands still where the motor does, so that it is loudest where the motion is slow, as the

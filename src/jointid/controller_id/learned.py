@@ -1,4 +1,4 @@
-"""The answer of learning a controller: the law, its numbers with intervals, its rivals, and what stays unknown."""
+"""The result of learning a controller: the law, its numbers with intervals, its alternatives and its limitations."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 from jointid.common.arrays import FloatArray
 from jointid.common.text import aligned, number
+from jointid.controller_id.limitations import Equivalence, Limitation
+from jointid.controller_id.structures import Structure
 from jointid.models.controllers import Controller
 from jointid.models.transmission import Transmission
 from jointid.records.time_base.uniformity import Resampled, resampled_lines
@@ -32,14 +34,14 @@ class Alternative:
     """A structure that was weighed against the one that was chosen.
 
     Attributes:
-        words: what it is.
+        structure: of the law.
         controller: with the numbers that fit best.
-        worse: how much larger its criterion is; 10 is as good as certain.
-        apart: by how much the torques of the two differ, in rms, as a share of the torque's rms.
-        alike: whether the record does not tell it from the one that was chosen.
+        worse: difference of the criterion (Schwarz's); above 10 the chosen one is as good as certain.
+        apart: rms difference of the two torques, as a share of the torque's rms.
+        alike: True if the record does not distinguish it from the chosen one.
     """
 
-    words: str
+    structure: Structure
     controller: Controller
     worse: float
     apart: float
@@ -52,15 +54,15 @@ class LearnedLoop:
 
     Attributes:
         controller: the law with its numbers.
-        words: its structure.
+        structure: of the law; its text is the description.
         numbers: those that were learned.
         correlation: of their errors, in that order.
-        equivalent: names of laws that are the same equation.
+        equivalent: forms of the same equation, and structures with the same torque to rounding.
         alternatives: other structures, the likeliest first.
-        sentences: what the record cannot tell, and what must be known to use the law.
+        limitations: what the record leaves open about the law; the text of each is its sentence.
         rms: of the residual, in the torque's unit. share: of the torque's rms.
         torque_noise: standard deviation of the torque's error, in its unit. position_noise: of the position's.
-        band: highest frequency at which the torque was louder than the noise, Hz.
+        band: highest informative frequency (the torque exceeds the noise there), Hz.
         residual: (samples,) logged less predicted torque, 0 in the samples that are left out.
         torque_unit, position_unit: of the record.
         record: name of it.
@@ -69,12 +71,12 @@ class LearnedLoop:
     """
 
     controller: Controller
-    words: str
+    structure: Structure
     numbers: tuple[LearnedNumber, ...]
     correlation: FloatArray
-    equivalent: tuple[str, ...]
+    equivalent: tuple[Equivalence | Structure, ...]
     alternatives: tuple[Alternative, ...]
-    sentences: tuple[str, ...]
+    limitations: tuple[Limitation, ...]
     rms: float
     share: float
     torque_noise: float
@@ -96,30 +98,35 @@ class LearnedLoop:
 
     @property
     def alike(self) -> tuple[Alternative, ...]:
-        """Structures that the record does not tell from the one that was chosen."""
+        """The structures that the record does not distinguish from the chosen one."""
         return tuple(one for one in self.alternatives if one.alike)
 
+    @property
+    def equivalent_laws(self) -> tuple[str, ...]:
+        """The descriptions of the equivalent laws."""
+        return tuple(one.description if isinstance(one, Equivalence) else str(one) for one in self.equivalent)
+
     def __str__(self) -> str:
-        """Return the tables, and what the record cannot tell."""
+        """Return the tables and the limitations."""
         rows = [(n.name, number(n.value, 6), number(2 * n.std, 2), _percent(n)) for n in self.numbers]
-        lines = [f"{self.record}: {self.words}"]
+        lines = [f"{self.record}: {self.structure}"]
         lines += resampled_lines(self.resampled)
         if self.equivalent:
-            lines.append(f"the same law: {'; '.join(self.equivalent)}")
-        lines += ["", aligned(("number", "value", "2 sigma", "%"), rows, (False, True, True, True)), ""]
+            lines.append(f"equivalent laws: {'; '.join(self.equivalent_laws)}")
+        lines += ["", aligned(("parameter", "value", "2 sigma", "%"), rows, (False, True, True, True)), ""]
         lines.append(
-            f"residual {number(self.rms, 3)} {self.torque_unit} rms, {100 * self.share:.2g} % of the torque; errors of "
+            f"residual {number(self.rms, 3)} {self.torque_unit} rms, {100 * self.share:.2g} % of the torque; noise of "
             f"the torque {number(self.torque_noise, 2)} {self.torque_unit}, of the position "
-            f"{number(self.position_noise, 2)} {self.position_unit}; heard up to {number(self.band, 3)} Hz"
+            f"{number(self.position_noise, 2)} {self.position_unit}; informative up to {number(self.band, 3)} Hz"
         )
         if self.alternatives:
             others = [
-                (one.words, f"{one.worse:+.1f}", f"{100 * one.apart:.2g}", "yes" if one.alike else "no")
+                (str(one.structure), f"{one.worse:+.1f}", f"{100 * one.apart:.2g}", "yes" if one.alike else "no")
                 for one in self.alternatives
             ]
-            header = ("other structure", "criterion", "torque apart, %", "alike")
+            header = ("other structure", "criterion difference", "torque difference, %", "indistinguishable")
             lines += ["", aligned(header, others, (False, True, True, False))]
-        return "\n".join([*lines, "", *self.sentences])
+        return "\n".join([*lines, "", *map(str, self.limitations)])
 
 
 def _percent(one: LearnedNumber) -> str:

@@ -1,68 +1,158 @@
-"""What a record says of a law beside its numbers: other names of it, and what cannot be told."""
+"""Equivalent laws, and what a record leaves open about the controller: codes with their values, and their words."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum, auto
+from typing import TypeAlias
 
 from jointid.common.text import number
-from jointid.controller_id.fitting import Fitted, Task
+from jointid.controller_id.fitting import FittedLaw, Task
 from jointid.controller_id.structures import VELOCITY, Structure
 from jointid.records.record import Tap
 
-ALIKE = 10.0  # of the criterion: what is nearer cannot be told apart
+ALIKE = 10.0  # of the criterion: a smaller difference does not distinguish two laws
+
+Value: TypeAlias = float | int | str | Mapping[str, float] | tuple[Structure, ...]
 
 
-def equivalents(structure: Structure) -> tuple[str, ...]:
-    """Return the other names of a law: the same equation with its gains combined otherwise."""
+class Equivalence(StrEnum):
+    """Another form of the same equation, its gains combined otherwise."""
+
+    PD = auto()
+    PD_ON_DIFFERENCE = auto()
+    VISCOUS_FEEDFORWARD = auto()
+    PID_ON_DIFFERENCE = auto()
+    REFERENCE_VELOCITY_WEIGHT = auto()
+
+    @property
+    def description(self) -> str:
+        """The law, and its gains in terms of those that were found."""
+        return _FORMS[self]
+
+
+_FORMS: Mapping[Equivalence, str] = {
+    Equivalence.PD: 'PD with reference_velocity = "none", its kp = kp kv and kd = kv',
+    Equivalence.PD_ON_DIFFERENCE: 'PD with reference_velocity = "difference", its kp = kp kv and kd = kv',
+    Equivalence.VISCOUS_FEEDFORWARD: "P-P with viscous_feedforward = kv velocity_feedforward instead",
+    Equivalence.PID_ON_DIFFERENCE: (
+        'PID with reference_velocity = "difference", its kp = kv (kp + ki), kd = kv (1 - ki T), ki = kv kp ki'
+    ),
+    Equivalence.REFERENCE_VELOCITY_WEIGHT: "the same with a larger weight of the reference's velocity",
+}
+
+
+class LimitationCode(StrEnum):
+    """What a record leaves open about the controller."""
+
+    NO_INTEGRAL = auto()
+    LIMIT_NOT_REACHED = auto()
+    ANTI_WINDUP_NOT_TESTED = auto()
+    TORQUE_FILTER_HIDDEN = auto()
+    DELAY_NOT_VISIBLE = auto()
+    TORQUE_LOGGED_LATE = auto()
+    PERIOD_UNCERTAIN = auto()
+    INTERPOLATION_ASSUMED = auto()
+    INDISTINGUISHABLE = auto()
+    AS_DECLARED = auto()
+
+
+_SENTENCES: Mapping[LimitationCode, str] = {
+    LimitationCode.NO_INTEGRAL: (
+        "No integral action is visible in this record: it contributes less than 0.1 % of the torque, or there is none."
+    ),
+    LimitationCode.LIMIT_NOT_REACHED: (
+        "The limit is not reached in this record; it is above {torque} {unit}, the largest torque."
+    ),
+    LimitationCode.ANTI_WINDUP_NOT_TESTED: (
+        "The behaviour of the integral at the limit (anti_windup) was not tested; it is assumed to stop."
+    ),
+    LimitationCode.TORQUE_FILTER_HIDDEN: "A torque filter whose effect is below the noise cannot be detected.",
+    LimitationCode.DELAY_NOT_VISIBLE: (
+        'A delay between the controller\'s output and the acting torque is not visible at the tap "command"; take '
+        "delay from the drive's documentation."
+    ),
+    LimitationCode.TORQUE_LOGGED_LATE: (
+        "The log shows the torque {samples} samples later than the position it depends on; declare "
+        'tap = "measured" for the torque, so that the delay is visible in it, or shift the log.'
+    ),
+    LimitationCode.PERIOD_UNCERTAIN: (
+        "The loop's period follows only from the lag of its velocity; a velocity filter may have the same effect."
+    ),
+    LimitationCode.INTERPOLATION_ASSUMED: (
+        "Between the log's samples the reference is assumed to follow the controller's interpolation, and the position "
+        "a cubic spline. Where that is wrong, the errors are larger than the intervals."
+    ),
+    LimitationCode.INDISTINGUISHABLE: "This record does not distinguish this law from: {structures}.",
+    LimitationCode.AS_DECLARED: "As declared, and not from this record: {numbers}.",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Limitation:
+    """One thing that a record leaves open about the controller.
+
+    Attributes:
+        code: what it is.
+        values: that belong to it, by name.
+    """
+
+    code: LimitationCode
+    values: Mapping[str, Value] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        """Return the sentence."""
+        return _SENTENCES[self.code].format(**{name: _text(value) for name, value in self.values.items()})
+
+
+def _text(value: Value) -> str:
+    if isinstance(value, Mapping):
+        return " and ".join(f"{name} = {one:g}" for name, one in value.items())
+    if isinstance(value, tuple):
+        return "; ".join(map(str, value))
+    return number(value, 4) if isinstance(value, float) else str(value)
+
+
+def list_equivalents(structure: Structure) -> Iterator[Equivalence]:
+    """Yield the other forms of a law: the same equation with its gains combined otherwise."""
     plain = structure.velocity_filter == "none" and structure.every == 1
-    found = []
     if structure.law == "P-P" and structure.reference_velocity == "none" and structure.every == 1:
-        found.append('PD with reference_velocity = "none", its kp = kp kv and kd = kv')
+        yield Equivalence.PD
     if structure.law == "P-P" and structure.reference_velocity == "full" and plain:
-        found.append('PD with reference_velocity = "difference", its kp = kp kv and kd = kv')
+        yield Equivalence.PD_ON_DIFFERENCE
     if structure.law == "P-P" and structure.reference_velocity == "share":
-        found.append("P-P with viscous_feedforward = kv velocity_feedforward instead")
+        yield Equivalence.VISCOUS_FEEDFORWARD
     if structure.law == "P-PI" and structure.reference_velocity == "full" and plain:
-        found.append(
-            'PID with reference_velocity = "difference", its kp = kv (kp + ki), kd = kv (1 - ki T), ki = kv kp ki'
-        )
+        yield Equivalence.PID_ON_DIFFERENCE
     if not structure.cascade and VELOCITY in structure.feedforward and structure.reference_velocity == "difference":
-        found.append("the same with a larger weight of the reference's velocity")
-    return tuple(found)
+        yield Equivalence.REFERENCE_VELOCITY_WEIGHT
 
 
-def untold(task: Task, best: Fitted, alike: tuple[Structure, ...]) -> tuple[str, ...]:
-    """Return what the record cannot tell, one sentence each."""
-    return tuple(_untold(task, best, alike))
+def list_limitations(task: Task, best: FittedLaw, alike: tuple[Structure, ...]) -> Iterator[Limitation]:
+    """Yield what a record leaves open about a law.
 
-
-def _untold(task: Task, best: Fitted, alike: tuple[Structure, ...]) -> Iterator[str]:
-    structure, watched = best.structure, task.watched
-    unit = watched.record.torque.unit if watched.record.torque is not None else ""
+    Args:
+        task: the record.
+        best: the law.
+        alike: the structures that the record does not distinguish from it.
+    """
+    structure, log, code = best.structure, task.log, LimitationCode
     if not structure.integrates:
-        yield "An integral does not act in this record: it carries less than 0.1 % of the torque, or there is none."
+        yield Limitation(code.NO_INTEGRAL)
     if not structure.limited:
-        most = number(float(abs(watched.torque).max()), 4)
-        yield f"The limit is not reached in this record; it is above {most} {unit}, the largest torque."
+        unit = log.record.torque.unit if log.record.torque is not None else ""
+        yield Limitation(code.LIMIT_NOT_REACHED, {"torque": float(abs(log.torque).max()), "unit": unit})
     elif structure.integrates:
-        yield "What becomes of the integral at the limit (anti_windup) was not weighed; it is taken to stop."
+        yield Limitation(code.ANTI_WINDUP_NOT_TESTED)
     if structure.torque_filter == "none":
-        yield "A torque filter does not show where its change of the torque is lost in the noise."
-    if watched.record.tap is Tap.COMMAND:
-        yield (
-            'A delay between the controller\'s output and the torque that acts does not show at the tap "command"; '
-            "delay is what the drive's maker says."
-        )
+        yield Limitation(code.TORQUE_FILTER_HIDDEN)
+    if log.record.tap is Tap.COMMAND:
+        yield Limitation(code.DELAY_NOT_VISIBLE)
         if structure.late:
-            yield (
-                f"The log shows the torque {structure.late} samples later than the position it follows from; declare "
-                'tap = "measured" for the torque, so that the delay is seen in it, or shift the log.'
-            )
+            yield Limitation(code.TORQUE_LOGGED_LATE, {"samples": structure.late})
     if structure.rate > 1 or any(other.rate != structure.rate for other in alike):
-        yield "The loop's period is only told by how late its velocity is; a filter of the velocity may do the same."
-        yield (
-            "Between the log's samples the reference is taken to be as the controller's interpolation says, and the "
-            "position a cubic spline. Where that is not so, the numbers are off by more than their intervals."
-        )
+        yield Limitation(code.PERIOD_UNCERTAIN)
+        yield Limitation(code.INTERPOLATION_ASSUMED)
     if alike:
-        yield f"The record does not tell this law from: {'; '.join(one.words for one in alike)}."
+        yield Limitation(code.INDISTINGUISHABLE, {"structures": alike})

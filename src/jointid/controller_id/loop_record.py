@@ -1,4 +1,4 @@
-"""A record as a law sees it: what goes in, what came out, and the torque a law puts out for it."""
+"""Inputs and output of the controller, prepared from a record, and a law's torque predicted for it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.controller_id.informative_frequencies import heard
+from jointid.controller_id.informative_frequencies import informative_frequencies
 from jointid.controller_id.noise import PositionError, position_error
 from jointid.controller_id.structures import LATE, RATES, SLOWER
 from jointid.models.controllers import (
@@ -19,12 +19,12 @@ from jointid.models.controllers import (
     REFERENCE_VELOCITY,
     Cascade,
     Interpolation,
-    Ran,
+    LawRun,
     SampledLaw,
     run,
 )
-from jointid.records.encoder_step import step_of
 from jointid.records.record import InjectionPoint, Record, Tap, Timing
+from jointid.records.signals.encoder_step import find_encoder_step
 from jointid.simulation.loop_input import at_period, known_memory, law_inputs
 
 _NEEDED = ("torque", "reference", "motor_position")
@@ -38,8 +38,8 @@ _TOP = 6.0  # deviations of the log's noise within which a torque is at the top
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Watched:
-    """A record that a law can be applied to.
+class LoopRecord:
+    """Inputs and output of the controller, prepared from a record.
 
     Attributes:
         record: with torque, reference and motor position.
@@ -49,7 +49,7 @@ class Watched:
         kept: (samples,) 1 where the residual counts, else 0.
         plateau: the torque that the log stands at where it is largest; None where it never stands.
         error: what is known of the position's.
-        heard: (frequencies,) 1 where the record tells of its law, else 0.
+        informative: (frequencies,) 1 where the record tells of its law, else 0.
     """
 
     record: Record
@@ -59,7 +59,7 @@ class Watched:
     kept: FloatArray
     plateau: float | None
     error: PositionError
-    heard: FloatArray
+    informative: FloatArray
     _inputs: dict[tuple[int, bool], FloatArray] = field(default_factory=dict)
 
     @property
@@ -70,9 +70,9 @@ class Watched:
     @property
     def free(self) -> FloatArray:
         """(samples,) 1 where the residual counts and the torque is at no limit, else 0."""
-        return self.kept * _below(self.torque, self.plateau)
+        return self.kept * _below_limit(self.torque, self.plateau)
 
-    def stretch(self, samples: int) -> Watched:
+    def segment(self, samples: int) -> LoopRecord:
         """Return so many samples of the record, those in which the reference is accelerated most."""
         if samples >= self.samples:
             return self
@@ -90,17 +90,17 @@ class Watched:
             inputs[rate, curved] = self.inputs(rate, curved)[window].copy()
             if rate > 1:  # the whole record is only asked for the rates of the laws that are judged on it
                 del self._inputs[rate, curved]
-        return _heard(self.record, self.torque[rows], self.added[rows], kept, self.plateau, inputs)
+        return _build_loop_record(self.record, self.torque[rows], self.added[rows], kept, self.plateau, inputs)
 
     def inputs(self, rate: int, curved: bool) -> FloatArray:
-        """Return what a law with so many periods per sample reads, (periods, INPUTS)."""
+        """Return the inputs of a law with that many periods per sample, (periods, INPUTS)."""
         if (rate, curved) not in self._inputs:
             filled: Interpolation | None = "cubic" if curved else "linear" if rate > 1 else None
-            self._inputs[rate, curved] = _read(self.record, self.period, self.samples, rate, filled)
+            self._inputs[rate, curved] = _read_inputs(self.record, self.period, self.samples, rate, filled)
         return self._inputs[rate, curved]
 
-    def ran(self, law: SampledLaw, content: float, curved: bool) -> Ran:
-        """Return what a law does with the record's reference and position; its integral begins with a torque."""
+    def run_law(self, law: SampledLaw, content: float, curved: bool) -> LawRun:
+        """Run a law on the record's reference and position; its integral begins with a torque."""
         rate = round(self.period / law.period)
         inputs = self.inputs(rate, curved)
         position = inputs[: 5 * rate + 1, POSITION]
@@ -111,7 +111,7 @@ class Watched:
             state = state + integral * content
         return run(law, inputs, state)
 
-    def predicted(self, law: SampledLaw, content: float = 0.0, curved: bool = False) -> FloatArray:
+    def predict(self, law: SampledLaw, content: float = 0.0, curved: bool = False) -> FloatArray:
         """Return the torque that the log would show of a law, (samples,).
 
         Args:
@@ -120,7 +120,7 @@ class Watched:
             curved: whether the reference is filled in by cubics between the log's samples.
         """
         rate = round(self.period / law.period)
-        ran = self.ran(law, content, curved)
+        ran = self.run_law(law, content, curved)
         output = ran.tapped if self.record.tap is Tap.COMMAND else ran.output
         assert self.record.torque is not None
         if self.record.torque.timing is not Timing.AVERAGED:
@@ -130,16 +130,16 @@ class Watched:
             shown = np.concatenate([means[:1], means[:-1]])
         late = round(law.delay / self.period)
         # What was added behind the limit is as late in the log as the output it was added to.
-        return later(shown + self.added, late) - self.added if late else shown
+        return delay_samples(shown + self.added, late) - self.added if late else shown
 
 
-def later(signal: FloatArray, samples: int) -> FloatArray:
+def delay_samples(signal: FloatArray, samples: int) -> FloatArray:
     """Return a signal so many samples later, at its first value until it begins."""
     return np.concatenate([np.full(samples, signal[0]), signal[: signal.size - samples]])
 
 
-def watched(record: Record) -> Watched:
-    """Return a record ready to learn from.
+def prepare_loop_record(record: Record) -> LoopRecord:
+    """Prepare a record for learning.
 
     Raises:
         RecordError: a channel is missing, the record is too short, or nothing moves in it.
@@ -172,36 +172,36 @@ def watched(record: Record) -> Watched:
         )
     kept = np.ones(samples)
     kept[:_BEGIN] = 0.0
-    inputs = {(1, False): _read(record, period, samples, 1, None)}
-    return _heard(record, torque, added, kept, _plateau(torque, added), inputs)
+    inputs = {(1, False): _read_inputs(record, period, samples, 1, None)}
+    return _build_loop_record(record, torque, added, kept, _plateau(torque, added), inputs)
 
 
-def _heard(
+def _build_loop_record(
     record: Record,
     torque: FloatArray,
     added: FloatArray,
     kept: FloatArray,
     plateau: float | None,
     inputs: dict[tuple[int, bool], FloatArray],
-) -> Watched:
-    """Return samples of a record with what is known of their errors, and the frequencies that tell of the law."""
+) -> LoopRecord:
+    """Return samples of a record with the error of the position and the informative frequencies."""
     assert record.torque is not None and record.motor_position is not None
     own = inputs[1, False]
-    error = position_error(own[:, POSITION], step_of(record.motor_position))
-    told = heard(own, torque, added, kept * _below(torque, plateau), error)
-    return Watched(record, record.torque.sample_time, torque, added, kept, plateau, error, told, inputs)
+    error = position_error(own[:, POSITION], find_encoder_step(record.motor_position))
+    informative = informative_frequencies(own, torque, added, kept * _below_limit(torque, plateau), error)
+    return LoopRecord(record, record.torque.sample_time, torque, added, kept, plateau, error, informative, inputs)
 
 
-def _below(torque: FloatArray, plateau: float | None) -> FloatArray:
+def _below_limit(torque: FloatArray, plateau: float | None) -> FloatArray:
     return np.asarray(np.abs(torque) < _NEAR * (plateau or math.inf), dtype=np.float64)
 
 
-def _read(record: Record, period: float, samples: int, rate: int, filled: Interpolation | None) -> FloatArray:
-    """Return what a law with so many periods per sample reads, (periods, INPUTS)."""
+def _read_inputs(record: Record, period: float, samples: int, rate: int, filled: Interpolation | None) -> FloatArray:
+    """Return the inputs of a law with that many periods per sample, (periods, INPUTS)."""
     periods, own = samples * rate, period / rate
     inputs = law_inputs(Cascade(kp=1.0, kv=1.0, interpolation=filled), record, own, periods)
     assert record.motor_position is not None
-    inputs[:, POSITION] = _between(at_period(record.motor_position, period, samples, "position"), rate)
+    inputs[:, POSITION] = _interpolate(at_period(record.motor_position, period, samples, "position"), rate)
     if record.reference_velocity is not None:
         inputs[:, REFERENCE_VELOCITY] = at_period(record.reference_velocity, own, periods, "reference_velocity", filled)
     if record.injected is not None and record.injected.at is InjectionPoint.BEFORE_LIMIT:
@@ -209,8 +209,8 @@ def _read(record: Record, period: float, samples: int, rate: int, filled: Interp
     return inputs
 
 
-def _between(position: FloatArray, rate: int) -> FloatArray:
-    """Return a position between its samples, by cubic splines, as a loop faster than the log saw it."""
+def _interpolate(position: FloatArray, rate: int) -> FloatArray:
+    """Interpolate a position by cubic splines, for a loop faster than the log."""
     from scipy.interpolate import CubicSpline
 
     if rate == 1:

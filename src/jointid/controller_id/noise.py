@@ -1,4 +1,4 @@
-"""What a logged torque and a logged position are off by, and residuals made white by it.
+"""Noise of the logged torque and position, and the whitening of residuals.
 
 A law that is applied to a *logged* position sees that position's error n, too. With the law's response G from position
 to torque, the residual of the true law is ``w - G n``, w the error of the logged torque, and its spectrum::
@@ -12,7 +12,7 @@ not move with the law would reward every filter that keeps the noise from the pr
 
 R is that of the encoder's rounding, see `position_error`. A filter can still be bent to fit what is left of it, so the
 frequencies are left out at which torque or position are not louder than their noise: there the record tells of the
-noise, not of the law (`hearing`).
+noise, not of the law (`informative_frequencies`).
 """
 
 from __future__ import annotations
@@ -46,28 +46,28 @@ class Noise:
     Attributes:
         torque: a, variance of the torque's error.
         position: b, variance of the position's error.
-        heard: (frequencies,) 1 where torque and position are louder than their noise, else 0: these are left out (see
-            `hearing`).
+        informative: (frequencies,) 1 where torque and position exceed their noise, else 0: these are left out (see
+            `informative_frequencies`).
     """
 
     torque: float
     position: float
-    heard: FloatArray
+    informative: FloatArray
 
     def weights(self, response: FloatArray) -> FloatArray:
         """Return ``1 / sqrt(S)`` at the frequencies of the real transform, given |G| there; 0 where left out."""
         with np.errstate(over="ignore"):  # a candidate that reacts beyond all numbers weighs nothing
-            return np.asarray(self.heard / np.sqrt(self.torque + self.position * response**2))
+            return np.asarray(self.informative / np.sqrt(self.torque + self.position * response**2))
 
     @property
     def rows(self) -> float:
         """Independent numbers that are left in a whitened residual."""
-        return 2.0 * float(np.sum(self.heard))
+        return 2.0 * float(np.sum(self.informative))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionError:
-    """What is known of a logged position's error before any law.
+    """The error of a logged position, before any law is known.
 
     Attributes:
         shape: (frequencies,) the root of its spectrum, over that of white noise of the same variance.
@@ -90,7 +90,7 @@ class PositionError:
         return np.asarray(np.sqrt(folded))
 
 
-def seen_from(
+def position_response(
     response: Callable[[FloatArray], NDArray[np.complex128]], sample_time: float, samples: int, rate: int
 ) -> FloatArray:
     """Return |G| from the error of a logged position to the logged torque, at the frequencies of the real transform.
@@ -134,8 +134,8 @@ def _shares(size: int) -> FloatArray:
     return np.linspace(0.0, 1.0, size // 2 + 1)
 
 
-def noise_of(
-    error: FloatArray, response: FloatArray, torque: FloatArray, kept: FloatArray, most: float, heard: FloatArray
+def estimate_noise(
+    error: FloatArray, response: FloatArray, torque: FloatArray, kept: FloatArray, most: float, informative: FloatArray
 ) -> Noise:
     """Return the noise that explains a residual.
 
@@ -145,26 +145,26 @@ def noise_of(
         torque: (samples,) logged.
         kept: (samples,) 1 where the residual counts, else 0.
         most: bound of the variance of the position's error.
-        heard: (frequencies,) 1 where the record tells of its law, else 0.
+        informative: (frequencies,) 1 where the record tells of its law, else 0.
 
     Raises:
         MethodError: the residual, or the response, is beyond all numbers.
     """
     size, share = error.size, float(np.mean(kept))
     with np.errstate(over="ignore", invalid="ignore"):
-        seen, gains = by_band(np.abs(np.fft.rfft(error)) ** 2 / (size * share)), by_band(response**2)
+        seen, gains = band_means(np.abs(np.fft.rfft(error)) ** 2 / (size * share)), band_means(response**2)
         power = float(np.mean(seen)) * float(np.mean(gains))
     if not math.isfinite(power):
         raise MethodError(
             "No law that is searched for gives this record's torque: the best one runs away. Check units, signs and "
             "sides of torque, reference and motor_position, or declare the law."
         )
-    a, b = _two_sources(seen, gains, _FLOOR**2 * float(np.mean(torque**2)), most)
-    return Noise(a, b, heard)
+    a, b = _fit_two_sources(seen, gains, _FLOOR**2 * float(np.mean(torque**2)), most)
+    return Noise(a, b, informative)
 
 
 def position_error(position: FloatArray, step: float | None) -> PositionError:
-    """Return what is known of a logged position's error.
+    """Return the error of a logged position.
 
     An encoder's rounding is no white noise: at an even speed it is a line, as many steps per sample as are not whole.
     So it is made again, on the position smoothed and moved by parts of a step. Without a step to be seen, or where the
@@ -177,7 +177,7 @@ def position_error(position: FloatArray, step: float | None) -> PositionError:
     """
     from scipy.signal import savgol_filter
 
-    power = loudness(position - np.linspace(position[0], position[-1], position.size))
+    power = band_power(position - np.linspace(position[0], position[-1], position.size))
     quietest = float(np.quantile(power[power.size // 8 :], 0.25))
     white = PositionError(np.ones(position.size // 2 + 1), _BEYOND * quietest, 0.0, power)
     if step is None:
@@ -185,7 +185,7 @@ def position_error(position: FloatArray, step: float | None) -> PositionError:
     steps = savgol_filter((position - position[0]) / step, _SMOOTHED, 3)
     moved = steps + np.array(_PARTS)[:, np.newaxis]
     rounding = np.mean(np.abs(np.fft.rfft(np.round(moved) - moved, axis=1)) ** 2, axis=0) / position.size
-    bands, wide = by_band(rounding), widths(rounding.size)
+    bands, wide = band_means(rounding), band_widths(rounding.size)
     mean = float(wide @ bands) / float(np.sum(wide))
     if quietest > _NOISIER * mean * step**2:  # the log's digits are finer than what it was read from
         return white
@@ -194,13 +194,13 @@ def position_error(position: FloatArray, step: float | None) -> PositionError:
     return PositionError(np.concatenate([shape[:1], shape]), _BEYOND * variance, variance, power)
 
 
-def loudness(signal: FloatArray) -> FloatArray:
+def band_power(signal: FloatArray) -> FloatArray:
     """Return a signal's averaged periodogram, (bands,), windowed: a loud band does not leak into others."""
-    return by_band(np.abs(np.fft.rfft(np.hanning(signal.size) * signal)) ** 2 / (signal.size * 0.375))
+    return band_means(np.abs(np.fft.rfft(np.hanning(signal.size) * signal)) ** 2 / (signal.size * 0.375))
 
 
-def widths(size: int) -> NDArray[np.intp]:
-    """Return how many frequencies of a real transform of so many are in each band."""
+def band_widths(size: int) -> NDArray[np.intp]:
+    """Return the number of frequencies in each band of a real transform of that size."""
     return np.diff(_edges(size))
 
 
@@ -208,13 +208,13 @@ def _edges(size: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(1, size, _BINS + 1).astype(np.intp))
 
 
-def by_band(values: FloatArray) -> FloatArray:
+def band_means(values: FloatArray) -> FloatArray:
     """Return the means over bands, (bands,), of what is given at the frequencies of a real transform but the first."""
     edges = _edges(values.size)
     return np.asarray(np.add.reduceat(values, edges[:-1]) / np.diff(edges))
 
 
-def _two_sources(seen: FloatArray, gains: FloatArray, floor: float, most: float) -> tuple[float, float]:
+def _fit_two_sources(seen: FloatArray, gains: FloatArray, floor: float, most: float) -> tuple[float, float]:
     """Return (a, b) of the largest Whittle likelihood, ``sum log S + I / S``, by scoring; both at least 0."""
     from scipy.optimize import nnls
 

@@ -1,4 +1,4 @@
-"""Clocks and filters, told from each other before a law is: each with what it explains whatever the gains."""
+"""Screen clocks and filters before a law is chosen: each by its regression with free gains."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.controller_id.noise import Noise
-from jointid.controller_id.regression import Compressed, Explained, Regression, Standing
-from jointid.controller_id.structure_moves import all_laws
+from jointid.controller_id.regression import CompressedFrame, Regression, RegressionFit, Weighting
+from jointid.controller_id.structure_moves import list_laws
 from jointid.controller_id.structures import (
     COMMON,
     INTEGRAL_GAINS,
@@ -43,85 +43,85 @@ class Candidate(NamedTuple):
     cost: float
 
 
-def unheard(regression: Regression) -> Standing:
-    """Return what laws are judged under before anything is known of the noise."""
-    watched = regression.watched
-    return Standing(Noise(float(np.var(watched.torque)), 0.0, watched.heard), np.ones(watched.samples // 2 + 1))
+def initial_weighting(regression: Regression) -> Weighting:
+    """Return the weighting before anything is known of the noise: all informative frequencies alike."""
+    log = regression.log
+    return Weighting(Noise(float(np.var(log.torque)), 0.0, log.informative), np.ones(log.samples // 2 + 1))
 
 
-def survey(regression: Regression, progress: Progress = silent) -> tuple[Standing, list[int]]:
-    """Return what laws may be judged under, and the log's likeliest delays.
+def screen_frames(regression: Regression, progress: Progress = silent) -> tuple[Weighting, list[int]]:
+    """Return the weighting under which laws are compared, and the log's likeliest delays.
 
     What is quiet beside the noise shows only once something explains the rest: the noise is that of the frame that
     explains most whatever the gains, and all are judged again under it. At first by one spectrum, as the law's own
     would reward a far-off law for reacting to the position; at last by each its own, as one for all would reward a
     filter that keeps the noise away.
     """
-    standing = unheard(regression)
-    progress("what explains the torque, whatever the gains")
-    best = _best_of_each(_all_explained(regression, standing))[:_FINEST]
+    weighting = initial_weighting(regression)
+    progress("screening clocks and filters, with free gains")
+    best = _best_per_structure(_fit_all_frames(regression, weighting))[:_FINEST]
     for own in (False, False, True):
-        standing = regression.standing(best[0])
+        weighting = regression.weighting(best[0])
         finer = replace(regression, own=own)
-        best = sorted((finer.refined(one, standing) for one in best), key=lambda one: one.cost)
+        best = sorted((finer.refine(one, weighting) for one in best), key=lambda one: one.cost)
     late = list(dict.fromkeys(one.structure.late for one in best))
-    return regression.standing(best[0]), late[:_DELAYS]
+    return regression.weighting(best[0]), late[:_DELAYS]
 
 
-def candidates(
-    regression: Regression, standing: Standing, late: Sequence[int], channel: bool, progress: Progress = silent
+def rank_candidates(
+    regression: Regression, weighting: Weighting, late: Sequence[int], channel: bool, progress: Progress = silent
 ) -> list[Candidate]:
     """Return all laws in all frames, each where it begins best, the likeliest first.
 
     Args:
         regression: on a stretch of a record.
-        standing: what they are judged under.
+        weighting: what they are judged under.
         late: the log's delays that are tried.
         channel: whether the record has the reference's velocity.
         progress: is told the turns.
     """
-    progress("all laws, with all clocks and filters")
-    period, rows = regression.watched.period, standing.noise.rows
+    progress("screening all laws with all clocks and filters")
+    period, rows = regression.log.period, weighting.noise.rows
     best: dict[Structure, Candidate] = {}
     for frame in _frames(Structure()):
         plain = frame.rate == frame.every == 1
         for delayed in (False, True) if plain and frame.torque_filter == "none" else (False,):
-            laws = [law for law in all_laws(frame, channel) if law.reference_delay == delayed]
+            laws = [law for law in list_laws(frame, channel) if law.reference_delay == delayed]
             for numbers in starts(replace(frame, reference_delay=delayed), {}, period):
                 try:
-                    compressed = regression.compressed(frame, numbers, standing, late if plain else [0])
+                    compressed = regression.compress(frame, numbers, weighting, late if plain else [0])
                 except MethodError:  # a filter that cannot be at this rate
                     continue
-                for one in (one for law in laws for one in _begun(compressed, law, period)):
+                for one in (one for law in laws for one in _start_laws(compressed, law, period)):
                     if one.structure not in best or one.cost < best[one.structure].cost:
                         best[one.structure] = one
     return sorted(best.values(), key=lambda one: one.cost + one.structure.weight(rows))
 
 
-def begin(
-    regression: Regression, law: Structure, begun: Iterable[Mapping[str, float]], standing: Standing
+def start_law(
+    regression: Regression, law: Structure, begun: Iterable[Mapping[str, float]], weighting: Weighting
 ) -> Candidate | None:
-    """Return where a law begins best; None where it cannot be.
+    """Return the best starting point of a law; None if it is impossible.
 
     Args:
         regression: on a stretch of a record.
         law: the law.
         begun: numbers to begin from.
-        standing: what it is judged under.
+        weighting: what it is judged under.
     """
     found = []
     for numbers in begun:
         ki = numbers.get("ki") if law.cascade else None
         others = {name: value for name, value in numbers.items() if name != "ki"}
         try:
-            compressed = regression.compressed(law, others, standing, [law.late])
+            compressed = regression.compress(law, others, weighting, [law.late])
         except MethodError:  # a filter or a delay that cannot be
             continue
         found.append(Candidate(law, dict(numbers), float(compressed.costs(law, ki)[0])))
     return min(found, key=lambda one: one.cost, default=None)
 
 
-def _begun(compressed: Compressed, law: Structure, period: float) -> Iterator[Candidate]:
+def _start_laws(compressed: CompressedFrame, law: Structure, period: float) -> Iterator[Candidate]:
     gains = INTEGRAL_GAINS if law.cascade and law.integrates else (None,)
     for share in gains:
         ki = None if share is None else share / period
@@ -130,20 +130,20 @@ def _begun(compressed: Compressed, law: Structure, period: float) -> Iterator[Ca
             yield Candidate(replace(law, late=late), numbers, float(cost))
 
 
-def _best_of_each(explained: Iterator[Explained]) -> list[Explained]:
-    best: dict[Structure, Explained] = {}
+def _best_per_structure(explained: Iterator[RegressionFit]) -> list[RegressionFit]:
+    best: dict[Structure, RegressionFit] = {}
     for one in explained:
         if one.structure not in best or one.cost < best[one.structure].cost:
             best[one.structure] = one
     return sorted(best.values(), key=lambda one: one.cost)
 
 
-def _all_explained(regression: Regression, standing: Standing) -> Iterator[Explained]:
+def _fit_all_frames(regression: Regression, weighting: Weighting) -> Iterator[RegressionFit]:
     for frame in _frames(Structure()):
         late = (0, *LATE) if frame.rate == frame.every == 1 else (0,)
-        for numbers in starts(frame, {}, regression.watched.period):
+        for numbers in starts(frame, {}, regression.log.period):
             try:
-                yield from regression.explained(frame, numbers, standing, late)
+                yield from regression.fit_gains(frame, numbers, weighting, late)
             except MethodError:  # a filter that cannot be at this rate
                 continue
 

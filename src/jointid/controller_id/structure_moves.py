@@ -21,7 +21,7 @@ from jointid.controller_id.structures import (
 )
 
 
-def without(structure: Structure, name: str) -> Structure:
+def remove_part(structure: Structure, name: str) -> Structure:
     """Return a structure without the part that a number is of."""
     if name == "ki":
         # A PD without the reference's velocity is a P-P.
@@ -38,7 +38,7 @@ def without(structure: Structure, name: str) -> Structure:
 
 
 def _proportional(structure: Structure, cascade: bool) -> dict[str, Any]:
-    """Return what of a structure has another name once its integral is gone: the velocity's feed-forward."""
+    """Return the velocity feed-forward under the name that it has once the integral is removed."""
     if cascade and not structure.cascade and VELOCITY in structure.feedforward:
         return {"reference_velocity": "share", "feedforward": structure.feedforward - {VELOCITY}}
     return {}
@@ -57,12 +57,12 @@ def canonical(structure: Structure) -> Structure:
     return structure
 
 
-def simpler(structure: Structure) -> Iterator[Structure]:
+def list_simpler(structure: Structure) -> Iterator[Structure]:
     """Yield the structures with one part fewer, each under its canonical name."""
     for part in structure.feedforward:
         yield canonical(replace(structure, feedforward=structure.feedforward - {part}))
     if structure.integrates:
-        yield canonical(without(structure, "ki"))
+        yield canonical(remove_part(structure, "ki"))
     if structure.cascade and structure.reference_velocity in ("share", "channel"):
         yield replace(structure, reference_velocity="none")
     if structure.cascade and structure.reference_velocity == "share":
@@ -75,7 +75,7 @@ def simpler(structure: Structure) -> Iterator[Structure]:
         yield replace(structure, reference_delay=False)
 
 
-def neighbours(structure: Structure, channel: bool) -> Iterator[Structure]:
+def list_neighbours(structure: Structure, channel: bool) -> Iterator[Structure]:
     """Yield the structures that differ from one in a single part, each under its canonical name.
 
     Args:
@@ -89,7 +89,7 @@ def neighbours(structure: Structure, channel: bool) -> Iterator[Structure]:
             yield one
 
 
-def all_laws(frame: Structure, channel: bool) -> Iterator[Structure]:
+def list_laws(frame: Structure, channel: bool) -> Iterator[Structure]:
     """Yield all laws with a frame's clocks and filters and all feed-forwards, each under its canonical name.
 
     Args:
@@ -115,13 +115,13 @@ def _changes(structure: Structure, channel: bool) -> Iterator[Structure]:
         if part in structure.feedforward or allowed:
             yield replace(structure, feedforward=structure.feedforward ^ {part})
     yield from (replace(structure, torque_filter=one) for one in TORQUE_FILTERS if one != structure.torque_filter)
-    yield from _exchanged(structure)
+    yield from _move_filter(structure)
     yield replace(structure, reference_delay=not structure.reference_delay)
     yield from _other_rates(structure)
     yield from (replace(structure, late=n) for n in (0, *LATE) if n != structure.late)
 
 
-def _exchanged(structure: Structure) -> Iterator[Structure]:
+def _move_filter(structure: Structure) -> Iterator[Structure]:
     """Yield the law with its filter at the other place; around all of a PD law it may be the same equation."""
     velocity, torque = structure.velocity_filter, structure.torque_filter
     if torque in ("first order", "second order") and velocity == "none":
@@ -141,7 +141,7 @@ def _other_rates(structure: Structure) -> Iterator[Structure]:
     """
     for rate in (1, *RATES):
         slower = rate if structure.every > 1 else 1
-        mean = _as_long(structure.velocity_filter, rate / structure.rate)
+        mean = _mean_over_same_time(structure.velocity_filter, rate / structure.rate)
         for curved in (False, True) if rate > 1 else (False,):
             for filtered in {structure.velocity_filter, mean}:
                 yield replace(structure, rate=rate, curved=curved, every=slower, offset=0, velocity_filter=filtered)
@@ -153,7 +153,7 @@ def _other_rates(structure: Structure) -> Iterator[Structure]:
             yield replace(structure, every=every, offset=offset)
 
 
-def _as_long(velocity_filter: str, periods: float) -> str:
+def _mean_over_same_time(velocity_filter: str, periods: float) -> str:
     """Return the mean over the same time where a sample becomes so many periods; other filters as they are."""
     if velocity_filter not in ("none", *(f"mean {n}" for n in MEANS)):
         return velocity_filter
@@ -171,14 +171,14 @@ def _other_laws(structure: Structure, channel: bool) -> Iterator[Structure]:
         for velocity in cascades:
             law = "P-PI" if integral else "P-P"
             if integral or velocity == "channel":
-                yield from _changed(structure, law=law, reference_velocity=velocity, feedforward=parts)
+                yield from _vary(structure, law=law, reference_velocity=velocity, feedforward=parts)
             if velocity != "channel":  # the cascade has its own
                 beside = parts - {VELOCITY}
-                yield from _changed(structure, law=law, reference_velocity=velocity, feedforward=beside)
+                yield from _vary(structure, law=law, reference_velocity=velocity, feedforward=beside)
         # A PD without the reference's velocity is a P-P; without a filter, one with its difference is one, too.
         kinds = [kind for kind in others if kind != "difference" or structure.velocity_filter != "none"]
         for velocity in [*kinds, *(["none"] if integral else [])]:
-            yield from _changed(
+            yield from _vary(
                 structure,
                 law="PID" if integral else "PD",
                 reference_velocity=velocity,
@@ -188,7 +188,7 @@ def _other_laws(structure: Structure, channel: bool) -> Iterator[Structure]:
             )
 
 
-def _changed(structure: Structure, **parts: Any) -> Iterator[Structure]:
+def _vary(structure: Structure, **parts: Any) -> Iterator[Structure]:
     other = replace(structure, **parts)
     if other != structure:
         yield other

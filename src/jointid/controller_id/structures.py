@@ -1,4 +1,4 @@
-"""What a law may be made of: structures, the numbers each leaves open, and the controller that they make."""
+"""Controller structures: their parts, their open parameters, and the controller made of both."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ COMMON = ("none", "mean 2", "mean 4", "first order", "second order")
 TORQUE_FILTERS = ("none", "first order", "second order", "notch")
 
 RATES = (2, 4, 8, 16)
-"""How many periods of a faster loop one sample of the log may be."""
+"""Periods per log sample of a loop faster than the log."""
 
 SLOWER = (2, 4, 8)
-"""How many of the loop's periods one of a slower position loop may be."""
+"""Loop periods per evaluation of a slower position loop."""
 
 LATE = (1, 2, 3, 4)
-"""By how many samples the log may show the torque late."""
+"""Delays of the logged torque, in samples."""
 
 VELOCITY, ACCELERATION, COULOMB, CONSTANT = "velocity", "acceleration", "coulomb", "constant"
 FEEDFORWARDS = (VELOCITY, ACCELERATION, COULOMB, CONSTANT)
@@ -82,12 +82,12 @@ class Structure:
 
     @property
     def cascade(self) -> bool:
-        """Whether it has a position loop around a velocity loop."""
+        """True if it has a position loop around a velocity loop."""
         return self.law in ("P-P", "P-PI")
 
     @property
     def integrates(self) -> bool:
-        """Whether it has an integral."""
+        """True if it has an integral."""
         return self.law in ("P-PI", "PID")
 
     @property
@@ -126,11 +126,11 @@ class Structure:
 
     @property
     def parts(self) -> int:
-        """How much it is made of: numbers, and each delay, rate or offset that is not as in a plain law."""
+        """Number of its parts: open parameters, and each delay, rate or offset that a plain law does not have."""
         return len(self.names) + (self.rate > 1) + self.curved + (self.every > 1) + (self.late > 0)
 
     def weight(self, rows: float) -> float:
-        """Return what a criterion charges for what it is made of: Schwarz's log(rows) for each part.
+        """Return the structure's penalty in the criterion: Schwarz's log(rows) for each part.
 
         Of clocks there are many, and the best of many explains more by chance: a clock is charged the 2 log(choices) of
         the extended criterion as well (Chen and Chen 2008, Biometrika 95(3)).
@@ -141,9 +141,8 @@ class Structure:
         choices = (len(RATES) * 2, self.rate > 1), (sum(SLOWER), self.every > 1), (len(LATE), self.late > 0)
         return self.parts * math.log(rows) + sum(2.0 * math.log(number) for number, chosen in choices if chosen)
 
-    @property
-    def words(self) -> str:
-        """What it is, in words."""
+    def __str__(self) -> str:
+        """Return its description: the law, then each part that a plain one does not have."""
         said: list[str] = [self.law]
         if self.reference_velocity != "none":
             said.append(_REFERENCE_VELOCITY[self.cascade, self.reference_velocity])
@@ -188,10 +187,10 @@ _FILTERS: Mapping[str, Mapping[str, tuple[float, ...]]] = {
 """Numbers of the filters and where a search for them begins, in samples of the log and shares of its rate."""
 
 INTEGRAL_GAINS = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1)
-"""Where a cascade's ki is looked for, in shares of the log's rate."""
+"""Starting values of a cascade's ki, as shares of the log's rate."""
 
 _DELAYS = (0.3, 0.7, 1.3, 1.7, 2.3, 2.7, 3.3, 3.7)
-"""Where a delay of the reference is looked for, in samples of the log: twice in each, as it is filled in by lines."""
+"""Starting values of the reference's delay, in log samples: two in each, as it is interpolated linearly."""
 
 
 def _filter_names(place: str, kind: str) -> list[str]:
@@ -232,7 +231,7 @@ def starts(structure: Structure, known: Mapping[str, float], sample_time: float)
         yield {name: value for part in parts for name, value in part.items()}
 
 
-def converted(structure: Structure, known: Mapping[str, float]) -> dict[str, float]:
+def convert_numbers(structure: Structure, known: Mapping[str, float]) -> dict[str, float]:
     """Return a law's numbers from those of a similar one; ``kp kv`` of a cascade is the kp of a PD.
 
     Args:
@@ -259,7 +258,7 @@ def _dimensioned(name: str, value: float, sample_time: float) -> float:
 
 
 def bounds(name: str, sample_time: float, rate: int) -> tuple[float, float]:
-    """Return between what a number is looked for.
+    """Return the bounds of a parameter.
 
     Args:
         name: of the number.
@@ -318,7 +317,7 @@ def controller(structure: Structure, numbers: Mapping[str, float], period: float
 
 
 def interpolation(structure: Structure) -> Interpolation | None:
-    """Return how a law that is faster than the log fills in its reference."""
+    """Return the interpolation of the reference in a law that is faster than the log."""
     if structure.rate == 1:
         return None
     return "cubic" if structure.curved else "linear"

@@ -33,24 +33,26 @@ def check_loop(estimate: Estimate, record: Record, settings: LoopTests | None = 
         >>> ji.check_loop(estimate, record).as_declared
         True
     """
-    if estimate.loop is None:
+    if estimate.settings.loop is None:
         raise MethodError("IDIM simulates no loop, so there is none to check; identify with DIDIM and the controller.")
-    problem = torque_problem(record, estimate.loop, estimate.filtering, estimate.joint.parameters)
-    if len(problem.measured) != len(estimate.measured) or (problem.measured != estimate.measured).any():
+    problem = torque_problem(
+        record, estimate.settings.loop, estimate.settings.filtering, estimate.settings.joint.parameters
+    )
+    if len(problem.measured) != len(estimate.fit.measured) or (problem.measured != estimate.fit.measured).any():
         raise MethodError(
-            f"The estimate was identified from {estimate.record}, and {record.name} has another torque; give the "
+            f"The estimate was identified from {estimate.data.record}, and {record.name} has another torque; give the "
             "record it was identified from."
         )
     values = {}
-    for p in estimate.parameters:
+    for p in estimate.params:
         if p.value is None:
             raise MethodError(
                 f"The estimate gives no {p.name}, so its loop cannot be simulated; identify a joint whose parameters "
                 "this record determines."
             )
         values[p.name] = p.value
-    freed = [p.name for p in estimate.parameters if not p.of_joint and p.name not in INITIAL]
-    free = {p.name for p in estimate.parameters if p.free}
+    freed = [p.name for p in estimate.params if not p.of_joint and p.name not in INITIAL]
+    free = {p.name for p in estimate.params if p.free}
     kept = tuple(p if p.name in free else p.fixed(values[p.name]) for p in problem.parameters)
     solved = replace(problem, parameters=kept).freeing(*freed)
     return suspected(solved, solved.vector(values), settings)
@@ -71,11 +73,11 @@ def with_loop_verdict(estimate: Estimate, record: Record) -> Estimate:
 
 def looked_at(estimate: Estimate, record: Record) -> tuple[Estimate, LoopCheck | None]:
     """Return an estimate as `with_loop_verdict` does, and the check; None where there was none."""
-    if estimate.loop is None:
+    if estimate.settings.loop is None:
         return estimate, None
-    if any(p.value is None for p in estimate.parameters):
+    if any(p.value is None for p in estimate.params):
         verdict = Verdict("loop", None, "not looked at, since the joint is not known; identify it as rigid")
-        return replace(estimate, verdicts=(*estimate.verdicts, verdict)), None
+        return estimate.amended(checks={"verdicts": (*estimate.checks.verdicts, verdict)}), None
     check = check_loop(estimate, record)
     verdict = Verdict("loop", check.as_declared, "; ".join(check.sentences))
-    return replace(estimate, verdicts=(*estimate.verdicts, verdict)), check
+    return estimate.amended(checks={"verdicts": (*estimate.checks.verdicts, verdict)}), check

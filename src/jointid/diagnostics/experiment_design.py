@@ -29,8 +29,8 @@ from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITI
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.models.parameters import POSITION_UNIT
 from jointid.models.transmission import Transmission, transmission_lines
-from jointid.records.encoder_step import step_of
 from jointid.records.record import Record, Tap
+from jointid.records.signals.encoder_step import find_encoder_step
 from jointid.simulation.closed_loop import Outcome
 from jointid.uncertainty.covariance import covariance_of, stationary
 
@@ -152,14 +152,14 @@ def advise(
             another record.
     """
     problem, x = at_estimate(estimate, record)
-    if estimate.bounds:
+    if estimate.checks.bounds:
         raise MethodError(
             "This estimate refuses the stiffness, so there is no joint to predict intervals of; "
             "what_would_tell_more says which test would show one."
         )
     noise = noise or noise_of(record)
-    scale = np.array([p.std or 0.0 for p in estimate.parameters if p.free])
-    known = estimate.correlation * np.outer(scale, scale)
+    scale = np.array([p.stderr or 0.0 for p in estimate.params if p.free])
+    known = estimate.params.correlation * np.outer(scale, scale)
     progress("simulating the loop for its positions")
     sensors = _sensors(problem, x, noise, steps(record, encoder_step), known)
     progress("simulating other motions")
@@ -168,14 +168,14 @@ def advise(
     own = problem.free_joint
     names = [p.name for p in own]
     return Advice(
-        estimate.record,
+        estimate.data.record,
         noise,
         {p.name: p.symbol for p in own},
         {p.name: problem.units[p.name] for p in own},
         dict(zip(names, map(float, scale), strict=False)),
         sensors,
         tests,
-        estimate.joint.transmission,
+        estimate.settings.joint.transmission,
     )
 
 
@@ -185,26 +185,29 @@ def at_estimate(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, 
     Raises:
         MethodError: it is not of a simulated loop as it was declared, or of another record.
     """
-    if estimate.loop is None:
+    if estimate.settings.loop is None:
         raise MethodError("Advice is for an estimate by DIDIM, which knows its loop; this one is by IDIM.")
     assert record.torque is not None
-    if fingerprint(record.torque.values) != estimate.fingerprint:
+    if fingerprint(record.torque.values) != estimate.data.fingerprint:
         raise MethodError(
-            f"The estimate is of {estimate.record}, and {record.name} holds another torque; give the record it is of."
+            f"The estimate is of {estimate.data.record}, and {record.name} holds another torque; "
+            "give the record it is of."
         )
-    freed = [p.name for p in estimate.parameters if p.free and not p.of_joint]
+    freed = [p.name for p in estimate.params if p.free and not p.of_joint]
     of_start = {p.name: p for p in (*INITIAL_STATE, INITIAL_TORQUE)}
     if any(name not in of_start for name in freed):
         raise MethodError(
             f"Advice takes the loop as it is declared, and here {', '.join(freed)} was free; identify with those fixed."
         )
-    found = {p.name: p for p in estimate.parameters}
+    found = {p.name: p for p in estimate.params}
     parameters = tuple(
         p if found[p.name].free else p.fixed(found[p.name].value or 0.0)
-        for p in (*estimate.joint.parameters, *(of_start[name] for name in found if name in of_start))
+        for p in (*estimate.settings.joint.parameters, *(of_start[name] for name in found if name in of_start))
     )
-    own = len(estimate.joint.parameters)
-    problem = torque_problem(record, estimate.loop, estimate.filtering, parameters[:own], parameters[own:])
+    own = len(estimate.settings.joint.parameters)
+    problem = torque_problem(
+        record, estimate.settings.loop, estimate.settings.filtering, parameters[:own], parameters[own:]
+    )
     return problem, problem.vector({name: p.value or 0.0 for name, p in found.items()})
 
 
@@ -220,8 +223,8 @@ def steps(record: Record, given: float | None) -> tuple[float, float]:
             raise MethodError(f"The step of an encoder is a positive number; received {given}.")
         return given, given
     assert record.reference is not None
-    motor = step_of(record.motor_position) or usual_step(record.reference.values)
-    return motor, step_of(record.load_position) or motor
+    motor = find_encoder_step(record.motor_position) or usual_step(record.reference.values)
+    return motor, find_encoder_step(record.load_position) or motor
 
 
 def _sensors(

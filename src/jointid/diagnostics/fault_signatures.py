@@ -29,7 +29,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of
 from jointid.records.record import Tap
 from jointid.simulation.log_output import as_logged
-from jointid.simulation.loop_input import Experiment
+from jointid.simulation.loop_input import LoopInput
 
 STRIBECK, PRESLIDING, LIMIT, OFFSET, INJECTED_GAIN = "stribeck", "presliding", "limit", "offset", "injected_gain"
 ONE_SIDED = (STRIBECK, PRESLIDING, LIMIT)
@@ -130,14 +130,14 @@ def _answer(problem: ClosedLoopProblem, x: FloatArray, force: FloatArray) -> Flo
     return seen - as_logged(problem.experiment, force) if problem.experiment.tap is Tap.MEASURED else seen
 
 
-def _injecting(factor: float, experiment: Experiment) -> Experiment:
+def _injecting(factor: float, experiment: LoopInput) -> LoopInput:
     after, logged = factor * experiment.after_limit, factor * experiment.logged
     return replace(experiment, after_limit=after, logged=logged)
 
 
-def _limited(level: float, experiment: Experiment) -> Experiment:
+def _limited(level: float, experiment: LoopInput) -> LoopInput:
     return experiment.with_law(experiment.law.limited(level))
 
 
-def _pushed(force: FloatArray, experiment: Experiment) -> Experiment:
+def _pushed(force: FloatArray, experiment: LoopInput) -> LoopInput:
     return replace(experiment, after_limit=experiment.after_limit + force)

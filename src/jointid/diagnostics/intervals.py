@@ -92,12 +92,12 @@ def intervals(
         progress(f"following the criterion along {quantity}")
         profiles.append(_profiled(problem, x, spread, quantity, profiling))
     if not bootstrap:
-        return Intervals(tuple(profiles), None, None, estimate.joint.transmission)
+        return Intervals(tuple(profiles), None, None, estimate.settings.joint.transmission)
     progress("drawing over time and over place")
     again = refitted(problem, x) if refit else None
     over_time = time_bootstrap(problem.free, x, residual, J, bootstrapping, again)
     over_place = cell_bootstrap(problem.free, x, residual, J, where.stretch, bootstrapping, again)
-    return Intervals(tuple(profiles), over_time, over_place, estimate.joint.transmission)
+    return Intervals(tuple(profiles), over_time, over_place, estimate.settings.joint.transmission)
 
 
 def require_quantities(quantities: Sequence[str], loop: ClosedLoop) -> None:
@@ -125,21 +125,24 @@ def solved(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, Float
     Raises:
         MethodError: see `intervals`.
     """
-    if estimate.loop is None or estimate.method != "didim":
+    if estimate.settings.loop is None or estimate.settings.method != "didim":
         raise MethodError(
             f"Profiles and bootstraps are of DIDIM, whose criterion can be followed; this estimate is by "
-            f"{estimate.method.upper()}: identify with the controller known."
+            f"{estimate.settings.method.upper()}: identify with the controller known."
         )
-    values = estimate.identified.values | {p.name: p.value or 0.0 for p in estimate.parameters if not p.of_joint}
+    values = estimate.identified.values | {p.name: p.value or 0.0 for p in estimate.params if not p.of_joint}
     record.require(("torque",), "A profile")
     assert record.torque is not None
-    if fingerprint(record.torque.values) != estimate.fingerprint:
+    if fingerprint(record.torque.values) != estimate.data.fingerprint:
         raise MethodError(
-            f"This record is not the one the estimate came from ({estimate.record}); give that one, or identify this."
+            f"This record is not the one the estimate came from ({estimate.data.record}); give that one, "
+            "or identify this."
         )
-    free = {p.name for p in estimate.parameters if p.free}
-    problem = torque_problem(record, estimate.loop, estimate.filtering, estimate.loop.joint.parameters)
-    more = [p.name for p in estimate.parameters if not p.of_joint and p.name not in problem.units]
+    free = {p.name for p in estimate.params if p.free}
+    problem = torque_problem(
+        record, estimate.settings.loop, estimate.settings.filtering, estimate.settings.loop.joint.parameters
+    )
+    more = [p.name for p in estimate.params if not p.of_joint and p.name not in problem.units]
     problem = problem.freeing(*more) if more else problem
     kept = tuple(p if p.name in free else p.fixed(values[p.name]) for p in problem.parameters)
     problem = replace(problem, parameters=kept)

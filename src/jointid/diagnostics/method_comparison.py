@@ -17,19 +17,20 @@ import numpy as np
 from jointid.common.errors import JointidError
 from jointid.common.progress import Progress, silent
 from jointid.common.text import aligned, number
-from jointid.estimation.identify import Method, identify
+from jointid.estimation.identify import identify
+from jointid.estimation.identify_record import Method
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.estimated import EstimatedParameter
-from jointid.models.friction import AsymmetricFriction, SymmetricFriction
+from jointid.estimation.result.params import EstimatedParameter
+from jointid.models.friction import friction_named
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
 from jointid.models.transmission import transmission_lines
-from jointid.records.checks import check_record
+from jointid.records.checks.record_checks import check_record
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 
 
@@ -75,13 +76,13 @@ class Comparison:
         """Return the table, what each method read, and what is to be said of them."""
         found = self.estimates
         lines = [f"{self.model.capitalize()} joint by every method that {self.record} allows; value +- 2 sigma"]
-        lines += [*transmission_lines(next((e.joint.transmission for e in found.values()), None)), ""]
+        lines += [*transmission_lines(next((e.settings.joint.transmission for e in found.values()), None)), ""]
         if found:
             lines += [_table(self), ""]
-        lines += [f"{name} reads {', '.join(estimate.channels)}" for name, estimate in found.items()]
+        lines += [f"{name} reads {', '.join(estimate.data.channels)}" for name, estimate in found.items()]
         lines += [f"{m.name} cannot run: {m.refusal}" for m in self.methods if m.estimate is None]
         for name, estimate in found.items():
-            lines += [f"{name}, {test.name}: {test.sentence}" for test in estimate.tests]
+            lines += [f"{name}, {test.name}: {test.sentence}" for test in estimate.checks.tests]
         agreed = ["no two methods differ by more than their intervals allow"] if len(found) > 1 else []
         return "\n".join([*lines, *(self.disagreements or agreed)])
 
@@ -138,15 +139,13 @@ def _methods(
         yield "IDIM-WLS", model, IDIM("weighted")
     yield "IDIM-IRLS", model, IDIM("robust")
     yield "IDIM-IV", model, IDIM("iv")
-    if joint.gravity is not None and joint.gravity.load == "constant":  # which asymmetric friction would hide
+    if joint.gravity is not None and joint.gravity.load == "constant":  # not identifiable beside the other law
         return
-    other, word = (
-        (AsymmetricFriction(), "asymmetric") if joint.friction.symmetric else (SymmetricFriction(), "symmetric")
-    )
+    other = friction_named(joint.friction.contrast)
     turned = replace(joint, friction=other)
     variant = ClosedLoop(turned, model.controller) if isinstance(model, ClosedLoop) else turned
-    yield f"DIDIM {word}", variant, torque_only
-    yield f"IDIM-LS {word}", variant, IDIM()
+    yield f"DIDIM {other.name}", variant, torque_only
+    yield f"IDIM-LS {other.name}", variant, IDIM()
 
 
 def _disagreements(tried: list[Compared]) -> tuple[str, ...]:
@@ -156,14 +155,14 @@ def _disagreements(tried: list[Compared]) -> tuple[str, ...]:
     one of twenty.
     """
     found = {method.name: method.estimate for method in tried if method.estimate is not None}
-    names = dict.fromkeys(p.name for estimate in found.values() for p in estimate.parameters if p.of_joint)
+    names = dict.fromkeys(p.name for estimate in found.values() for p in estimate.params if p.of_joint)
     sentences = []
     for name in names:
         rows = {
             key: p
             for key, estimate in found.items()
-            for p in estimate.parameters
-            if p.name == name and p.value is not None and p.std is not None
+            for p in estimate.params
+            if p.name == name and p.value is not None and p.stderr is not None
         }
         pairs = [(_gap(rows[one], rows[two]), one, two) for one, two in combinations(rows, 2)]
         worst, one, two = max(pairs, default=(0.0, "", ""))
@@ -180,7 +179,7 @@ def _gap(one: EstimatedParameter, two: EstimatedParameter) -> float:
     """Return the difference of two estimates of one parameter, in 2-sigma intervals of it."""
     assert one.value is not None
     assert two.value is not None
-    spread = 2 * float(np.hypot(one.std or 0.0, two.std or 0.0))
+    spread = 2 * float(np.hypot(one.stderr or 0.0, two.stderr or 0.0))
     return abs(one.value - two.value) / spread if spread else 0.0
 
 
@@ -189,7 +188,7 @@ def _interval(p: EstimatedParameter | None) -> str:
         return "-"
     if p.value is None:
         return "not identifiable"
-    return number(p.value) + (f" +- {number(2 * p.std, 2)}" if p.std is not None else "" if p.free else " fixed")
+    return number(p.value) + (f" +- {number(2 * p.stderr, 2)}" if p.stderr is not None else "" if p.free else " fixed")
 
 
 def _table(comparison: Comparison) -> str:
@@ -197,14 +196,14 @@ def _table(comparison: Comparison) -> str:
     seconds = {method.name: method.seconds for method in comparison.methods}
     symbols: dict[str, tuple[str, str]] = {}
     for estimate in found.values():
-        symbols |= {p.name: (p.symbol, p.unit) for p in estimate.parameters if p.of_joint}
+        symbols |= {p.name: (p.symbol, p.unit) for p in estimate.params if p.of_joint}
     rows = []
     for name, (symbol, unit) in symbols.items():
-        lines = [next((p for p in e.parameters if p.name == name), None) for e in found.values()]
+        lines = [next((p for p in e.params if p.name == name), None) for e in found.values()]
         rows.append([symbol, unit, *map(_interval, lines)])
     of_each = found.values()
-    rows.append(["torque error, raw", "%", *(f"{100 * e.relative_error:.2f}" for e in of_each)])
-    rows.append(["filtered", "%", *(f"{100 * e.filtered_error:.2f}" for e in of_each)])
-    rows.append(["simulations", "", *(str(e.simulations) for e in of_each)])
+    rows.append(["torque error, raw", "%", *(f"{100 * e.fit.relative_error:.2f}" for e in of_each)])
+    rows.append(["filtered", "%", *(f"{100 * e.fit.filtered_error:.2f}" for e in of_each)])
+    rows.append(["simulations", "", *(str(e.fit.simulations) for e in of_each)])
     rows.append(["time", "s", *(f"{seconds[name]:.1f}" for name in found)])
     return aligned(["", "unit", *found], rows, [False, False, *(True for _ in found)])

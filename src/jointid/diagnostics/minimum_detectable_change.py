@@ -103,24 +103,25 @@ def detectable(estimate: Estimate, *, false_alarm: float = 0.01, power: float = 
     alarm = normal.inv_cdf(1 - false_alarm / 2)
     both = alarm + normal.inv_cdf(power)
     told = [
-        (p.name, p.symbol, p.unit, p.value, p.std)
-        for p in estimate.parameters
-        if p.of_joint and p.value is not None and p.std
+        (p.name, p.symbol, p.unit, p.value, p.stderr)
+        for p in estimate.params
+        if p.of_joint and p.value is not None and p.stderr
     ]
-    if estimate.known is not None:
+    if estimate.checks.known is not None:
         told += [
             (k.combination.name, k.combination.formula, k.combination.unit, k.value, k.std)
-            for k in estimate.known.physical
+            for k in estimate.checks.known.physical
         ]
     if not told:
         raise MethodError(
-            f"The estimate of {estimate.record} has no deviations, so no change can be told; identify by least squares."
+            f"The estimate of {estimate.data.record} has no deviations, so no change can be told; "
+            "identify by least squares."
         )
     changes = tuple(
         Change(name, formula, unit, value, std, both * math.sqrt(2) * std, alarm * math.sqrt(2) * std)
         for name, formula, unit, value, std in told
     )
-    return Detectable(estimate.record, false_alarm, power, changes)
+    return Detectable(estimate.data.record, false_alarm, power, changes)
 
 
 def _percent(change: Change) -> str:

@@ -7,7 +7,7 @@ a sentence says why.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, TypeAlias, TypeVar
 
 import numpy as np
@@ -25,7 +25,7 @@ from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import Motion
 from jointid.records.record import Channel, Record
-from jointid.records.signals import derivative, lowpass
+from jointid.records.signals.filtering import differentiate, lowpass
 from jointid.uncertainty.profile import Profile
 
 Seen: TypeAlias = Literal["simulated", "measured", "commanded"]
@@ -111,8 +111,8 @@ def dossier(
     check = None
     if loop:
         progress("checking loop and log")
-        said = [v for v in estimate.verdicts if v.subject != "loop"]  # it is said once
-        estimate, check = looked_at(replace(estimate, verdicts=tuple(said)), record)
+        said = [v for v in estimate.checks.verdicts if v.subject != "loop"]  # it is said once
+        estimate, check = looked_at(estimate.amended(checks={"verdicts": tuple(said)}), record)
     validation = part("validation", "simulating the direct test", lambda: validate(estimate, record))
     motion, seen = _motion(estimate, record, validation)
     found = spectra_of(estimate)
@@ -122,7 +122,7 @@ def dossier(
         "profiles", "following the criterion", lambda: intervals(estimate, record, wanted, progress=progress)
     )
     shown = None
-    if estimate.bounds:
+    if estimate.checks.bounds:
         shown = part("revealing", "looking for what would tell more", lambda: revealing(estimate, record))
     return Dossier(
         estimate=estimate,
@@ -142,15 +142,15 @@ def dossier(
 
 def spectra_of(estimate: Estimate) -> Spectra | None:
     """Return the spectra of an estimate's signals, the borders left out; None where they are too short."""
-    inside = slice(estimate.borders[0], estimate.measured.size - estimate.borders[1])
+    inside = slice(estimate.fit.borders[0], estimate.fit.measured.size - estimate.fit.borders[1])
     try:
-        return spectra(estimate.measured[inside], estimate.predicted[inside], estimate.sample_time)
+        return spectra(estimate.fit.measured[inside], estimate.fit.predicted[inside], estimate.data.sample_time)
     except JointidError:
         return None
 
 
 def _profiled(estimate: Estimate) -> tuple[str, ...]:
-    free = tuple(p.name for p in estimate.parameters if p.of_joint and p.free)
+    free = tuple(p.name for p in estimate.params if p.of_joint and p.free)
     return (*free, "compliance") if "stiffness" in free else free
 
 
@@ -160,7 +160,7 @@ def _summary(name: str, channel: Channel) -> ChannelSummary:
 
 def _motion(estimate: Estimate, record: Record, validation: Validation | None) -> tuple[Motion | None, Seen]:
     """Return the motor's motion at the samples of the torque, and where it comes from."""
-    size = estimate.measured.size
+    size = estimate.fit.measured.size
     if validation is not None and validation.motor.position.size >= size:
         motor = validation.motor
         seen: Seen = "simulated" if validation.method == "didim" else "measured"
@@ -173,9 +173,9 @@ def _motion(estimate: Estimate, record: Record, validation: Validation | None) -
 
 def _from(channel: Channel, estimate: Estimate, size: int) -> Motion:
     """Return the motion of a logged position at the samples of the torque."""
-    period, cutoff = estimate.sample_time, estimate.filtering.position_cutoff
+    period, cutoff = estimate.data.sample_time, estimate.settings.filtering.position_cutoff
     position: FloatArray = np.interp(period * np.arange(size), channel.time, channel.values)
     if cutoff is not None and cutoff < 0.5 / period:
         position = lowpass(position, cutoff, period)
-    velocity = derivative(position, period)
-    return Motion(position, velocity, derivative(velocity, period))
+    velocity = differentiate(position, period)
+    return Motion(position, velocity, differentiate(velocity, period))

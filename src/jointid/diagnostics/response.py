@@ -65,21 +65,21 @@ def response_of(estimate: Estimate) -> FrequencyResponse:
     Raises:
         MethodError: a parameter of the joint is refused.
     """
-    joint, values = estimate.joint, estimate.values
+    joint, values = estimate.settings.joint, estimate.values
     missing = [p.symbol for p in joint.parameters if p.name not in values]
     if missing:
         raise MethodError(f"A frequency response needs every parameter, and {', '.join(missing)} is refused.")
     flexible = joint.model == "flexible"
     modes = frequencies(values) if flexible and values["stiffness"] > 0 else {}
-    highest = max(0.5 / estimate.sample_time, _ABOVE * max(modes.values(), default=0.0))
+    highest = max(0.5 / estimate.data.sample_time, _ABOVE * max(modes.values(), default=0.0))
     grid = np.geomspace(_LOWEST, highest, _LINES)
     frequency = np.unique(np.concatenate([grid, [f for f in modes.values() if f > _LOWEST]]))
-    free = [p for p in estimate.parameters if p.free and p.of_joint and p.std is not None and p.name in values]
+    free = [p for p in estimate.params if p.free and p.of_joint and p.stderr is not None and p.name in values]
     covariance = _covariance(estimate, [p.name for p in free])
     at = _velocities(joint, values, frequency)
     slopes = []
     for p in free:
-        step = _STEP * (abs(p.value or 0.0) or p.std or 1.0)
+        step = _STEP * (abs(p.value or 0.0) or p.stderr or 1.0)
         moved = _velocities(joint, values | {p.name: values[p.name] + step}, frequency)
         slopes.append([np.log(after / before).real / step for after, before in zip(moved, at, strict=True)])
     curves = []
@@ -88,7 +88,7 @@ def response_of(estimate: Estimate) -> FrequencyResponse:
         spread = np.sqrt(np.maximum(np.einsum("pf,pq,qf->f", J, covariance, J), 0.0))
         size, factor = np.abs(H), np.exp(np.minimum(2 * spread, 50.0))
         curves.append(Curve(side, size, size / factor, size * factor, np.degrees(np.unwrap(np.angle(H)))))
-    unit = f"({POSITION_UNIT[joint.kind]}/s)/{_bracketed(estimate.torque_unit)}"
+    unit = f"({POSITION_UNIT[joint.kind]}/s)/{_bracketed(estimate.data.torque_unit)}"
     return FrequencyResponse(frequency, tuple(curves), unit, modes)
 
 
@@ -100,11 +100,11 @@ def _velocities(joint: Joint, values: Mapping[str, float], frequency: FloatArray
 
 def _covariance(estimate: Estimate, names: list[str]) -> FloatArray:
     """Return the covariance of parameters, (names, names); without correlation where it is not known."""
-    free = [p.name for p in estimate.parameters if p.free]
+    free = [p.name for p in estimate.params if p.free]
     chosen = [free.index(name) for name in names]
-    std = np.array([estimate[name].std for name in names], dtype=np.float64)
-    known = max(chosen, default=0) < len(estimate.correlation)
-    correlation = estimate.correlation[np.ix_(chosen, chosen)] if known else np.eye(len(names))
+    std = np.array([estimate[name].stderr for name in names], dtype=np.float64)
+    known = max(chosen, default=0) < len(estimate.params.correlation)
+    correlation = estimate.params.correlation[np.ix_(chosen, chosen)] if known else np.eye(len(names))
     return np.asarray(np.outer(std, std) * correlation)
 
 

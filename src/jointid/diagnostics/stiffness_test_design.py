@@ -34,7 +34,7 @@ from jointid.models.joints import acts_on_whole
 from jointid.models.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.models.transmission import Transmission, transmission_lines
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome
 from jointid.uncertainty.covariance import stationary
 from jointid.uncertainty.verdict import StiffnessBound
@@ -142,14 +142,14 @@ def revealing(
     Raises:
         MethodError: nothing was refused, or the estimate is not of this record.
     """
-    if not estimate.bounds:
+    if not estimate.checks.bounds:
         raise MethodError("This estimate refuses no stiffness, so there is nothing to reveal; advise says what helps.")
     problem = _all_free(at_estimate(estimate, record)[0])
     sample_time, cutoff = problem.experiment.sample_time, problem.filtering.cutoff
     assert cutoff is not None
     band = Filtering(cutoff=max(_BAND / sample_time, cutoff)).resolved(sample_time, "flexible")
     wide = replace(problem, filtering=band)
-    error = wide.filtered(estimate.measured - estimate.predicted)
+    error = wide.filtered(estimate.fit.measured - estimate.fit.predicted)
     rigid = _rigid(estimate)
     height, width = pulse or pulse_of(problem, rigid)
     rung = replace(wide, experiment=pulsed(problem, height, width).experiment)
@@ -180,14 +180,14 @@ def revealing(
 
         return _told(bound.share, bound.frequency, at, FASTEST / sample_time)
 
-    kind = estimate.joint.kind
-    unit = estimate.joint.torque_unit or TORQUE_UNIT[kind]
-    bounds = [bound for bound in estimate.bounds if bound.share in SHARES and bound.frequency is not None]
+    kind = estimate.settings.joint.kind
+    unit = estimate.settings.joint.torque_unit or TORQUE_UNIT[kind]
+    bounds = [bound for bound in estimate.checks.bounds if bound.share in SHARES and bound.frequency is not None]
     return Revealing(
-        estimate.record,
+        estimate.data.record,
         tuple(told(rung, bound, False) for bound in bounds),
         tuple(told(wide, bound, True) for bound in bounds),
-        height, width, step, unit, POSITION_UNIT[kind], estimate.joint.transmission,
+        height, width, step, unit, POSITION_UNIT[kind], estimate.settings.joint.transmission,
     )  # fmt: skip
 
 
@@ -216,6 +216,6 @@ def _told(share: float, softest: float, deviation: Callable[[float], float], fas
 
 def _rigid(estimate: Estimate) -> dict[str, float]:
     """Return what a refused estimate tells of the whole joint, as a rigid joint's values."""
-    assert estimate.known is not None
-    found = {known.combination.name.removeprefix("total "): known.value for known in estimate.known.physical}
-    return found | {p.name: p.value or 0.0 for p in estimate.parameters if acts_on_whole(p.name) or not p.of_joint}
+    assert estimate.checks.known is not None
+    found = {known.combination.name.removeprefix("total "): known.value for known in estimate.checks.known.physical}
+    return found | {p.name: p.value or 0.0 for p in estimate.params if acts_on_whole(p.name) or not p.of_joint}

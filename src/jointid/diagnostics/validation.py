@@ -30,7 +30,7 @@ from jointid.models.disturbances import effect_parameters
 from jointid.models.joints import Motion
 from jointid.models.parameters import POSITION_UNIT
 from jointid.models.transmission import Transmission, transmission_lines
-from jointid.records.checks import check_record
+from jointid.records.checks.record_checks import check_record
 from jointid.records.record import Record
 from jointid.records.time_base.uniformity import Resampled, resampled_lines
 from jointid.simulation.closed_loop import Initial, Simulation, require_finished

@@ -10,9 +10,9 @@ import numpy as np
 
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.parameters import TORQUE_UNIT
-from jointid.records.excitation import pulses
 from jointid.records.record import Channel, Injection, Record
-from jointid.simulation.loop_input import Experiment, prepare
+from jointid.records.signals.excitation import pulses
+from jointid.simulation.loop_input import LoopInput, prepare
 
 _COULOMB = 5.0  # times the Coulomb friction of the whole joint: the height of a pulse
 _WIDTH = 1.2  # over the cut-off: 20 ms at 60 Hz, half a period of a mode in the middle of the band
@@ -32,7 +32,7 @@ class Variation:
 
     name: str
     described: str
-    experiment: Experiment
+    experiment: LoopInput
     samples: int
 
 

@@ -1,153 +1,115 @@
-"""The verb: a record and a loop in, an estimate out."""
+"""The verb `identify`: one record, several, or a log too long for memory in; an estimate out."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
-from typing import TypeAlias
+from collections.abc import Mapping, Sequence
 
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
-from jointid.estimation.methods.cross_axis import record_warnings
-from jointid.estimation.methods.didim import DIDIM, identify_didim
-from jointid.estimation.methods.drive_side import DriveSideFit, identify_drive_side
-from jointid.estimation.methods.flexible import FlexibleDIDIM, identify_flexible
-from jointid.estimation.methods.idim import IDIM, identify_idim
-from jointid.estimation.methods.open_loop import OpenLoopFit, identify_open_loop
+from jointid.estimation.identify_record import Method, identify_record
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.several_records.identify_several import identify_several
+from jointid.estimation.several_records.settings import SeveralRecords
+from jointid.estimation.streaming.identify_log import identify_log
+from jointid.estimation.streaming.settings import Windowing
 from jointid.models.joints import Joint
-from jointid.models.parameters import Parameter, Quantity, adjusted
-from jointid.records.checks import check_record
+from jointid.models.parameters import Parameter
+from jointid.records.reading.chunks import InMemory, LongRecord
 from jointid.records.record import Record
-from jointid.records.record_warnings import record_notes
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.open_loop import OpenLoop
 
-Method: TypeAlias = DIDIM | FlexibleDIDIM | IDIM | DriveSideFit | OpenLoopFit
-
 
 def identify(
-    record: Record,
-    model: ClosedLoop | DriveSide | OpenLoop | Joint,
+    record: Record | Sequence[Record] | LongRecord,
+    model: ClosedLoop | DriveSide | OpenLoop | Joint | Sequence[ClosedLoop],
     method: Method | None = None,
     *,
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
+    several: SeveralRecords | None = None,
+    windows: Windowing | None = None,
     progress: Progress = silent,
 ) -> Estimate:
     """Identify a joint from what its drive logged.
 
     Args:
-        record: what was logged.
+        record: a record; or several of one joint, each with the torque and what its controller reads, in one fit; or a
+            `Log` that is read in chunks, identified in windows in bounded memory.
         model: the loop (joint and controller), or the joint alone when the controller is not known; `DriveSide` to
-            prescribe the motor's motion and simulate the load; `OpenLoop` to prescribe the torque.
+            prescribe the motor's motion and simulate the load; `OpenLoop` to prescribe the torque. For several records
+            a loop, or one for each record: of one joint under different gains.
         method: `DIDIM` (rigid), `FlexibleDIDIM`, `IDIM`, `DriveSideFit` or `OpenLoopFit` with its settings; by default
             DIDIM when the controller is known, even where the record has a motor position, which is then not read; that
-            of a `DriveSide` or an `OpenLoop`; otherwise IDIM.
+            of a `DriveSide` or an `OpenLoop`; otherwise IDIM. Several records and a log are identified by DIDIM.
         filtering: see `Filtering`; its defaults follow the sample time.
-        parameters: changes to the joint's parameters by name: fixed values, starts, bounds.
+        parameters: changes to the joint's parameters by name: fixed values, starts, bounds; for several records, of the
+            joint without anything added.
+        several: what the records share, and what was added to the load; see `SeveralRecords`.
+        windows: of a log; see `Windowing`. With it a record in memory is identified in windows, too.
         progress: is told each step in a sentence.
+
+    An interrupt of the last passes over a log ends them, and the estimate is of what was read: `Fit.interrupted`.
 
     Raises:
         RecordError: the record lacks a channel the method needs; the sentence says which, and which method does not;
-            or it shows nothing (a constant torque or reference), or cannot be in the units it is said to be in.
+            or it shows nothing (a constant torque or reference), or cannot be in the units it is said to be in; or a
+            chunk of a log cannot be read.
         MethodError: the method does not fit the model, the record does not determine the parameters, or it gives an
-            inertia that is not positive.
+            inertia that is not positive; records are one only, or one twice, or the lists about them are not as long.
 
     A parameter that comes out beyond its bounds is kept at the bound, with a warning, and the others identified anew.
 
     Example:
-        >>> import numpy as np
         >>> import jointid as ji
         >>> loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(kp=100.0, kv=2000.0))
         >>> reference = ji.trapezoids(speeds=(0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
         >>> truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
         >>> record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
-        >>> estimate = ji.identify(record, loop)
-        >>> print(round(estimate["inertia"].value, 6))
+        >>> round(ji.identify(record, loop).params["inertia"].value, 6)
         30.0
+
+        Two records, the second with 10 kg on the load and a friction of its own:
+
+        >>> heavier = ji.simulated_record(loop, reference, truth | {"inertia": 40.0, "coulomb": 18.0}, sample_time=1e-3)
+        >>> shared = ji.SeveralRecords(added_inertia=(0.0, 10.0), own=((), ("coulomb",)))
+        >>> both = ji.identify([record, heavier], loop, several=shared)
+        >>> round(both.params["inertia"].value, 4), round(both.params["coulomb@2"].value, 4)
+        (30.0, 18.0)
+
+        A minute, in windows of six seconds:
+
+        >>> reference = ji.trapezoids((0.1, 0.2), 2.0, 0.1, 1e-3, duration=60.0)
+        >>> minute = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
+        >>> estimate = ji.identify(minute, loop, windows=ji.Windowing(length=6.0))
+        >>> round(estimate.params["inertia"].value, 3), estimate.data.windows.count
+        (30.0, 10)
     """
-    loop = model if isinstance(model, ClosedLoop) else None
-    joint = model.joint if isinstance(model, ClosedLoop | DriveSide | OpenLoop) else model
-    of_closing = {DriveSide: DriveSideFit, OpenLoop: OpenLoopFit}.get(type(model))
-    chosen = method or (of_closing() if of_closing else default_method(joint, loop is not None))
-    wanted = adjusted(joint.parameters, parameters or {})
-    check_record(record)
-    estimate = _identified(record, joint, loop, chosen, filtering or Filtering(), wanted, progress)
-    bounds: list[str] = []
-    simulations = estimate.simulations
-    while (beyond := _beyond(record, estimate, wanted)) is not None:
-        value, p = beyond
-        bounds.append(f"{p.name} is at its bound: without it, it would be {value:.4g} {joint.unit(p)}")
-        progress(bounds[-1])
-        wanted = tuple(_at_bound(q, value) if q.name == p.name else q for q in wanted)
-        estimate = _identified(record, joint, loop, chosen, filtering or Filtering(), wanted, progress)
-        simulations += estimate.simulations
-    warnings = (*bounds, *estimate.warnings, *record_warnings(record, estimate))
-    return replace(estimate, simulations=simulations, warnings=warnings, resampled=record.resampled)
-
-
-def _beyond(record: Record, estimate: Estimate, wanted: tuple[Parameter, ...]) -> tuple[float, Parameter] | None:
-    """Return the free parameter that is farthest beyond its bounds, in its own deviations, with its value.
-
-    Raises:
-        MethodError: an inertia is not positive, for which no bound is a remedy.
-    """
-    found = [(estimate.values[p.name], p) for p in wanted if p.free and p.name in estimate.values]
-    for value, p in found:
-        if p.quantity is Quantity.INERTIA and value <= 0:
-            known = "".join(f"; {note}" for note in record_notes(record, estimate.channels))
-            raise MethodError(
-                f"The record gives {p.name} = {value:.4g}, which no joint has: the torque or the motion has the wrong "
-                f"sign (set sign = -1), or they do not belong together{known}."
-            )
-    outside = [(value, p) for value, p in found if not p.lower <= value <= p.upper]
-    return max(outside, key=lambda pair: _excess(pair[0], pair[1], estimate), default=None)
-
-
-def _excess(value: float, p: Parameter, estimate: Estimate) -> float:
-    return max(p.lower - value, value - p.upper) / (estimate[p.name].std or abs(value) or 1.0)
-
-
-def _at_bound(p: Parameter, value: float) -> Parameter:
-    return p.fixed(p.lower if value < p.lower else p.upper)
-
-
-def _identified(
-    record: Record,
-    joint: Joint,
-    loop: ClosedLoop | None,
-    method: Method,
-    filtering: Filtering,
-    parameters: tuple[Parameter, ...],
-    progress: Progress,
-) -> Estimate:
-    if isinstance(method, DriveSideFit):
-        return identify_drive_side(record, DriveSide(joint), parameters, filtering, method, progress)
-    if isinstance(method, OpenLoopFit):
-        return identify_open_loop(record, OpenLoop(joint), parameters, filtering, method, progress)
-    if isinstance(method, IDIM):
-        delay = loop.controller.law(record.torque.sample_time).delay if loop and record.torque else 0.0
-        return identify_idim(record, joint, parameters, filtering, delay, method, loop)
-    if loop is None:
-        raise MethodError(
-            "DIDIM simulates the closed loop, so it needs the controller; give a ClosedLoop, or use IDIM with a "
-            "motor_position."
+    if isinstance(record, Sequence):
+        if windows is not None:
+            raise MethodError("Several records are identified whole; give one record or log, or leave out windows.")
+        return identify_several(
+            record, _loops(model), several or SeveralRecords(), method, filtering, parameters, progress
         )
-    if isinstance(method, FlexibleDIDIM) != (joint.model == "flexible"):
-        raise MethodError(
-            f"{type(method).__name__} is not for a {joint.model} joint; "
-            f"use {type(default_method(joint, True)).__name__}."
-        )
-    if isinstance(method, FlexibleDIDIM):
-        return identify_flexible(record, loop, parameters, filtering, method, progress)
-    return identify_didim(record, loop, parameters, filtering, method, progress)
+    if several is not None:
+        raise MethodError("SeveralRecords is about a list of records; received one record: give a list of them.")
+    if isinstance(record, Record) and windows is None:
+        if isinstance(model, Sequence):
+            raise MethodError("One record has one loop; received a list: give the loop, or a list of records.")
+        return identify_record(record, model, method, filtering=filtering, parameters=parameters, progress=progress)
+    if not isinstance(model, ClosedLoop):
+        raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop, with the controller.")
+    source = InMemory(record) if isinstance(record, Record) else record
+    return identify_log(source, model, windows or Windowing(), method, filtering, parameters, progress)
 
 
-def default_method(joint: Joint, controlled: bool) -> Method:
-    """Return DIDIM for the joint's model where the controller is known, else IDIM."""
-    if not controlled:
-        return IDIM()
-    return FlexibleDIDIM() if joint.model == "flexible" else DIDIM()
+def _loops(
+    model: ClosedLoop | DriveSide | OpenLoop | Joint | Sequence[ClosedLoop],
+) -> ClosedLoop | Sequence[ClosedLoop]:
+    if isinstance(model, ClosedLoop | Sequence):
+        return model
+    raise MethodError(
+        "Several records are identified by simulating their loop; give a ClosedLoop, with the controller."
+    )

@@ -1,4 +1,4 @@
-"""What a torque holds beside inertia and friction law: ripple that follows the position, drift that follows the time.
+"""Disturbance torques beside inertia and friction: ripple over the position, drift over time.
 
 Each effect is linear in its parameters, so that a regression estimates them as further columns. The simulation of a
 loop does not have them.
@@ -15,13 +15,14 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.settings import check_settings, documented, setting
 from jointid.models.joints import Joint, Motion
 from jointid.models.parameters import Parameter, Quantity
 from jointid.models.transmission import Side
 
 
 class Effect(Protocol):
-    """What a regression asks of an effect."""
+    """The interface of a disturbance in a regression."""
 
     @property
     def side(self) -> Side:
@@ -35,27 +36,25 @@ class Effect(Protocol):
         """Return the columns on the motion of its side, (samples, parameters); `time` in s from the first sample."""
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class PositionHarmonics:
     """``sum over k of a_k cos(2 pi k q / period) + b_k sin(2 pi k q / period)``: ripple of a screw, gear or motor.
 
-    Attributes:
-        period: in m or rad, such as the pitch of the screw; None has it searched for in the record, and refined.
-        harmonics: how many, from the first.
-        side: whose position it follows and on which side it acts.
-
     A sum of n harmonics of any period lowers the residual of the record it is fitted to; judge it by a cross test.
     """
 
-    period: float | None = None
-    harmonics: int = 1
-    side: Side = "motor"
+    period: float | None = setting(
+        None,
+        "of the first harmonic, such as the pitch of a screw; without it searched for in the record, and refined",
+        unit="m or rad",
+        above=0,
+    )
+    harmonics: int = setting(1, "how many, from the first", at_least=1)
+    side: Side = setting("motor", "whose position it follows and on which side it acts")
 
     def __post_init__(self) -> None:
-        if self.period is not None and not 0 < self.period < math.inf:
-            raise MethodError(f"A period is a positive length or angle; received {self.period}.")
-        if self.harmonics < 1:
-            raise MethodError(f"The number of harmonics is 1 or more; received {self.harmonics}.")
+        check_settings(self)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -84,23 +83,19 @@ class PositionHarmonics:
         return np.outer(motion.position, 2 * math.pi / self.period * np.arange(1, self.harmonics + 1))
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class Drift:
     """``df t`` and ``dv t v``: a force, or a viscous friction, that changes linearly in time, as a machine warms up.
 
-    Attributes:
-        of: what drifts.
-        side: on which side of the joint.
-
     Time counts from the first sample of each record: a cross test takes both records to begin equally warm.
     """
 
-    of: Literal["force", "viscous", "both"] = "viscous"
-    side: Side = "motor"
+    of: Literal["force", "viscous", "both"] = setting("viscous", "what changes linearly in time")
+    side: Side = setting("motor", "on which side of the joint")
 
     def __post_init__(self) -> None:
-        if self.of not in ("force", "viscous", "both"):
-            raise MethodError(f'What drifts is "force", "viscous" or "both"; received "{self.of}".')
+        check_settings(self)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

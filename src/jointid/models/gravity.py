@@ -14,13 +14,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.settings import check_settings, declare, documented, setting
+from jointid.models.friction import Friction
 from jointid.models.parameters import Kind, Parameter, Quantity
 
 Load: TypeAlias = Literal["constant", "link"]
@@ -40,28 +42,22 @@ GRAVITY_PARAMETERS: Mapping[Load, tuple[str, ...]] = {
 """Names of the parameters of each load."""
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class Counterbalance:
     """The force that a known counterbalance takes off the load: a weight, a cylinder or a spring.
-
-    Attributes:
-        constant: in the unit of the torque, in the direction in which the joint's own torque carries the load.
-        cos, sin: what follows the cosine and the sine of the link's angle, in the unit of the torque.
-        rate: of a spring or a cylinder, per unit of the joint's position, 0 at the zero of the position.
 
     Raises:
         MethodError: a number is not finite.
     """
 
-    constant: float = 0.0
-    cos: float = 0.0
-    sin: float = 0.0
-    rate: float = 0.0
+    constant: float = setting(0.0, "wherever the joint is", unit="N or N m")
+    cos: float = setting(0.0, "times the cosine of the link's angle", unit="N m")
+    sin: float = setting(0.0, "times the sine of the link's angle", unit="N m")
+    rate: float = setting(0.0, "times the joint's position, of a spring or a cylinder", unit="N/m or N m/rad")
 
     def __post_init__(self) -> None:
-        for name in _TERMS:
-            if not math.isfinite(getattr(self, name)):
-                raise MethodError(f"A counterbalance's {name} is a finite number; received {getattr(self, name)}.")
+        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,15 +69,10 @@ class _Term:
     sign: float
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class Gravity:
     """The load's gravity on a joint.
-
-    Attributes:
-        load: "constant": a vertical axis; "link": a body that turns about a horizontal axis.
-        counterbalance: a known part of the load, with numbers that are given.
-        angle: radians of the link per unit of the joint's position: the inverse of the gear ratio, where the position
-            is the motor's.
 
     A constant load and the offset of a motor's torque cannot be told apart by the torque, nor by the motor's position:
     a constant load takes the offset's place, and is the sum of both. The cosine, the sine and the offset are three
@@ -91,20 +82,28 @@ class Gravity:
         MethodError: there is no such load, or the angle is 0 or not finite.
     """
 
-    load: Load
-    counterbalance: Counterbalance = Counterbalance()
-    angle: float = 1.0
+    load: Load = field(
+        metadata=declare(
+            "a vertical axis with a constant load, or a body that turns about a horizontal axis, for a revolute "
+            "joint only"
+        )
+    )
+    counterbalance: Counterbalance = setting(
+        Counterbalance(),
+        "the known force of a weight, a spring or a cylinder that carries a part of the load, seen by the motor; it "
+        "is taken off, and listed with the parameters",
+    )
+    angle: float = setting(
+        1.0,
+        "radians of the link per unit of the joint's position: the inverse of the gear ratio, where the position is "
+        "the motor's",
+        nonzero=True,
+    )
 
     def __post_init__(self) -> None:
-        if self.load not in _LOADS:
-            raise MethodError(f'The load of gravity is "constant" or "link"; received "{self.load}".')
-        if not (math.isfinite(self.angle) and self.angle != 0.0):
-            raise MethodError(
-                "The angle of gravity is the radians of the link per unit of the joint's position, and not 0; "
-                f"received {self.angle}."
-            )
+        check_settings(self)
 
-    def require(self, kind: Kind, symmetric: bool) -> None:
+    def require(self, kind: Kind, friction: Friction) -> None:
         """Raise a `MethodError` if a joint of that kind and friction cannot have this load."""
         turning = self.load == "link" or self.counterbalance.cos != 0.0 or self.counterbalance.sin != 0.0
         if kind == "prismatic" and turning:
@@ -112,24 +111,24 @@ class Gravity:
                 "A prismatic joint does not turn its load, so nothing of its gravity follows a cosine or a sine; use "
                 'load = "constant", or a revolute joint.'
             )
-        if self.load == "constant" and not symmetric:
+        if self.load == "constant" and not friction.offset_identifiable:
             raise MethodError(
-                "A constant load cannot be told apart from asymmetric friction: it adds to the Coulomb force forwards "
-                "and takes as much from it backwards; use symmetric friction, or leave gravity out."
+                f"A constant load cannot be told apart from {friction.name} friction: it adds to the Coulomb force "
+                "forwards and takes as much from it backwards; use symmetric friction, or leave gravity out."
             )
 
     @property
     def varies(self) -> bool:
-        """Whether anything of it depends on the position."""
+        """True if any part of it depends on the position."""
         return self.load == "link" or any((self.counterbalance.cos, self.counterbalance.sin, self.counterbalance.rate))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What the load weighs, then the numbers of the counterbalance that are not 0, which are fixed."""
+        """Weight of the load, then the counterbalance's numbers that are not 0, which are fixed."""
         return tuple(one.parameter for one in self._terms)
 
     def columns(self, position: FloatArray) -> FloatArray:
-        """Return what the parameters are the factors of, (samples, parameters), at positions (samples,)."""
+        """Return the regressor of the parameters, (samples, parameters), at positions (samples,)."""
         phase = self.angle * position
         functions = np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase), position], axis=1)
         return np.column_stack([one.sign * functions[:, one.term] for one in self._terms])
@@ -142,8 +141,8 @@ class Gravity:
         constant, cos, sin, rate = total
         return constant, cos, sin, rate
 
-    def hung(self, values: Mapping[str, float], stiffness: float, position: float, drag: float) -> float:
-        """Return how far the load hangs behind a motor at `position`, on a spring, where it is also dragged: by Newton.
+    def static_deflection(self, values: Mapping[str, float], stiffness: float, position: float, drag: float) -> float:
+        """Return the spring's static deflection under gravity and drag, the motor at `position`: by Newton's method.
 
         A load that gravity pushes over faster than the spring rights it hangs nowhere; the result then means nothing.
         """

@@ -23,10 +23,13 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.models.friction import AsymmetricFriction, Friction, SymmetricFriction
+from jointid.models.friction import Friction, SymmetricFriction
 from jointid.models.gravity import Gravity
 from jointid.models.parameters import POSITION_UNIT, TORQUE_UNIT, Kind, Parameter, Quantity, unit_of
 from jointid.models.transmission import Transmission
+
+MODE_DAMPING = 0.02
+"""Damping ratio that is assumed of a mode whose stiffness is not identified."""
 
 _TINY = 1e-300  # keeps a bound on inertias open: a mass of zero has no motion
 
@@ -43,8 +46,8 @@ class Motion:
 def _offset(friction: Friction, gravity: Gravity | None) -> Parameter:
     """Return the offset; it is fixed where another parameter is a constant, too."""
     offset = Parameter("offset", "offset", Quantity.FORCE)
-    told = friction.symmetric and (gravity is None or gravity.load != "constant")
-    return offset if told else offset.fixed(0.0)
+    identifiable = friction.offset_identifiable and (gravity is None or gravity.load != "constant")
+    return offset if identifiable else offset.fixed(0.0)
 
 
 def _gravity_parameters(gravity: Gravity | None) -> tuple[Parameter, ...]:
@@ -60,15 +63,15 @@ def _gravity_constant(gravity: Gravity | None, values: Mapping[str, float]) -> f
 
 
 def _gravity_coefficients(gravity: Gravity | None, values: Mapping[str, float], of_load: bool) -> FloatArray | None:
-    """Return what of gravity depends on the position, as the simulation sees it; None where nothing does."""
+    """Return gravity's position-dependent coefficients, as the simulation takes them; None if there are none."""
     if gravity is None or not gravity.varies:
         return None
     return np.array([*gravity.coefficients(values)[1:], gravity.angle, float(of_load)])
 
 
 @dataclass(frozen=True, slots=True)
-class _OfOneAxis:
-    """What every joint has: how it moves, its friction, and what surrounds it; see `RigidJoint`."""
+class _JointBase:
+    """Common base of the joints: kind of motion, friction, transmission and gravity; see `RigidJoint`."""
 
     kind: Kind = "prismatic"
     friction: Friction = field(default_factory=SymmetricFriction)
@@ -80,7 +83,7 @@ class _OfOneAxis:
         _require_kind(self.kind, self.transmission)
         if self.gravity is not None:
             moves = self.kind if self.transmission is None else self.transmission.load
-            self.gravity.require(moves, self.friction.symmetric)
+            self.gravity.require(moves, self.friction)
 
     def unit(self, parameter: Parameter) -> str:
         """Return the unit of a parameter of this joint."""
@@ -88,14 +91,14 @@ class _OfOneAxis:
 
 
 @dataclass(frozen=True, slots=True)
-class RigidJoint(_OfOneAxis):
+class RigidJoint(_JointBase):
     """One inertia with viscous and Coulomb friction and a constant offset.
 
     Valid below about a fifth of the first resonance; a flexible joint then shows the sums of its two sides.
 
     Attributes:
         kind: "prismatic" (m, N) or "revolute" (rad, N m).
-        friction: the same in both directions, or not (its offset is then fixed at 0).
+        friction: the law; beside one with a Coulomb force for each direction the offset is fixed at 0.
         torque_unit: the torque's unit when it is not the kind's own: "A" or "V".
         transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
         gravity: of what the joint carries; a constant load takes the place of the offset, which is then fixed at 0.
@@ -126,13 +129,13 @@ class RigidJoint(_OfOneAxis):
         return np.stack(rows).T[np.newaxis]  # each column is written in one piece
 
     def coefficients(self, values: Mapping[str, float]) -> FloatArray:
-        """Return the drive as the simulation sees it (`simulation.kernels`): a motor, and a load nothing moves."""
+        """Return the drive for the simulation (`simulation.kernels`): a motor, and a load without a spring."""
         friction = self.friction.directions(values, "")
         offset = values["offset"] + _gravity_constant(self.gravity, values)
         return np.array([values["inertia"], 1.0, 0.0, 0.0, *friction, 0.0, 0.0, 0.0, 0.0, offset, 0.0])
 
     def gravity_coefficients(self, values: Mapping[str, float]) -> FloatArray | None:
-        """Return what of gravity depends on the position, (5,), as the simulation sees it; None where nothing does."""
+        """Return gravity's position-dependent coefficients, (5,), as the simulation takes them; None without any."""
         return _gravity_coefficients(self.gravity, values, of_load=False)
 
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
@@ -141,12 +144,12 @@ class RigidJoint(_OfOneAxis):
 
 
 @dataclass(frozen=True, slots=True)
-class FlexibleJoint(_OfOneAxis):
+class FlexibleJoint(_JointBase):
     """A motor and a load inertia, each with friction, joined by a spring and a damper.
 
     Attributes:
         kind: "prismatic" (m, N) or "revolute" (rad, N m).
-        friction: the law of both sides, symmetric or asymmetric (the offset is then fixed at 0).
+        friction: the law of both sides; see `RigidJoint`.
         torque_unit: the torque's unit when it is not the kind's own: "A" or "V"; stiffness is then in A/rad, ...
         transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
         gravity: of the load; a constant load takes the place of the offset, which is then fixed at 0.
@@ -198,7 +201,7 @@ class FlexibleJoint(_OfOneAxis):
         return np.stack([np.column_stack(first), np.column_stack(second)])
 
     def coefficients(self, values: Mapping[str, float]) -> FloatArray:
-        """Return the drive as the simulation sees it (`simulation.kernels`)."""
+        """Return the drive's coefficients for the simulation (`simulation.kernels`)."""
         return np.array(
             [
                 values["motor_inertia"],
@@ -213,7 +216,7 @@ class FlexibleJoint(_OfOneAxis):
         )
 
     def gravity_coefficients(self, values: Mapping[str, float]) -> FloatArray | None:
-        """Return what of gravity depends on the load's position, (5,), as in `RigidJoint`."""
+        """Return gravity's coefficients over the load's position, (5,), as in `RigidJoint`."""
         return _gravity_coefficients(self.gravity, values, of_load=True)
 
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
@@ -227,8 +230,10 @@ class FlexibleJoint(_OfOneAxis):
             drag = forwards * velocity + coulomb if velocity > 0 else backwards * velocity - coulomb_back
         deflection, stiffness = 0.0, values["stiffness"]
         if stiffness > 0.0:
-            hung = None if self.gravity is None else self.gravity.hung(values, stiffness, position, drag)
-            deflection = drag / stiffness if hung is None else hung
+            hanging = (
+                None if self.gravity is None else self.gravity.static_deflection(values, stiffness, position, drag)
+            )
+            deflection = drag / stiffness if hanging is None else hanging
         return np.array([position, velocity, position - deflection, velocity])
 
 
@@ -246,12 +251,12 @@ def _require_kind(kind: str, transmission: Transmission | None) -> None:
 
 
 def acts_on_whole(name: str) -> bool:
-    """Whether a parameter is that of a rigid and of a flexible joint alike, and no sum of two sides."""
+    """True if a parameter is common to rigid and flexible joints, and not a sum of two sides."""
     return name == "offset" or name.startswith(("gravity_", "counterbalance_"))
 
 
 def rigid_sums(values: Mapping[str, float]) -> dict[str, float]:
-    """Return what a rigid identification of a flexible joint with symmetric friction shows: the sums of both sides.
+    """Return the rigid parameters of a flexible joint with symmetric friction: the sums of both sides.
 
     The damping F12 acts between the masses and is no part of the friction sums.
     """
@@ -261,6 +266,19 @@ def rigid_sums(values: Mapping[str, float]) -> dict[str, float]:
         "coulomb": values["motor_coulomb"] + values["load_coulomb"],
         **{name: value for name, value in values.items() if acts_on_whole(name)},
     }
+
+
+def split_by_mode(inertia: float, share: float, hertz: float) -> dict[str, float]:
+    """Return both inertias, spring and damper of a flexible joint with a given mode, damped by `MODE_DAMPING`.
+
+    Args:
+        inertia: of the whole joint.
+        share: of the load in it.
+        hertz: the free-free frequency.
+    """
+    reduced, rate = share * (1 - share) * inertia, 2 * math.pi * hertz
+    inertias = {"motor_inertia": (1 - share) * inertia, "load_inertia": share * inertia}
+    return inertias | {"stiffness": reduced * rate**2, "damping": 2 * MODE_DAMPING * reduced * rate}
 
 
 def frequencies(values: Mapping[str, float]) -> dict[str, float]:
@@ -275,24 +293,3 @@ def frequencies(values: Mapping[str, float]) -> dict[str, float]:
         "motor_locked": math.sqrt(stiffness / load) / (2 * math.pi),
         "load_locked": math.sqrt(stiffness / motor) / (2 * math.pi),
     }
-
-
-FRICTIONS: Mapping[str, type[SymmetricFriction] | type[AsymmetricFriction]] = {
-    "symmetric": SymmetricFriction,
-    "asymmetric": AsymmetricFriction,
-}
-
-
-def friction_named(name: str) -> Friction:
-    """Return the friction law of that name.
-
-    Raises:
-        MethodError: the law is not piecewise linear in velocity, or not known.
-    """
-    try:
-        return FRICTIONS[name]()
-    except KeyError:
-        raise MethodError(
-            f'Friction "{name}" cannot be simulated exactly: only laws that are piecewise linear in velocity can; '
-            f"use {' or '.join(FRICTIONS)}."
-        ) from None

@@ -60,7 +60,7 @@ def drive_matrices(
     return A, np.array([0.0, 1.0 / motor, 0.0, 0.0])
 
 
-def held(A: FloatArray, B: FloatArray, seconds: float) -> tuple[FloatArray, FloatArray]:
+def hold_torque(A: FloatArray, B: FloatArray, seconds: float) -> tuple[FloatArray, FloatArray]:
     """Return the transition over a time, and what a torque of 1 held for it adds: one exponential gives both.
 
     Args:
@@ -78,8 +78,8 @@ def held(A: FloatArray, B: FloatArray, seconds: float) -> tuple[FloatArray, Floa
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sampled:
-    """What a torque does that is held for a period and acts (m + f) periods after its sample, f below 1.
+class SampledDrive:
+    """A drive under a torque that is held for a period and acts (m + f) periods after its sample, f below 1.
 
     Exact (Astrom and Wittenmark, Computer-Controlled Systems, section 2.3; Franklin, Powell and Workman, Digital
     Control of Dynamic Systems, section 4.3), with Phi(t) = exp(A t) and G(t) the integral of Phi B until t::
@@ -100,15 +100,15 @@ class Sampled:
 
     @property
     def waiting(self) -> int:
-        """How many torques that were put out are still to act, or acting, at a sample."""
+        """Number of torques already commanded that still act, or are yet to act, at a sample."""
         return self.whole + self.partial
 
-    def of(self, chosen: slice) -> Sampled:
+    def of(self, chosen: slice) -> SampledDrive:
         """Return the same of some of its drives, along the first axis."""
         return replace(self, transition=self.transition[chosen], new=self.new[chosen], old=self.old[chosen])
 
 
-def sampled(A: FloatArray, B: FloatArray, period: float, delay: float) -> Sampled:
+def discretise(A: FloatArray, B: FloatArray, period: float, delay: float) -> SampledDrive:
     """Return a drive as it goes on from sample to sample under a held torque.
 
     Args:
@@ -120,9 +120,9 @@ def sampled(A: FloatArray, B: FloatArray, period: float, delay: float) -> Sample
     whole = math.floor(delay / period + SNAP)
     late = max(delay - whole * period, 0.0)
     late = late if late > SNAP * period else 0.0
-    first, into_first = held(A, B, late)
-    then, into_then = held(A, B, period - late)
-    return Sampled(then @ first, into_then, (then @ into_first[..., np.newaxis])[..., 0], whole, late > 0.0)
+    first, into_first = hold_torque(A, B, late)
+    then, into_then = hold_torque(A, B, period - late)
+    return SampledDrive(then @ first, into_then, (then @ into_first[..., np.newaxis])[..., 0], whole, late > 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,7 +160,7 @@ def linear_joints(joint: Joint, candidates: Sequence[Mapping[str, float]]) -> Li
         joint: the model.
         candidates: every parameter of it by name, one mapping for each joint.
     """
-    ways = (0,) if joint.friction.symmetric else (0, 1)
+    ways = (0, 1) if joint.friction.depends_on_direction("viscous") else (0,)
     made = [
         _linear(joint.coefficients(values), way, isinstance(joint, FlexibleJoint))
         for values in candidates

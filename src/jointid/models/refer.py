@@ -1,4 +1,4 @@
-"""What is identified on one side of a transmission, as it is on the other.
+"""Refer an estimate from one side of a transmission to the other.
 
 With r the motor's position per position of the load, and power the same on both sides (`data.transmission`), the
 motor's ``tau motor = J a + Fv v + Fc sign(v) + offset`` is on the load::
@@ -56,7 +56,7 @@ class OtherSide:
 
     @property
     def ratio(self) -> float:
-        """What takes a torque of the joint's side there."""
+        """Factor from a torque of the joint's side to the other side."""
         return self.transmission.position(self.side)
 
     def name(self, name: str) -> str:
@@ -76,7 +76,7 @@ class OtherSide:
         return unit if quantity is None else unit_of(quantity, kind, own)
 
     def factor(self, name: str, unit: str) -> float:
-        """Return what takes a value of that name, and unit here, to the other side."""
+        """Return the factor from a value of that name and unit to the other side."""
         quantity = self._quantity(unit)
         size = abs(self.ratio) ** (0 if quantity is None else _POWERS.get(quantity, 0))
         return -size if self.ratio < 0 and name.endswith(_TURNED) else size
@@ -88,5 +88,5 @@ class OtherSide:
 
 
 def other_side(transmission: Transmission | None, torque_unit: str) -> OtherSide | None:
-    """Return what takes a joint's values to the other side of its transmission; None without one."""
+    """Return the other side of a joint's transmission; None without one."""
     return None if transmission is None else OtherSide(transmission, torque_unit)

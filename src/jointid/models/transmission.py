@@ -16,11 +16,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
 from jointid.common import units
 from jointid.common.errors import MethodError
+from jointid.common.settings import check_settings, declare, documented, setting
 
 Side: TypeAlias = Literal["motor", "load"]
 
@@ -29,16 +30,10 @@ SIDES: tuple[Side, ...] = ("motor", "load")
 SI_UNITS: Mapping[units.Kind, tuple[str, str]] = {"prismatic": ("m", "N"), "revolute": ("rad", "N m")}
 
 
+@documented
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transmission:
     """A gear, a belt or a screw without loss; given by its ratio or by its lead.
-
-    Attributes:
-        load: how the load moves, "prismatic" or "revolute".
-        ratio: how far the motor moves while the load moves by 1, where both move alike: 100 of a gear 100:1.
-        lead: how far the load goes in one turn of the motor, m: of a screw, a rack or a belt.
-        sign: -1 where motor and load count their positions in opposite directions.
-        side: on which the joint is identified and reported: "load" or "motor".
 
     Raises:
         MethodError: not one of ratio and lead is given, or one of the values is impossible.
@@ -52,30 +47,40 @@ class Transmission:
         10 mm per turn, without loss (efficiency taken as 1); values are on the load side
     """
 
-    load: units.Kind
-    ratio: float | None = None
-    lead: float | None = None
-    sign: int = 1
-    side: Side = "load"
+    load: units.Kind = field(metadata=declare("how the load moves"))
+    ratio: float | None = setting(
+        None,
+        "how far the motor goes while the load goes 1, where both move alike: 100 of a gear 100:1; this or the lead",
+        above=0,
+        negative="use sign = -1 to turn the load round",
+    )
+    lead: float | None = setting(
+        None,
+        "how far a prismatic load goes in one turn of the motor: of a screw, a rack or a belt; the motor is revolute "
+        "then",
+        unit="m",
+        above=0,
+        negative="use sign = -1 to turn the load round",
+    )
+    sign: int = setting(
+        1, "-1 where motor and load count in opposite directions", only=(1, -1), negative="use gain to scale"
+    )
+    side: Side = setting("load", "on which the joint is identified and reported, and on which its parameters are given")
 
     def __post_init__(self) -> None:
-        given = [value for value in (self.ratio, self.lead) if value is not None]
-        if len(given) != 1 or not (math.isfinite(given[0]) and given[0] > 0):
+        check_settings(self)
+        if (self.ratio is None) == (self.lead is None):
             raise MethodError(
-                "A transmission has either a ratio (motor per load) or a lead (m per turn of the motor), a positive "
-                f"number; received ratio = {self.ratio} and lead = {self.lead}: give one, and sign = -1 to turn round."
-            )
-        if self.sign not in (1, -1) or self.side not in SIDES or self.load not in SI_UNITS:
-            raise MethodError(
-                'A transmission has a sign of 1 or -1, a side "motor" or "load" and a load "prismatic" or "revolute"; '
-                f"received {self.sign}, {self.side} and {self.load}."
+                "A transmission has either a ratio (motor per load) or a lead (m per turn of the motor); received "
+                "ratio = "
+                f"{self.ratio} and lead = {self.lead}: give one of them."
             )
         if self.lead is not None and self.load == "revolute":
             raise MethodError("A lead is of a load that is prismatic; of a revolute one give the ratio.")
 
     @property
     def motor(self) -> units.Kind:
-        """How the motor moves: with a lead it turns, else it moves as the load does."""
+        """Kind of the motor's motion: with a lead it turns, else it moves as the load does."""
         return self.load if self.lead is None else "revolute"
 
     @property
@@ -85,12 +90,12 @@ class Transmission:
 
     @property
     def kind(self) -> units.Kind:
-        """How the side moves on which the joint is identified."""
+        """Kind of motion of the side on which the joint is identified."""
         return self.kind_of(self.side)
 
     @property
     def geared(self) -> bool:
-        """Whether motor and load move alike, but not by the same amount."""
+        """True if motor and load have the same kind of motion, but not the same amount."""
         return self.motor == self.load and abs(self.motor_per_load) != 1.0
 
     @property
@@ -99,21 +104,21 @@ class Transmission:
         return "motor" if self.side == "load" else "load"
 
     def kind_of(self, side: Side) -> units.Kind:
-        """Return how a side moves."""
+        """Return a side's kind of motion."""
         return self.load if side == "load" else self.motor
 
     def position(self, side: Side) -> float:
-        """Return what takes a position of that side to the joint's side."""
+        """Return the factor from a position of that side to the joint's side."""
         return 1.0 / self.torque(side)
 
     def torque(self, side: Side) -> float:
-        """Return what takes a torque of that side to the joint's side: the inverse of what takes a position there."""
+        """Return the factor from a torque of that side to the joint's side: the inverse of a position's."""
         if side == self.side:
             return 1.0
         return self.motor_per_load if side == "motor" else 1.0 / self.motor_per_load
 
     def __str__(self) -> str:
-        """Return what it is and how it is taken, in a sentence."""
+        """Return its description, in a sentence."""
         size = f"{self.ratio:g}:1" if self.ratio is not None else f"{1e3 * (self.lead or 0.0):g} mm per turn"
         turned = ", turned round" if self.sign < 0 else ""
         return f"{size}{turned}, without loss (efficiency taken as 1); values are on the {self.side} side"

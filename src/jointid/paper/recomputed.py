@@ -15,7 +15,7 @@ from typing import Literal, TypeAlias
 from jointid.common.text import aligned, number
 from jointid.models.joints import FlexibleJoint, RigidJoint, frequencies, rigid_sums
 from jointid.paper.published import REGRESSOR, SYMBOLS, TABLES, Cell, Table
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 
 Denominator: TypeAlias = Literal["DIDIM", "IDIM"]
 

@@ -24,7 +24,7 @@ from jointid.models.joints import RigidJoint
 from jointid.paper.recomputed import DENOMINATORS, Denominator
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 
 
@@ -136,7 +136,7 @@ def _experiment(axis: Twin, other: Twin, tables: str, progress: Progress) -> Exp
 
 def simulated(estimate: Estimate, axis: Twin) -> IdentifiedJoint:
     """Return an IDIM estimate as a joint whose loop can be simulated."""
-    filtering = Filtering().resolved(estimate.sample_time, "flexible")
+    filtering = Filtering().resolved(estimate.data.sample_time, "flexible")
     return replace(estimate.identified, method="didim", loop=axis.loop, filtering=filtering)
 
 
@@ -144,4 +144,4 @@ def _without_damping(axis: Twin, best: Estimate) -> WithoutDamping:
     damping = next(p for p in axis.loop.joint.parameters if p.name == "damping")
     estimate = identify(torque_only(axis), axis.loop, FlexibleDIDIM(), parameters={"damping": damping.fixed(0.0)})
     shifts = {name: value / best.values[name] - 1 for name, value in estimate.values.items() if name != "damping"}
-    return WithoutDamping(estimate, estimate.filtered_error / best.filtered_error - 1, shifts)
+    return WithoutDamping(estimate, estimate.fit.filtered_error / best.fit.filtered_error - 1, shifts)

@@ -25,9 +25,9 @@ from jointid.common.errors import MethodError
 from jointid.models.controllers import Cascade
 from jointid.models.joints import FlexibleJoint
 from jointid.paper.published import TABLES
-from jointid.records.excitation import pulses, trapezoids
 from jointid.records.record import Record
-from jointid.records.signals import Filtering, decimate
+from jointid.records.signals.excitation import pulses, trapezoids
+from jointid.records.signals.filtering import Filtering, decimate
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 

@@ -1,4 +1,4 @@
-"""How the channels of a record are found in a table: by which column, in which unit, with which sign."""
+"""Columns of a table that become the channels of a record: name, unit, gain and sign."""
 
 from __future__ import annotations
 
@@ -9,78 +9,84 @@ from dataclasses import dataclass
 
 from jointid.common import units
 from jointid.common.errors import RecordError
-from jointid.models.transmission import SIDES, Side
+from jointid.common.settings import check_settings, documented, setting
+from jointid.models.transmission import Side
 from jointid.records.record import InjectionPoint, Tap, Timing
 
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class Column:
-    """How one channel is found in a file: its values are `sign` x `gain` x column, in `unit`.
-
-    Attributes:
-        column: the column's name; "" leaves it to the drive's profile.
-        unit: unit of the values. None takes the one in the column's name ("pos [mm]") if gain is 1; or else
-            m, m/s and N, or rad, rad/s and N m, by the kind of the joint; for injected, the torque's unit.
-        gain: what the column is multiplied by to be in `unit`, positive.
-        sign: -1 turns the channel round.
-        timing: what a value says about the time around its sample. None is held for torque and injected,
-            sampled for positions and velocities.
-        sample_time: this channel's own time between samples [s], where it differs from the record's.
-        tap: where in the drive the torque was logged (torque only); None is the controller's output.
-        at: where the known signal is added to the controller's output (injected only).
-        in_torque: whether the logged torque contains the known signal (injected only).
-        side: of the transmission, "motor" or "load"; None is the load's for load_position, the motor's for the others.
-        wrap: where the column, in its own numbers, wraps round: 65536 for an encoder of 16 bits, 360 for an
-            angle in degrees (positions only).
-        update_time: time between refreshes [s] of a column that is logged more often than that; it becomes a
-            channel of that sample time, from the first refresh on.
-        optional: whether a file without this column is read without this channel.
-        time: name of this channel's own time column, where it has one.
+    """Column of a file that holds one channel: its values are `sign` x `gain` x column, in `unit`.
 
     Raises:
         RecordError: gain, sample_time, wrap or update_time is not positive and finite, sign is not 1 or -1, there is
             no such side, or there are a sample time and a time column.
     """
 
-    column: str = ""
-    unit: str | None = None
-    gain: float = 1.0
-    sign: int = 1
-    timing: Timing | None = None
-    sample_time: float | None = None
-    tap: Tap | None = None
-    at: InjectionPoint = InjectionPoint.AFTER_LIMIT
-    in_torque: bool = True
-    side: Side | None = None
-    wrap: float | None = None
-    update_time: float | None = None
-    optional: bool = False
-    time: str | None = None
+    column: str = setting(
+        "",
+        "name of the column, as the format has it: name, structure.field, group/dataset, or name[0] for a column of "
+        "a matrix; without it the drive's profile finds it",
+    )
+    unit: str | None = setting(
+        None,
+        'unit of gain x column; without it the one in the column\'s name, as in "pos [mm]", if the gain is 1; or else '
+        "the SI unit of the joint's kind, and for an injected signal that of the torque",
+    )
+    gain: float = setting(
+        1.0, "what takes the column to the unit", above=0, negative="use sign = -1 to turn the channel round"
+    )
+    sign: int = setting(1, "-1 turns the channel round", only=(1, -1), negative="use gain to scale")
+    timing: Timing | None = setting(
+        None,
+        "whether a value stands for its instant, for the time from it to the next, or for the mean since the last; "
+        "without it held for torque and injected, sampled for the others",
+    )
+    sample_time: float | None = setting(
+        None, "the channel's own time between samples, where it differs from the record's", unit="s", above=0
+    )
+    tap: Tap | None = setting(
+        None,
+        "where the torque was logged: the controller's output, behind the drive's filters, or a measured current; "
+        "the drive's profile may say, or else the controller's output",
+    )
+    at: InjectionPoint = setting(
+        InjectionPoint.AFTER_LIMIT,
+        "where the known signal is added to the controller's output: whether it passes the limit",
+    )
+    in_torque: bool = setting(
+        True, "whether the logged torque contains the known signal; before the limit it always does"
+    )
+    side: Side | None = setting(
+        None,
+        "of the transmission, on which the channel is; without it the load's for load_position, the motor's for the "
+        "others",
+    )
+    wrap: float | None = setting(
+        None,
+        "of a position: where the column wraps round, in its own numbers, such as 65536 or 360; it is unwrapped, and "
+        "refused where it moves by more than 0.4 of it in a sample",
+        above=0,
+    )
+    update_time: float | None = setting(
+        None,
+        "time between refreshes of a column that is logged more often than that; it is picked at its own rate, from "
+        "where its values change, and becomes a channel of that sample time",
+        unit="s",
+        above=0,
+    )
+    optional: bool = setting(False, "whether a record may lack the column")
+    time: str | None = setting(None, "name of the channel's own time column, where it has one")
 
     def __post_init__(self) -> None:
-        faults = []
-        if not (math.isfinite(self.gain) and self.gain > 0):
-            advice = "use sign = -1 to turn the channel round" if self.gain < 0 else "leave it out if it is 1"
-            faults.append(f'The gain of column "{self.column}" is a positive number; got {self.gain:g}: {advice}.')
-        if self.sign not in (1, -1):
-            faults.append(f'The sign of column "{self.column}" is 1 or -1; got {self.sign}: use gain to scale it.')
-        faults += period_faults(f'sample time of column "{self.column}"', self.sample_time)
+        check_settings(self, RecordError, f'Column "{self.column}"')
         if self.sample_time is not None and self.time is not None:
-            faults.append(
+            raise RecordError(
                 f'Column "{self.column}" has a sample_time and a time column of its own; leave one of them out.'
             )
-        faults += period_faults(f'update time of column "{self.column}"', self.update_time)
-        if self.wrap is not None and not (math.isfinite(self.wrap) and self.wrap > 0):
-            faults.append(
-                f'The wrap of column "{self.column}" is a positive number; got {self.wrap:g}: give the value at which '
-                "the encoder begins again, or leave it out."
-            )
-        if self.side not in (None, *SIDES):
-            faults.append(f'The side of column "{self.column}" is "motor" or "load"; got "{self.side}": correct it.')
-        if faults:
-            raise RecordError(faults)
         object.__setattr__(self, "timing", None if self.timing is None else Timing(self.timing))
         object.__setattr__(self, "tap", None if self.tap is None else Tap(self.tap))
         object.__setattr__(self, "at", InjectionPoint(self.at))
@@ -90,7 +96,7 @@ class Column:
         # A gain takes the values from the unit in the name to another one.
         return self.unit if self.unit is not None or self.gain != 1 else unit_in_name(self.column, known)
 
-    def misplaced(self, channel: str) -> list[str]:
+    def misplaced_faults(self, channel: str) -> list[str]:
         """Return the faults of settings that belong to other channels than `channel`."""
         faults = []
         if channel != "torque" and self.tap is not None:

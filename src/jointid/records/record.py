@@ -1,4 +1,4 @@
-"""A record: what a drive logged, in SI units, each channel with its rate, timing and source.
+"""A record: the signals a drive logged, in SI units, each with its sample time, timing and source.
 
 Time is part of the data: a controller's torque is *held* between samples, an encoder is *sampled*, some drives
 log the *average* over the period that ends at the sample. Reading one as another shifts it by half a period.
@@ -20,7 +20,7 @@ from jointid.records.time_base.uniformity import Resampled
 
 
 class Timing(StrEnum):
-    """What one logged value says about the time around its sample."""
+    """Instants that a logged value stands for."""
 
     SAMPLED = "sampled"  # the value at the sample's instant
     HELD = "held"  # the value from this instant to the next
@@ -28,7 +28,7 @@ class Timing(StrEnum):
 
 
 class Tap(StrEnum):
-    """Where in the drive the torque was logged."""
+    """Point of the drive at which the torque was logged."""
 
     COMMAND = "command"  # the controller's output, after its limit
     FILTERED = "filtered"  # after the drive's torque filters
@@ -36,7 +36,7 @@ class Tap(StrEnum):
 
 
 class InjectionPoint(StrEnum):
-    """Where a known signal is added to the controller's output."""
+    """Point at which a known signal is added to the controller's output."""
 
     BEFORE_LIMIT = "before_limit"
     AFTER_LIMIT = "after_limit"
@@ -94,7 +94,7 @@ class Injection:
     Attributes:
         channel: the signal, in the torque's unit.
         at: before or after the controller's limit.
-        in_torque: whether the logged torque already contains it (a signal added before the limit always is).
+        in_torque: True if the logged torque already contains it (a signal added before the limit always is).
     """
 
     channel: Channel
@@ -116,7 +116,7 @@ CHANNELS = ("torque", "reference", "reference_velocity", "motor_position", "load
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Record:
-    """What was logged in one run; a channel that was not logged is None.
+    """Signals logged in one run; a channel that was not logged is None.
 
     Attributes:
         torque: motor torque (force), in N m (N), or in A or V while the torque constant is unknown.

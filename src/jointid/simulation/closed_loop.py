@@ -20,7 +20,7 @@ from jointid.models.controllers import POSITION, REFERENCE, Cascade
 from jointid.models.joints import Motion, RigidJoint
 from jointid.records.record import Channel, Record
 from jointid.simulation.log_output import as_logged, seen_torque
-from jointid.simulation.loop_input import ClosedLoop, Experiment, prepare
+from jointid.simulation.loop_input import ClosedLoop, LoopInput, prepare
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -28,7 +28,7 @@ Finished = TypeVar("Finished", "Simulation", "Response")
 
 
 class Outcome(StrEnum):
-    """How a simulation ended; its value is the sentence to print."""
+    """Outcome of a simulation; its value is the sentence to print."""
 
     FINISHED = "the simulation finished"
     DIVERGED = "the loop diverged: this joint is unstable under this controller"
@@ -107,8 +107,8 @@ class Simulation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Run:
-    """What came out of the kernel, period by period.
+class ClosedLoopRun:
+    """The kernel's output, period by period.
 
     Attributes:
         drive: (14,) the joint's coefficients.
@@ -140,14 +140,14 @@ class Run:
 
 def run(
     loop: ClosedLoop,
-    experiment: Experiment,
+    experiment: LoopInput,
     values: Mapping[str, float],
     initial: Initial | None,
     *,
     keep: bool,
     taped: int = 0,
     room: Room | None = None,
-) -> Run:
+) -> ClosedLoopRun:
     """Run one candidate; `keep` its states and modes, and so many rows of its tape, in fresh memory or in a room."""
     from jointid.simulation.kernels import drive as kernels
 
@@ -188,14 +188,14 @@ def run(
         for signal in (command, tapped, excess, states):
             np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     shown = tapped if tapped.size else command
-    return Run(
+    return ClosedLoopRun(
         drive, gravity, position, velocity, initial.torque, before, command, shown, excess, states, modes, tape,
         outcome, counts,
     )  # fmt: skip
 
 
 def first_state(
-    experiment: Experiment, position: float, velocity: float, torque: float | None
+    experiment: LoopInput, position: float, velocity: float, torque: float | None
 ) -> tuple[FloatArray, float]:
     """Return the feedback's states at the first period, (states,), and the torque that acts before it."""
     law, integral = experiment.feedback, experiment.integral
@@ -209,19 +209,19 @@ def first_state(
 
 
 def simulate_torque(
-    loop: ClosedLoop, experiment: Experiment, values: Mapping[str, float], initial: Initial | None = None
+    loop: ClosedLoop, experiment: LoopInput, values: Mapping[str, float], initial: Initial | None = None
 ) -> Response:
     """Run one candidate for its torque alone: as `simulate`, several times faster."""
     return response_of(experiment, run(loop, experiment, values, initial, keep=False))
 
 
-def response_of(experiment: Experiment, out: Run) -> Response:
-    """Return what an estimator sees of a run."""
+def response_of(experiment: LoopInput, out: ClosedLoopRun) -> Response:
+    """Return the signals of a run that an estimator reads."""
     return Response(as_logged(experiment, seen_torque(experiment, out.command, out.tapped)), out.outcome, *_tally(out))
 
 
 def simulate(
-    loop: ClosedLoop, experiment: Experiment, values: Mapping[str, float], initial: Initial | None = None
+    loop: ClosedLoop, experiment: LoopInput, values: Mapping[str, float], initial: Initial | None = None
 ) -> Simulation:
     """Run one candidate; never raises for a candidate's sake: see `Response.outcome`.
 
@@ -237,7 +237,7 @@ def simulate(
     return simulation_of(loop, experiment, run(loop, experiment, values, initial, keep=True))
 
 
-def simulation_of(loop: ClosedLoop, experiment: Experiment, out: Run) -> Simulation:
+def simulation_of(loop: ClosedLoop, experiment: LoopInput, out: ClosedLoopRun) -> Simulation:
     """Return a run whose states were kept at the log's instants."""
     flexible = loop.joint.model == "flexible"
     states, push = out.states[:, : 4 if flexible else 2], out.command + experiment.after_limit
@@ -265,20 +265,20 @@ def simulation_of(loop: ClosedLoop, experiment: Experiment, out: Run) -> Simulat
     )
 
 
-def _tally(out: Run) -> tuple[float, int, float]:
+def _tally(out: ClosedLoopRun) -> tuple[float, int, float]:
     events, _, done, clipped = out.counts.tolist()
     return done / out.command.size, events, clipped / max(done, 1)
 
 
 def _possible(drive: FloatArray) -> bool:
-    """Whether a row of coefficients is a drive at all: positive masses, a spring, cones that are not empty."""
+    """True if a row of coefficients is a physical drive: positive masses, a spring, friction that is not negative."""
     row = drive.tolist()  # a few plain numbers take less time than an array of them
     cones = row[6] + row[7] >= 0 and row[10] + row[11] >= 0
     return all(map(math.isfinite, row)) and min(row[:2]) > 0 and min(row[2:4]) >= 0 and cones
 
 
 def _hangs(drive: FloatArray, gravity: FloatArray | None) -> bool:
-    """Whether there is no gravity, or a finite one that a spring holds where it is the load's."""
+    """True if there is no gravity, or a finite one that, on the load, a spring holds."""
     return gravity is None or bool(np.all(np.isfinite(gravity)) and (drive[2] > 0 or gravity[4] == 0))
 
 
@@ -306,14 +306,14 @@ def _acceleration(
 
 
 def gravity_force(gravity: FloatArray, position: FloatArray) -> FloatArray:
-    """Return what of gravity depends on the position, at positions of the side that it pulls."""
+    """Return gravity's position-dependent force, at positions of the side on which it acts."""
     cos, sin, rate, angle, _ = gravity
     return np.asarray(cos * np.cos(angle * position) + sin * np.sin(angle * position) + rate * position)
 
 
 def simulate_many(
     loop: ClosedLoop,
-    experiment: Experiment,
+    experiment: LoopInput,
     candidates: Sequence[Mapping[str, float]],
     initial: Initial | None = None,
     workers: int | None = None,
@@ -349,7 +349,7 @@ def warm_up() -> None:
     simulate_torque(*smallest())
 
 
-def smallest() -> tuple[ClosedLoop, Experiment, dict[str, float]]:
+def smallest() -> tuple[ClosedLoop, LoopInput, dict[str, float]]:
     """Return a loop, what it is driven with and values, as small as they can be."""
     loop = ClosedLoop(RigidJoint(), Cascade(kp=1.0, kv=1.0))
     still = Record(reference=Channel(np.zeros(10), "m", 1.0))

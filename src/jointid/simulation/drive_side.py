@@ -70,7 +70,7 @@ class PrescribedMotion:
 
     @property
     def pushes(self) -> tuple[FloatArray, FloatArray]:
-        """What a unit of stiffness, and of damping, pushes the load with in each part (see the module)."""
+        """Force on the load by a unit of stiffness, and of damping, in each part (see the module)."""
         bend = self.step / 12
         by_stiffness = self.mean_position - bend * np.diff(self.velocity)
         by_damping = np.diff(self.position) / self.step - bend * np.diff(self.acceleration)
@@ -229,7 +229,7 @@ class _Load:
         return cls(joint, motion, values, drive, gravity, push, states[:, :2], states, modes, tape, taped)
 
     def spring(self, names: list[str]) -> tuple[FloatArray, FloatArray]:
-        """Return what the spring and the damper ask of the motor, (parts,), and its derivatives, (parts, names)."""
+        """Return the spring's and damper's force on the motor, (parts,), and its derivatives, (parts, names)."""
         stretch, slip = self._apart(self.states[:, 0], self.states[:, 1])
         stretch = self.motion.mean_position - stretch
         slip = np.diff(self.motion.position) / self.motion.step - slip

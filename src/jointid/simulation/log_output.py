@@ -1,4 +1,4 @@
-"""What a log shows of a run: the torque that its tap sees, at its own instants, held or averaged."""
+"""The log of a run: the torque at its tap, at the log's instants, held or averaged."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.records.record import Tap, Timing
-from jointid.simulation.loop_input import Experiment
+from jointid.simulation.loop_input import LoopInput
 
 
-def seen_torque(experiment: Experiment, command: FloatArray, tapped: FloatArray) -> FloatArray:
-    """Return what the tap of the log sees, (periods,), of the controller's output and of what is behind its limit."""
+def seen_torque(experiment: LoopInput, command: FloatArray, tapped: FloatArray) -> FloatArray:
+    """Return the torque at the log's tap, (periods,): the controller's output, or the torque behind its limit."""
     behind = tapped if experiment.tap is Tap.COMMAND else command
     return behind + experiment.shown if experiment.shows else behind
 
 
-def as_logged(experiment: Experiment, signal: FloatArray) -> FloatArray:
+def as_logged(experiment: LoopInput, signal: FloatArray) -> FloatArray:
     """Return a signal of the controller's instants as the log's torque channel shows it; linear in it.
 
     The signal, (periods,) or (periods, columns), is the controller's output, or at a tap that measures what acts the
@@ -30,7 +30,7 @@ def as_logged(experiment: Experiment, signal: FloatArray) -> FloatArray:
     return means
 
 
-def acting(experiment: Experiment, signal: FloatArray) -> FloatArray:
+def acting(experiment: LoopInput, signal: FloatArray) -> FloatArray:
     """Return a signal of the controller's instants in each part of each period as the tap sees it, parts in a row."""
     parts = experiment.lengths.size
     if experiment.tap is Tap.MEASURED:
@@ -39,7 +39,7 @@ def acting(experiment: Experiment, signal: FloatArray) -> FloatArray:
     return signal if parts == 1 else np.repeat(signal, parts, axis=0)
 
 
-def averages(experiment: Experiment, integrals: FloatArray) -> FloatArray:
+def averages(experiment: LoopInput, integrals: FloatArray) -> FloatArray:
     """Return the mean over each sample time that ends at an instant of the log, from the integrals over the parts."""
     integral = np.zeros((len(integrals) + 1, *integrals.shape[1:]))
     np.cumsum(integrals, axis=0, out=integral[1:])

@@ -1,6 +1,6 @@
-"""What a loop is driven with: all that does not depend on the joint's parameters, computed once.
+"""Parameter-independent inputs of a closed-loop simulation, computed once.
 
-`prepare` turns a record into an `Experiment`: the controller lowered to its sampled law, its answer to the reference,
+`prepare` turns a record into an `LoopInput`: the controller lowered to its sampled law, its answer to the reference,
 and the cut of a controller period into the parts in which the torque, or what the log looks at, changes.
 """
 
@@ -26,9 +26,9 @@ from jointid.models.controllers import (
     Controller,
     Interpolation,
     SampledLaw,
-    begun_later,
     respond,
     scaled,
+    shift_start,
 )
 from jointid.models.joints import Joint
 from jointid.models.linear import SNAP
@@ -59,8 +59,8 @@ class ClosedLoop:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Experiment:
-    """What a loop was driven with, at the controller's instants; made by `prepare`.
+class LoopInput:
+    """Parameter-independent inputs of a closed-loop simulation, at the controller's instants; made by `prepare`.
 
     Attributes:
         law: the controller's state-space form. feedback: what of it the motion moves, and the same as the kernels read
@@ -117,33 +117,33 @@ class Experiment:
 
     @property
     def injected(self) -> bool:
-        """Whether anything is added to the controller's output."""
+        """True if a signal is added to the controller's output."""
         return bool(np.any(self.inputs[:, INJECTED]) or np.any(self.after_limit))
 
     @property
     def shown(self) -> FloatArray:
-        """What the logged torque contains beside the controller's output, (periods,)."""
+        """The part of the logged torque beside the controller's output, (periods,)."""
         return self.after_limit if self.tap is Tap.MEASURED else self.logged
 
     def law_of(self, controller: Controller) -> SampledLaw:
         """Return the law of a controller here: its position loop counts from the first sample of the record's file."""
-        return begun_later(controller, self.begin).law(self.sample_time)
+        return shift_start(controller, self.begin).law(self.sample_time)
 
-    def with_law(self, law: SampledLaw) -> Experiment:
+    def with_law(self, law: SampledLaw) -> LoopInput:
         """Return the same experiment under another law of the same period and delay."""
         return _experiment(
             law, self.inputs, self.after_limit, self.logged, self.sample_time, self.samples, self.tap, self.timing,
             self.begin,
         )  # fmt: skip
 
-    def scaled(self, factor: float) -> Experiment:
+    def scaled(self, factor: float) -> LoopInput:
         """Return the same experiment with the law's output, and what is added to it, `factor` times as large."""
         more = replace(self, after_limit=factor * self.after_limit, logged=factor * self.logged)
         return more.with_law(scaled(self.law, factor))
 
 
-def prepare(loop: ClosedLoop, record: Record) -> Experiment:
-    """Return what the record drove the loop with.
+def prepare(loop: ClosedLoop, record: Record) -> LoopInput:
+    """Prepare the inputs of a closed-loop simulation from a record.
 
     Raises:
         RecordError: a channel the controller reads is missing, or its clock does not divide the controller's.
@@ -152,7 +152,7 @@ def prepare(loop: ClosedLoop, record: Record) -> Experiment:
     require_units(record, loop.joint)
     assert record.reference is not None
     log = record.torque or record.reference
-    law = begun_later(loop.controller, record.begin).law(log.sample_time)
+    law = shift_start(loop.controller, record.begin).law(log.sample_time)
     periods = math.floor(min(record.duration / law.period, 1e9) + SNAP)
     if periods < _FEWEST:
         raise RecordError(
@@ -175,7 +175,7 @@ def prepare(loop: ClosedLoop, record: Record) -> Experiment:
 
 
 def law_inputs(controller: Controller, record: Record, period: float, periods: int) -> FloatArray:
-    """Return what a law reads, (periods, INPUTS), but for the position and what is injected."""
+    """Return a law's inputs, (periods, INPUTS), without the position and the injected signal."""
     assert record.reference is not None
     filled: Interpolation | None = getattr(controller, "interpolation", None)
     inputs = np.zeros((periods, INPUTS))
@@ -242,7 +242,7 @@ def _experiment(
     tap: Tap,
     timing: Timing,
     begin: float,
-) -> Experiment:
+) -> LoopInput:
     repeat, every = _ratio(law.period, sample_time, "the log")
     lengths, lags = _parts(law, repeat)
     starts = np.cumsum(lengths) - lengths
@@ -253,7 +253,7 @@ def _experiment(
     feedback, feedforward, driven, state = _beforehand(law, inputs)
     far = _far(law, feedforward[law.output], after_limit)
     memory = np.column_stack([feedback.memory(POSITION, 1.0, 0.0), feedback.memory(POSITION, 0.0, 1.0)])
-    return Experiment(
+    return LoopInput(
         law, feedback, _for_kernel(feedback, driven), memory, feedback.integral(), inputs, after_limit, logged,
         feedforward, state, sample_time, every, repeat, lengths,
         lags, looked, begun, far, tap, timing, looked.size, begin,
@@ -261,7 +261,7 @@ def _experiment(
 
 
 def _beforehand(law: SampledLaw, inputs: FloatArray) -> tuple[SampledLaw, FloatArray, FloatArray, FloatArray]:
-    """Return what of a law the motion moves, and what is known before it: see `Experiment`."""
+    """Return what of a law the motion moves, and what is known before it: see `LoopInput`."""
     feedback, beforehand = law.split()
     moved = law.fed_back()
     state = known_memory(law, inputs)

@@ -21,7 +21,7 @@ from jointid.models.joints import Joint
 from jointid.models.parameters import POSITION_UNIT
 from jointid.records.record import Channel, Record, Timing
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
-from jointid.simulation.loop_input import ClosedLoop, Experiment, prepare
+from jointid.simulation.loop_input import ClosedLoop, LoopInput, prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
 
 _BEGINS = {Timing.HELD: 0.0, Timing.SAMPLED: -0.5, Timing.AVERAGED: -1.0}  # samples after its stamp, see `signals`
@@ -84,7 +84,7 @@ def simulate_open_loop(
     return OpenLoopRun(run.motor_position, slopes * signs, True)
 
 
-def _driven(joint: Joint, torque: Channel, log_delay: float) -> tuple[ClosedLoop, Experiment]:
+def _driven(joint: Joint, torque: Channel, log_delay: float) -> tuple[ClosedLoop, LoopInput]:
     """Return the joint under the law that only passes the torque on, and what drives it."""
     period = torque.sample_time
     late = _BEGINS[torque.timing] - log_delay / period

@@ -22,10 +22,10 @@ from jointid.models.controllers import POSITION, SampledLaw, number, respond, wi
 from jointid.models.joints import Joint
 from jointid.records.record import Tap, Timing
 from jointid.simulation.closed_loop import (
+    ClosedLoopRun,
     Initial,
     Outcome,
     Response,
-    Run,
     Simulation,
     first_state,
     response_of,
@@ -34,7 +34,7 @@ from jointid.simulation.closed_loop import (
     smallest,
 )
 from jointid.simulation.log_output import acting, as_logged, averages, seen_torque
-from jointid.simulation.loop_input import ClosedLoop, Experiment, known_memory
+from jointid.simulation.loop_input import ClosedLoop, LoopInput, known_memory
 
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
@@ -67,7 +67,7 @@ class Sensitivities:
 
 def simulate_sensitivities(
     loop: ClosedLoop,
-    experiment: Experiment,
+    experiment: LoopInput,
     values: Mapping[str, float],
     names: Sequence[str],
     initial: Initial | None = None,
@@ -97,12 +97,12 @@ def simulate_sensitivities(
 
 def simulate_with_sensitivities(
     loop: ClosedLoop,
-    experiment: Experiment,
+    experiment: LoopInput,
     values: Mapping[str, float],
     names: Sequence[str],
     initial: Initial | None = None,
 ) -> tuple[Simulation, FloatArray]:
-    """Return what `simulate` does, and of `simulate_sensitivities` the derivatives of the torque, from one run."""
+    """Return the result of `simulate` and the torque's derivatives of `simulate_sensitivities`, from one run."""
     out = _taped(loop, experiment, values, names, initial)
     derived = _derived(loop, experiment, values, names, out, positions=False)
     return simulation_of(loop, experiment, out), derived.torque
@@ -110,11 +110,11 @@ def simulate_with_sensitivities(
 
 def _taped(
     loop: ClosedLoop,
-    experiment: Experiment,
+    experiment: LoopInput,
     values: Mapping[str, float],
     names: Sequence[str],
     initial: Initial | None,
-) -> Run:
+) -> ClosedLoopRun:
     """Return a run with its whole tape, in memory that the next one takes."""
     own = _seeds(loop.joint)
     for name in names:
@@ -129,10 +129,10 @@ def _taped(
 
 def _derived(
     loop: ClosedLoop,
-    experiment: Experiment,
+    experiment: LoopInput,
     values: Mapping[str, float],
     names: Sequence[str],
-    out: Run,
+    out: ClosedLoopRun,
     positions: bool,
 ) -> Sensitivities:
     """Return the derivatives of a run."""
@@ -183,7 +183,7 @@ def _is_of_law(own: Container[str], name: str) -> bool:
     return name not in _INITIAL and name != "delay" and name not in own
 
 
-def _logged(experiment: Experiment, out: Run, command: FloatArray, names: Sequence[str]) -> FloatArray:
+def _logged(experiment: LoopInput, out: ClosedLoopRun, command: FloatArray, names: Sequence[str]) -> FloatArray:
     """Return the derivatives of the torque as the log shows it, (samples, names)."""
     torque = as_logged(experiment, command)
     if "delay" in names and experiment.tap is Tap.MEASURED and experiment.timing is Timing.AVERAGED:
@@ -195,10 +195,10 @@ def _logged(experiment: Experiment, out: Run, command: FloatArray, names: Sequen
 
 def _followed(
     loop: ClosedLoop,
-    experiment: Experiment,
+    experiment: LoopInput,
     values: Mapping[str, float],
     names: Sequence[str],
-    out: Run,
+    out: ClosedLoopRun,
     positions: bool,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the derivatives of the output, of that behind the limit where that is another, and of the states.
@@ -280,7 +280,7 @@ def start_slope(
 
 
 def _moved_start(
-    loop: ClosedLoop, values: Mapping[str, float], out: Run, position: float, velocity: float
+    loop: ClosedLoop, values: Mapping[str, float], out: ClosedLoopRun, position: float, velocity: float
 ) -> FloatArray:
     """Return how the first state depends on the motor's position (1, 0) or velocity (0, 1).
 
@@ -294,7 +294,7 @@ def _moved_start(
     return np.asarray((moved - loop.joint.start(values, out.position, out.velocity)) / (by[0] + by[1]))
 
 
-def _moved_memory(experiment: Experiment, out: Run, by: tuple[float, float, float]) -> FloatArray:
+def _moved_memory(experiment: LoopInput, out: ClosedLoopRun, by: tuple[float, float, float]) -> FloatArray:
     """Return how the feedback's first states depend on the motor's position and velocity, and on the torque: affine."""
     ends = []
     for size in (0.0, 1.0):
@@ -303,7 +303,7 @@ def _moved_memory(experiment: Experiment, out: Run, by: tuple[float, float, floa
     return np.asarray(ends[1] - ends[0])
 
 
-def _explicit(loop: ClosedLoop, experiment: Experiment, out: Run, name: str) -> tuple[FloatArray, FloatArray]:
+def _explicit(loop: ClosedLoop, experiment: LoopInput, out: ClosedLoopRun, name: str) -> tuple[FloatArray, FloatArray]:
     """Return how the elements, (periods, elements), and their limits, (elements,), depend on a number of the law.
 
     The position, and what limits and gates take away, are held.
@@ -332,8 +332,8 @@ def _explicit(loop: ClosedLoop, experiment: Experiment, out: Run, name: str) -> 
     return slope, limits
 
 
-def _cut(experiment: Experiment, out: Run, inputs: FloatArray) -> FloatArray:
-    """Return what limits and gates took away, (periods, elements)."""
+def _cut(experiment: LoopInput, out: ClosedLoopRun, inputs: FloatArray) -> FloatArray:
+    """Return the excess over limits and gates, (periods, elements)."""
     law = experiment.law
     if law.limits.size > 1 or law.phases > 1 or len(experiment.kernel.driven):
         return out.excess
@@ -345,12 +345,12 @@ def _cut(experiment: Experiment, out: Run, inputs: FloatArray) -> FloatArray:
     return np.asarray(output - respond(back, inputs, _begun(law, inputs, out), output))
 
 
-def _answer(law: SampledLaw, inputs: FloatArray, out: Run, excess: FloatArray) -> FloatArray:
+def _answer(law: SampledLaw, inputs: FloatArray, out: ClosedLoopRun, excess: FloatArray) -> FloatArray:
     """Return the elements before their limits, (periods, elements), with what these take away given."""
     return respond(law, inputs, _begun(law, inputs, out), excess)
 
 
-def _begun(law: SampledLaw, inputs: FloatArray, out: Run) -> FloatArray:
+def _begun(law: SampledLaw, inputs: FloatArray, out: ClosedLoopRun) -> FloatArray:
     """Return all states of a law at the first period of a run, (states,)."""
     state = known_memory(law, inputs) + law.memory(POSITION, out.position, out.velocity)
     integral = law.integral() if out.torque is not None else None

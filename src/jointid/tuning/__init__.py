@@ -1,1 +1,1 @@
-"""What to do with an estimate: margins of its loop over the interval, gains, a notch and feed-forward."""
+"""Tuning: margins of an estimate's loop over its interval, gains, a notch and feed-forward."""

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 from jointid.common import units
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers import Timed
+from jointid.models.controllers import ServoController
 from jointid.models.parameters import Quantity, unit_of
 from jointid.models.transmission import Transmission
 from jointid.records.drives.drive import Drive
-from jointid.tuning.lumped import Total
+from jointid.tuning.lumped import LumpedParameter
 
 _ROWS: tuple[tuple[str, str, Quantity, str, int], ...] = (
     ("inertia", "acceleration_feedforward", Quantity.INERTIA, "J / (g r^2)", 2),
@@ -58,14 +58,14 @@ class FeedForward:
 
 
 def feedforward(
-    estimate: Estimate, controller: Timed, whole: Mapping[str, Total], drive: Drive | None = None
+    estimate: Estimate, controller: ServoController, whole: Mapping[str, LumpedParameter], drive: Drive | None = None
 ) -> tuple[FeedForward, ...]:
     """Return the feed-forwards of an estimate.
 
     Args:
         estimate: of the joint.
         controller: whose units are meant, as the joint sees it.
-        whole: see `totals`.
+        whole: see `lumped_parameters`.
         drive: with the rated torque, and the encoder's counts, if they are known.
     """
     found = []
@@ -77,7 +77,7 @@ def feedforward(
         found.append(
             FeedForward(
                 key, total.formula, rule, total.value, total.std,
-                unit_of(quantity, estimate.joint.kind, estimate.torque_unit),
+                unit_of(quantity, estimate.settings.joint.kind, estimate.data.torque_unit),
                 float(getattr(controller, key, 0.0)), per * total.value,
                 None if total.std is None else abs(per) * total.std, in_drive, unit,
             )
@@ -87,15 +87,15 @@ def feedforward(
 
 def _in_drive(name: str, value: float, estimate: Estimate, drive: Drive | None) -> tuple[float | None, str]:
     """Return a feed-forward in the drive's own units on the motor's side, and their name."""
-    joint = estimate.joint
-    if drive is None or estimate.torque_unit not in ("N", "N m"):
+    joint = estimate.settings.joint
+    if drive is None or estimate.data.torque_unit not in ("N", "N m"):
         return None, ""
     gear: Transmission | None = joint.transmission
     kind = joint.kind if gear is None else gear.motor
     torque = 1.0 if gear is None else gear.torque("motor")
     try:
-        share = drive.resolved(units.unit("permille"), kind).factor
-        per_count = 1.0 if name in ("coulomb", "constant") else drive.resolved(units.unit("counts"), kind).factor
+        share = drive.resolve_unit(units.unit("permille"), kind).factor
+        per_count = 1.0 if name in ("coulomb", "constant") else drive.resolve_unit(units.unit("counts"), kind).factor
     except units.UnitError:  # the drive's numbers are not all known
         return None, ""
     if name in ("inertia", "viscous"):

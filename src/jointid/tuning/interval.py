@@ -22,8 +22,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.text import number
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.stiffness_bounds import DAMPING
-from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.models.joints import MODE_DAMPING, FlexibleJoint, Joint, RigidJoint, split_by_mode
 from jointid.models.parameters import Quantity
 
 _MOVES = (Quantity.INERTIA, Quantity.VISCOUS, Quantity.STIFFNESS)
@@ -41,7 +40,7 @@ class Interval:
         nominal: the parameters of the estimate, or of the softest spring, by name.
         names: of the parameters that span the ellipsoid, factor: (names, names) from a unit ball to it, lower: bounds.
         others: joints beside it: those of a spring that is refused.
-        said: what it is, in a sentence.
+        description: what it is, in a sentence.
     """
 
     joint: Joint
@@ -50,7 +49,7 @@ class Interval:
     factor: FloatArray
     lower: FloatArray
     others: tuple[Mapping[str, float], ...]
-    said: str
+    description: str
 
     def at(self, points: FloatArray) -> list[Mapping[str, float]]:
         """Return the joints at points of the unit ball, (points, names)."""
@@ -68,7 +67,7 @@ class Interval:
         return np.concatenate([np.zeros((1, count)), np.eye(count), -np.eye(count), drawn])
 
 
-def interval_of(estimate: Estimate, confidence: float, sample_time: float) -> Interval:
+def possible_joints(estimate: Estimate, confidence: float, sample_time: float) -> Interval:
     """Return the joints that an estimate leaves possible.
 
     Args:
@@ -79,36 +78,36 @@ def interval_of(estimate: Estimate, confidence: float, sample_time: float) -> In
     Raises:
         MethodError: the estimate has no deviations, or a stiffness that is refused and not bounded.
     """
-    if estimate.bounds:
+    if estimate.checks.bounds:
         return _springs(estimate, confidence, 0.5 / sample_time)
-    joint, values = estimate.joint, estimate.identified.values
-    free = [p.name for p in estimate.parameters if p.free]
+    joint, values = estimate.settings.joint, estimate.identified.values
+    free = [p.name for p in estimate.params if p.free]
     moving = {p.name: p for p in joint.parameters if p.quantity in _MOVES}
-    chosen = [p for p in estimate.parameters if p.name in moving and p.free]
+    chosen = [p for p in estimate.params if p.name in moving and p.free]
     at = [free.index(p.name) for p in chosen]
-    if any(p.std is None for p in chosen) or max(at, default=-1) >= len(estimate.correlation):
+    if any(p.stderr is None for p in chosen) or max(at, default=-1) >= len(estimate.params.correlation):
         raise MethodError(
             "Margins over an interval need the deviations of the parameters and their correlation, and this estimate "
-            f"of {estimate.record} has none; identify by least squares."
+            f"of {estimate.data.record} has none; identify by least squares."
         )
-    std = np.array([p.std for p in chosen], dtype=np.float64)
-    radius = reach(len(chosen), confidence)
-    size, axes = np.linalg.eigh(estimate.correlation[np.ix_(at, at)])
+    std = np.array([p.stderr for p in chosen], dtype=np.float64)
+    radius = ellipsoid_radius(len(chosen), confidence)
+    size, axes = np.linalg.eigh(estimate.params.correlation[np.ix_(at, at)])
     factor = radius * std[:, np.newaxis] * axes * np.sqrt(np.maximum(size, 0.0))
     lower = [
         max(moving[p.name].lower, 0.0) if moving[p.name].quantity is Quantity.VISCOUS else _LEAST * values[p.name]
         for p in chosen
     ]
     symbols = ", ".join(p.symbol for p in chosen)
-    said = (
+    description = (
         f"the {100 * confidence:g} % confidence ellipsoid of {symbols} together: {number(radius, 3)} standard "
         "deviations in every direction"
     )
-    return Interval(joint, values, tuple(p.name for p in chosen), factor, np.array(lower), (), said)
+    return Interval(joint, values, tuple(p.name for p in chosen), factor, np.array(lower), (), description)
 
 
-def reach(parameters: int, confidence: float) -> float:
-    """Return how many deviations an ellipsoid of so many parameters reaches, the root of chi-square's quantile."""
+def ellipsoid_radius(parameters: int, confidence: float) -> float:
+    """Return the radius of a confidence ellipsoid, in standard deviations: the root of chi-square's quantile."""
     from scipy.special import gammaincinv
 
     return math.sqrt(2.0 * float(gammaincinv(parameters / 2.0, confidence))) if parameters else 0.0
@@ -116,20 +115,21 @@ def reach(parameters: int, confidence: float) -> float:
 
 def _springs(estimate: Estimate, confidence: float, last: float) -> Interval:
     """Return the joints of a spring that is refused: none softer than its bounds, at the load shares of the bounds."""
-    assert isinstance(estimate.joint, FlexibleJoint) and estimate.known is not None
-    bounded = [bound for bound in estimate.bounds if bound.frequency is not None]
+    assert isinstance(estimate.settings.joint, FlexibleJoint) and estimate.checks.known is not None
+    bounded = [bound for bound in estimate.checks.bounds if bound.frequency is not None]
     if not bounded:
         raise MethodError(
-            f"The stiffness is refused and {estimate.record} does not bound it at any load share, so no margin can be "
-            "stated; a record with pulses would, see jointid advise."
+            f"The stiffness is refused and {estimate.data.record} does not bound it at any load share, "
+            "so no margin can be "
+            "stated; a record with pulses would, see jointid diagnose sensors."
         )
-    sums = {next(iter(one.combination.weights)).removeprefix("motor_"): one for one in estimate.known.physical}
+    sums = {next(iter(one.combination.weights)).removeprefix("motor_"): one for one in estimate.checks.known.physical}
     inertia = sums.get("inertia")
     if inertia is None:
         raise MethodError(
             "The stiffness is refused and the total inertia not free, so it has no interval to state margins over."
         )
-    radius = reach(1, confidence)
+    radius = ellipsoid_radius(1, confidence)
     friction = {name: one.value for name, one in sums.items() if name != "inertia"}
     masses = [max(inertia.value + side * radius * inertia.std, _LEAST * inertia.value) for side in (-1, 1)]
     made: list[Mapping[str, float]] = []
@@ -137,20 +137,20 @@ def _springs(estimate: Estimate, confidence: float, last: float) -> Interval:
         for bound in bounded:
             assert bound.frequency is not None
             modes = np.geomspace(min(bound.frequency, last), last, _SPRINGS)
-            made += [spring(estimate.values, friction, mass, bound.share, float(mode)) for mode in modes]
-    unbounded = [f"{bound.share:g}" for bound in estimate.bounds if bound.frequency is None]
+            made += [joint_with_mode(estimate.values, friction, mass, bound.share, float(mode)) for mode in modes]
+    unbounded = [f"{bound.share:g}" for bound in estimate.checks.bounds if bound.frequency is None]
     listed = ", ".join(f"{number(bound.frequency, 3)} Hz at {bound.share:g}" for bound in bounded)
-    said = (
+    description = (
         "the stiffness is refused: all springs no softer than its bounds, which are modes by the load's share of the "
-        f"inertia ({listed}; 95 % each), damped by {100 * DAMPING:g} %, and the {100 * confidence:g} % "
+        f"inertia ({listed}; 95 % each), damped by {100 * MODE_DAMPING:g} %, and the {100 * confidence:g} % "
         "interval of the total inertia"
     )
     if unbounded:
-        said += f"; a share of {', '.join(unbounded)} is not looked at, since the record excludes no spring there"
-    return Interval(estimate.joint, made[0], (), np.zeros((0, 0)), np.zeros(0), tuple(made), said)
+        description += f"; a share of {', '.join(unbounded)} is left out, as the record excludes no spring there"
+    return Interval(estimate.settings.joint, made[0], (), np.zeros((0, 0)), np.zeros(0), tuple(made), description)
 
 
-def spring(
+def joint_with_mode(
     known: Mapping[str, float], friction: Mapping[str, float], inertia: float, share: float, mode: float
 ) -> dict[str, float]:
     """Return a flexible joint of a whole inertia with a mode, lightly damped, its friction on the motor's side.
@@ -162,11 +162,9 @@ def spring(
         share: of the load in it.
         mode: Hz, free-free.
     """
-    reduced, rate = share * (1 - share) * inertia, 2 * math.pi * mode
     found = dict(known) | {f"motor_{name}": value for name, value in friction.items()}
     found |= {f"load_{name}": 0.0 for name in friction}
-    found |= {"motor_inertia": (1 - share) * inertia, "load_inertia": share * inertia}
-    return found | {"stiffness": reduced * rate**2, "damping": 2 * DAMPING * reduced * rate}
+    return found | split_by_mode(inertia, share, mode)
 
 
 def lowest_mode(modes: Sequence[float], kept: Sequence[bool]) -> float | None:

@@ -32,13 +32,13 @@ def loop_response(law: SampledLaw, position: ComplexArray, hertz: FloatArray) ->
 def spectral_radius(law: SampledLaw, joints: SampledJoints) -> FloatArray:
     """Return the size of the closed loops' largest eigenvalue over a cycle, (joints,); stable below 1."""
     (feedback, _), drive = law.split(), joints.drive
-    heard = _heard(feedback)
-    order, states, waiting = int(np.sum(heard)), drive.transition.shape[1], drive.waiting
+    reaching = _states_reaching_torque(feedback)
+    order, states, waiting = int(np.sum(reaching)), drive.transition.shape[1], drive.waiting
     size = states + order + waiting
     cycle = np.broadcast_to(np.eye(size), (len(drive.transition), size, size))
     for phase in range(law.phases):
-        A, B = feedback.A[phase][np.ix_(heard, heard)], feedback.B[phase, heard, POSITION]
-        C, D = feedback.C[phase, law.output, heard], feedback.D[phase, law.output, POSITION]
+        A, B = feedback.A[phase][np.ix_(reaching, reaching)], feedback.B[phase, reaching, POSITION]
+        C, D = feedback.C[phase, law.output, reaching], feedback.D[phase, law.output, POSITION]
         step = np.zeros((len(drive.transition), size, size))
         torque = np.zeros(size)  # of the period, from all states
         torque[0], torque[states : states + order] = D, C
@@ -57,10 +57,10 @@ def spectral_radius(law: SampledLaw, joints: SampledJoints) -> FloatArray:
     return np.asarray(np.max(np.abs(np.linalg.eigvals(cycle)), axis=1))
 
 
-def _heard(law: SampledLaw) -> NDArray[np.bool_]:
-    """Return which states reach the torque: an integral of no weight grows unheard."""
-    heard = np.any(law.C[:, law.output] != 0.0, axis=0)
+def _states_reaching_torque(law: SampledLaw) -> NDArray[np.bool_]:
+    """Return which states reach the torque: an integral of no weight may grow without effect."""
+    reaching = np.any(law.C[:, law.output] != 0.0, axis=0)
     edges = np.any(law.A != 0.0, axis=0)  # (to, from)
-    while not np.array_equal(more := heard | (heard @ edges), heard):
-        heard = more
-    return np.asarray(heard)
+    while not np.array_equal(more := reaching | (reaching @ edges), reaching):
+        reaching = more
+    return np.asarray(reaching)

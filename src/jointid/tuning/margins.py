@@ -1,4 +1,4 @@
-"""How far a stable loop is from an unstable one: gain, phase, delay, and the distance of its response from -1.
+"""Stability margins of a loop: gain, phase, delay, and the distance of its response from -1.
 
 All crossings count, not the first one: a lightly damped mode crosses several times. The response is taken as straight
 between the frequencies of a grid, which is dense where a mode turns it round (`grid`): within 0.3 % of what
@@ -46,7 +46,7 @@ class Margins:
 
     @property
     def stable(self) -> bool:
-        """Whether the loop is stable."""
+        """True if the loop is stable."""
         return self.modulus > 0.0
 
     def __str__(self) -> str:
@@ -59,7 +59,7 @@ class Margins:
         return ", ".join([*said, f"phase {phase}", f"delay {delay}", f"distance from -1 {number(self.modulus, 3)}"])
 
 
-def of_row(row: FloatArray) -> Margins:
+def margins_from_row(row: FloatArray) -> Margins:
     """Return a row of `all_margins`."""
     return Margins(*map(float, row))
 
@@ -105,7 +105,7 @@ def all_margins(response: ComplexArray, hertz: FloatArray) -> FloatArray:
 
 
 def _of_gain(before: ComplexArray, after: ComplexArray, last: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return by how much the gains may grow, and fall, until a response passes through -1."""
+    """Return the factors by which the gains may grow, and fall, until a response passes through -1."""
     grow, fall = (np.full(len(before), np.inf) for _ in range(2))
     loop, at = np.nonzero(np.signbit(before.imag) != np.signbit(after.imag))
     first, then = before[loop, at], after[loop, at]
@@ -118,7 +118,7 @@ def _of_gain(before: ComplexArray, after: ComplexArray, last: FloatArray) -> tup
 
 
 def _of_phase(before: ComplexArray, after: ComplexArray, hertz: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return by how much the phases may turn, and the delays that may be added."""
+    """Return the phase margins and the delays that may be added."""
     turn, late = (np.full(len(before), np.inf) for _ in range(2))
     inside = _square(before) < 1.0, _square(after) < 1.0
     loop, at = np.nonzero(inside[0] != inside[1])

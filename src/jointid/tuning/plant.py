@@ -1,4 +1,4 @@
-"""Joints as their loop sees them: sampled exactly under a torque that is held, and late (`model.linear.Sampled`).
+"""Joints as their loop sees them: sampled exactly under a torque that is held, and late (`models.linear.SampledDrive`).
 
 Gravity that follows the position is left out: it is a weak spring, far below the frequencies at which margins are read.
 """
@@ -12,23 +12,23 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.models.controllers import SampledLaw
-from jointid.models.linear import ComplexArray, LinearJoints, Sampled, sampled
+from jointid.models.linear import ComplexArray, LinearJoints, SampledDrive, discretise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledJoints:
-    """Joints as a law of one period and delay sees them.
+    """Joints sampled for laws of one period and delay.
 
     Attributes:
         drive: of all joints, (joints, ...).
         period: seconds.
     """
 
-    drive: Sampled
+    drive: SampledDrive
     period: float
 
     def response(self, hertz: FloatArray) -> ComplexArray:
-        """Return what the sampled motor position answers to the law's torque, (joints, frequencies)."""
+        """Return the response of the sampled motor position to the law's torque, (joints, frequencies)."""
         z = np.exp(2j * math.pi * hertz * self.period)
         drive = self.drive
         found = np.empty((len(drive.transition), hertz.size), dtype=np.complex128)
@@ -41,6 +41,6 @@ class SampledJoints:
         return np.asarray(found * z**-drive.whole)
 
 
-def sampled_joints(joints: LinearJoints, law: SampledLaw) -> SampledJoints:
-    """Return joints as a law sees them, exactly."""
-    return SampledJoints(sampled(joints.A, joints.B, law.period, law.delay), law.period)
+def sample_joints(joints: LinearJoints, law: SampledLaw) -> SampledJoints:
+    """Sample joints exactly, for a law."""
+    return SampledJoints(discretise(joints.A, joints.B, law.period, law.delay), law.period)

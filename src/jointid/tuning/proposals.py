@@ -24,7 +24,7 @@ from jointid.common.arrays import FloatArray
 from jointid.models.controllers import PD, PID, Cascade, Notch
 from jointid.tuning.margins import crossover
 from jointid.tuning.settings import Tuning
-from jointid.tuning.worst_case import Bench
+from jointid.tuning.worst_case import JointSet
 
 DAMPINGS = (0.7, 0.6, 0.5, 0.85, 1.0)
 """Damping ratios that are tried."""
@@ -37,7 +37,7 @@ _WORTH = 1.2  # by how much a notch must make the loop stiffer
 _HIGHEST = 0.45  # of the sampling frequency, where a notch may be
 
 
-LaidOut: TypeAlias = Cascade | PD
+TunableController: TypeAlias = Cascade | PD
 """The laws that gains are proposed for; a PID is a PD, too."""
 
 
@@ -50,24 +50,24 @@ class Layout:
         notch: that was added, if one was.
     """
 
-    controller: LaidOut
+    controller: TunableController
     rate: float
     damping: float
     notch: Notch | None = None
 
     @property
     def stiffness(self) -> float:
-        """What is made as large as may be: the torque that holds a position, but for J / 4."""
+        """The maximised quantity: the stiffness with which a position is held, divided by J / 4."""
         return (self.rate / self.damping) ** 2
 
 
-def rate_of(controller: LaidOut, inertia: float) -> float:
+def rate_of(controller: TunableController, inertia: float) -> float:
     """Return the rate w of a controller on an inertia, rad/s."""
     gain = controller.kv if isinstance(controller, Cascade) else controller.kd
     return gain * controller.gain * controller.ratio**2 / inertia
 
 
-def laid_out(controller: LaidOut, inertia: float, rate: float, damping: float) -> LaidOut:
+def with_gains(controller: TunableController, inertia: float, rate: float, damping: float) -> TunableController:
     """Return a controller of the same structure with other gains (the module's equations)."""
     velocity, slow = rate * inertia / (controller.gain * controller.ratio**2), rate / (4 * damping**2)
     faster = rate / (rate_of(controller, inertia) or rate)
@@ -79,9 +79,9 @@ def laid_out(controller: LaidOut, inertia: float, rate: float, damping: float) -
     return replace(controller, kd=velocity, kp=velocity * slow)
 
 
-def stiffest(
-    bench: Bench,
-    controller: LaidOut,
+def find_stiffest_loop(
+    joint_set: JointSet,
+    controller: TunableController,
     inertia: float,
     sample_time: float,
     settings: Tuning,
@@ -91,7 +91,7 @@ def stiffest(
     """Return the stiffest loop that keeps the margins for all joints of a bench; None where there is none.
 
     Args:
-        bench: of the joints.
+        joint_set: of the joints.
         controller: whose structure is kept.
         inertia: of the whole joint.
         sample_time: of the log, the controller's where it has none of its own.
@@ -99,21 +99,21 @@ def stiffest(
         band: Hz, which the loop's crossover may not pass; None where it may.
         mode: Hz, where a notch may be put; None for none.
     """
-    best = _best(bench, [controller], [None], inertia, sample_time, settings, band)
+    best = _best(joint_set, [controller], [None], inertia, sample_time, settings, band)
     period = controller.period or sample_time
     if mode is None or mode * period >= _HIGHEST:
         return best
     notches = [Notch(mode, width * mode, depth) for width in _WIDTHS for depth in _DEPTHS]
     notched = [replace(controller, torque_filters=(*controller.torque_filters, one)) for one in notches]
-    found = _best(bench, notched, notches, inertia, sample_time, settings, band)
+    found = _best(joint_set, notched, notches, inertia, sample_time, settings, band)
     if found is None or (best is not None and found.stiffness < _WORTH * best.stiffness):
         return best
     return found
 
 
 def _best(
-    bench: Bench,
-    controllers: Sequence[LaidOut],
+    joint_set: JointSet,
+    controllers: Sequence[TunableController],
     notches: Sequence[Notch | None],
     inertia: float,
     sample_time: float,
@@ -123,15 +123,15 @@ def _best(
     best: Layout | None = None
     for controller, notch in zip(controllers, notches, strict=True):
         for damping in DAMPINGS:
-            found = _fastest(bench, controller, inertia, damping, sample_time, settings, band, best)
+            found = _fastest(joint_set, controller, inertia, damping, sample_time, settings, band, best)
             if found is not None:
-                best = Layout(laid_out(controller, inertia, found, damping), found, damping, notch)
+                best = Layout(with_gains(controller, inertia, found, damping), found, damping, notch)
     return best
 
 
 def _fastest(
-    bench: Bench,
-    controller: LaidOut,
+    joint_set: JointSet,
+    controller: TunableController,
     inertia: float,
     damping: float,
     sample_time: float,
@@ -142,19 +142,23 @@ def _fastest(
     """Return the highest rate that keeps the margins, if its loop is stiffer than the best one so far."""
     period = controller.period or sample_time
     present = rate_of(controller, inertia) or 0.02 / period
-    one = bench.first
+    one = joint_set.first
 
     def keeps(rate: float) -> bool:
-        law = laid_out(controller, inertia, rate, damping).law(sample_time)
-        if not kept(one.margins(law), settings):  # what the estimate itself does not bear is most of what is tried
+        law = with_gains(controller, inertia, rate, damping).law(sample_time)
+        if not meets_margins(
+            one.margins(law), settings
+        ):  # what the estimate itself does not bear is most of what is tried
             return False
-        if band is not None and crossover(bench.response(law), bench.hertz) > band:
+        if band is not None and crossover(joint_set.response(law), joint_set.hertz) > band:
             return False
-        return kept(bench.margins(law), settings)
+        return meets_margins(joint_set.margins(law), settings)
 
     rates = [float(rate) for rate in present * _RATES if rate * period < math.pi]
     least = 0.0 if best is None else _BETTER * math.sqrt(best.stiffness) * damping
-    if least and not kept(one.margins(laid_out(controller, inertia, least, damping).law(sample_time)), settings):
+    if least and not meets_margins(
+        one.margins(with_gains(controller, inertia, least, damping).law(sample_time)), settings
+    ):
         return None  # what fails where it would begin to be of use is looked at no further
     for place, rate in enumerate(rates):
         if rate <= least:
@@ -168,6 +172,6 @@ def _fastest(
     return None
 
 
-def kept(margins: FloatArray, settings: Tuning, by: float = 1.0) -> bool:
-    """Whether margins, (joints, 5), are all at least those that are asked, times a factor."""
+def meets_margins(margins: FloatArray, settings: Tuning, by: float = 1.0) -> bool:
+    """True if all margins, (joints, 5), are at least the required ones times a factor."""
     return bool(np.all(margins >= by * settings.asked) and np.all(margins[:, -1] > 0))

@@ -1,4 +1,4 @@
-"""What is asked of a loop, and how surely."""
+"""Settings of the tuning: required margins and confidences."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Tuning:
         modulus: smallest distance of the response from -1: the largest sensitivity is its inverse.
         confidence: with which the interval of the estimate holds all its parameters together.
         notch: whether a notch may be proposed.
-        false_alarm, power: of the smallest change that is told, see `detectable`.
+        false_alarm, power: of the smallest detectable change, see `detectable`.
         seed: of the joints that are drawn in the interval.
     """
 

@@ -1,4 +1,4 @@
-"""The verb: an estimate in; margins, gains, a notch, feed-forward and what change would be told out."""
+"""Tune a drive from an estimate: margins, gains, a notch, feed-forward, and the smallest detectable change."""
 
 from __future__ import annotations
 
@@ -14,20 +14,19 @@ from jointid.common.text import number
 from jointid.diagnostics.minimum_detectable_change import detectable
 from jointid.estimation.problems.nuisance_parameters import of_law
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.stiffness_bounds import DAMPING
-from jointid.models.controllers import PD, PID, Cascade, Controller, Timed
-from jointid.models.joints import FlexibleJoint, RigidJoint, acts_on_whole, frequencies
+from jointid.models.controllers import PD, PID, Cascade, Controller, ServoController
+from jointid.models.joints import MODE_DAMPING, FlexibleJoint, RigidJoint, acts_on_whole, frequencies
 from jointid.models.linear import ComplexArray, linear_joints
 from jointid.models.parameters import POSITION_UNIT
 from jointid.records.drives.drive import Drive
 from jointid.tuning.feedforward import feedforward
-from jointid.tuning.interval import Interval, flexible_of, interval_of, lowest_mode, spring
-from jointid.tuning.lumped import totals
-from jointid.tuning.margins import crossover, of_row
-from jointid.tuning.proposals import Layout, kept, stiffest
+from jointid.tuning.interval import Interval, flexible_of, joint_with_mode, lowest_mode, possible_joints
+from jointid.tuning.lumped import lumped_parameters
+from jointid.tuning.margins import crossover, margins_from_row
+from jointid.tuning.proposals import Layout, find_stiffest_loop, meets_margins
 from jointid.tuning.settings import Tuning
-from jointid.tuning.tuned import Band, Gain, LoopMargins, ProposedNotch, Tuned
-from jointid.tuning.worst_case import bench, worst
+from jointid.tuning.tuned import Gain, LoopMargins, ProposedNotch, ResponseBand, Tuned
+from jointid.tuning.worst_case import find_worst_case, joint_set
 
 _ROUNDS = 5  # of a proposal, and of looking for a joint that it fails
 _NEARLY = 0.995  # of a margin
@@ -41,24 +40,24 @@ _SHARES, _MODES = (0.3, 0.5, 0.7), 60  # of a spring that a rigid joint may have
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Case:
-    """What a loop is judged on."""
+    """The joints over which a loop's margins are computed."""
 
     estimate: Estimate
     interval: Interval
     points: FloatArray
     settings: Tuning
 
-    def judged(self, controller: Controller) -> LoopMargins:
+    def evaluate(self, controller: Controller) -> LoopMargins:
         """Return the margins of a loop at the estimate, and the worst."""
-        law = controller.law(self.estimate.sample_time)
-        at = bench(self.interval.joint, [self.interval.nominal], law).margins(law)[0]
-        found = worst(self.interval, law, self.points, self.settings.seed)
-        looked = bench(self.interval.joint, [*self.interval.at(self.points), *self.interval.others], law)
+        law = controller.law(self.estimate.data.sample_time)
+        at = joint_set(self.interval.joint, [self.interval.nominal], law).margins(law)[0]
+        found = find_worst_case(self.interval, law, self.points, self.settings.seed)
+        looked = joint_set(self.interval.joint, [*self.interval.at(self.points), *self.interval.others], law)
         response = looked.response(law)
         return LoopMargins(
             controller,
-            of_row(at),
-            of_row(found.margins),
+            margins_from_row(at),
+            margins_from_row(found.margins),
             crossover(response, looked.hertz),
             _band(looked.hertz, response),
         )
@@ -89,31 +88,32 @@ def tune(
     left out of the margins, though not of the stability.
     """
     settings = settings or Tuning()
-    if estimate.loop is None:
+    if estimate.settings.loop is None:
         raise MethodError(
-            f"Margins are of a loop, and the controller of {estimate.record} is not known; identify with one, or learn "
-            "it with jointid loop."
+            f"Margins are of a loop, and the controller of {estimate.data.record} is not known; identify with "
+            "one, or learn "
+            "it with jointid controller."
         )
-    controller = estimate.loop.controller
-    if not isinstance(controller, Timed):
+    controller = estimate.settings.loop.controller
+    if not isinstance(controller, ServoController):
         raise MethodError(
             f"Feed-forward is told in a controller's own units, and a {type(controller).__name__} has none; use one of "
             "the package's laws, StateSpaceController for any linear one."
         )
-    period = controller.law(estimate.sample_time).period
-    interval = interval_of(estimate, settings.confidence, period)
+    period = controller.law(estimate.data.sample_time).period
+    interval = possible_joints(estimate, settings.confidence, period)
     case = _Case(estimate, interval, interval.points(settings.seed), settings)
     progress("margins of the loop as it is")
-    present = case.judged(controller)
+    present = case.evaluate(controller)
     layout, proposed, refusal = _proposed(case, controller, present, progress)
-    whole = totals(estimate)
+    whole = lumped_parameters(estimate)
     notes = [*refusal, *_notes(case, present, proposed)]
     return Tuned(
-        record=estimate.record,
-        model=estimate.joint.model,
-        transmission=estimate.joint.transmission,
+        record=estimate.data.record,
+        model=estimate.settings.joint.model,
+        transmission=estimate.settings.joint.transmission,
         settings=settings,
-        interval=interval.said,
+        interval=interval.description,
         present=present,
         proposed=proposed,
         gains=() if layout is None else _gains(estimate, controller, layout),
@@ -121,8 +121,8 @@ def tune(
         feedforward=feedforward(estimate, controller, whole, drive),
         detectable=detectable(estimate, false_alarm=settings.false_alarm, power=settings.power),
         joint=_joint_band(case, present.response.hertz),
-        position_unit=POSITION_UNIT[estimate.joint.kind],
-        torque_unit=estimate.torque_unit,
+        position_unit=POSITION_UNIT[estimate.settings.joint.kind],
+        torque_unit=estimate.data.torque_unit,
         notes=tuple(notes),
     )
 
@@ -136,28 +136,28 @@ def _proposed(
         kind = type(controller).__name__
         return None, None, [f"no gains are proposed for a {kind}: only a cascade, a PD or a PID has gains to lay out"]
     progress("looking for the stiffest gains that keep the margins")
-    inertia = totals(estimate)["inertia"].value
-    flexible = isinstance(estimate.joint, FlexibleJoint)
-    band = None if flexible else estimate.filtering.cutoff
+    inertia = lumped_parameters(estimate)["inertia"].value
+    flexible = isinstance(estimate.settings.joint, FlexibleJoint)
+    band = None if flexible else estimate.settings.filtering.cutoff
     mode = frequencies(interval.nominal)["free_free"] if flexible and interval.names and settings.notch else None
     points = case.points
     for _ in range(_ROUNDS):
-        law = controller.law(estimate.sample_time)
-        seen = bench(interval.joint, [*interval.at(points), *interval.others], law)
-        layout = stiffest(seen, controller, inertia, estimate.sample_time, settings, band, mode)
+        law = controller.law(estimate.data.sample_time)
+        seen = joint_set(interval.joint, [*interval.at(points), *interval.others], law)
+        layout = find_stiffest_loop(seen, controller, inertia, estimate.data.sample_time, settings, band, mode)
         if layout is None:
             break
-        found = worst(interval, layout.controller.law(estimate.sample_time), case.points, settings.seed)
-        if kept(found.margins[np.newaxis], settings, _NEARLY):
-            return layout, case.judged(layout.controller), []
+        found = find_worst_case(interval, layout.controller.law(estimate.data.sample_time), case.points, settings.seed)
+        if meets_margins(found.margins[np.newaxis], settings, _NEARLY):
+            return layout, case.evaluate(layout.controller), []
         points = np.concatenate([points, found.points])
     said = "no gains of this structure were found that keep the asked margins for all joints of the interval"
-    return None, None, [f"{said}; ask for less, or narrow the interval (jointid advise says how)"]
+    return None, None, [f"{said}; ask for less, or narrow the interval (jointid diagnose sensors says how)"]
 
 
 def _gains(estimate: Estimate, before: Controller, layout: Layout) -> tuple[Gain, ...]:
     """Return the gains with the formulas that gave them."""
-    after, position = layout.controller, POSITION_UNIT[estimate.joint.kind]
+    after, position = layout.controller, POSITION_UNIT[estimate.settings.joint.kind]
     rate, damping = f"w = {number(layout.rate, 4)}/s", f"d = {layout.damping:g}"
     velocity = f"w J / (g r^2), {rate}"
     per = f"units per {position}/s"
@@ -177,20 +177,22 @@ def _notch(layout: Layout, period: float) -> ProposedNotch:
 
 
 def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> list[str]:
-    """Return what the reader must know, in sentences."""
+    """Return the limits of the result, in sentences."""
     estimate, found = case.estimate, []
-    if not estimate.converged:
+    if not estimate.fit.converged:
         found.append("the identification did not end well, so all of this is of a joint that may be another one")
     found += [
-        f"{_DOUBTED[v.subject]}: {v.said}" for v in estimate.verdicts if v.good is False and v.subject in _DOUBTED
+        f"{_DOUBTED[v.subject]}: {v.said}"
+        for v in estimate.checks.verdicts
+        if v.good is False and v.subject in _DOUBTED
     ]
-    if estimate.bounds:
+    if estimate.checks.bounds:
         found.append(
             'the stiffness is refused: what stands "at the estimate" is of the softest spring it leaves possible, and '
             "the worst case is that of the springs looked at, each with the friction as it was found: no statement of "
             "one confidence"
         )
-    held = [p.name for p in estimate.parameters if p.free and not p.of_joint and of_law(p.name)]
+    held = [p.name for p in estimate.params if p.free and not p.of_joint and of_law(p.name)]
     if held:
         found.append(f"the interval is of the joint: {', '.join(held)} stand at the values that were found for them")
     if not present.worst.stable:
@@ -198,9 +200,9 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
             "the interval holds joints with which the loop as it is would not be stable, though it ran: no margin of "
             "it can be stated; a record that narrows the interval would"
         )
-    joint = estimate.joint
+    joint = estimate.settings.joint
     if isinstance(joint, RigidJoint):
-        band = estimate.filtering.cutoff
+        band = estimate.settings.filtering.cutoff
         upto = "" if band is None else f" (up to {number(band, 3)} Hz, which no proposed crossover passes)"
         found.append(
             f"a rigid joint says nothing beyond the band it was compared in{upto}: no mode is in these margins"
@@ -212,7 +214,7 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
         found += [_with_a_mode(case, said, loop, asked) for said, loop, asked in loops if loop is not None]
     if joint.gravity is not None and joint.gravity.varies:
         found.append("gravity that follows the position is left out of the loop and of the constant feed-forward")
-    if present.controller.law(estimate.sample_time).phases > 1:
+    if present.controller.law(estimate.data.sample_time).phases > 1:
         found.append(
             "the law runs at two rates: its margins are of the response at the frequency itself, without images"
         )
@@ -220,10 +222,10 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
 
 
 def _with_a_mode(case: _Case, said: str, loop: LoopMargins, asked: bool) -> str:
-    """Return down to which mode a rigid joint's loop would bear one."""
+    """Return the lowest first mode with which a rigid joint's loop would keep its margins, in a sentence."""
     estimate = case.estimate
-    assert isinstance(estimate.joint, RigidJoint)
-    law = loop.controller.law(estimate.sample_time)
+    assert isinstance(estimate.settings.joint, RigidJoint)
+    law = loop.controller.law(estimate.data.sample_time)
     values = estimate.values
     friction = {n: v for n, v in values.items() if n != "inertia" and not acts_on_whole(n)}
     common = {n: v for n, v in values.items() if acts_on_whole(n)}
@@ -231,23 +233,23 @@ def _with_a_mode(case: _Case, said: str, loop: LoopMargins, asked: bool) -> str:
         float(f)
         for f in np.geomspace(min(max(loop.crossover, 1e-3 / law.period), 0.4 / law.period), 0.5 / law.period, _MODES)
     ]
-    made = [spring(common, friction, values["inertia"], share, mode) for mode in modes for share in _SHARES]
-    margins = bench(flexible_of(estimate.joint), made, law).margins(law).reshape(_MODES, len(_SHARES), -1)
+    made = [joint_with_mode(common, friction, values["inertia"], share, mode) for mode in modes for share in _SHARES]
+    margins = joint_set(flexible_of(estimate.settings.joint), made, law).margins(law).reshape(_MODES, len(_SHARES), -1)
     least = 0.98 * case.settings.asked if asked else np.zeros(margins.shape[-1])
     good = [bool(np.all(one >= least) and np.all(one[:, -1] > 0)) for one in margins]
     lowest = lowest_mode(modes, good)
     if lowest is None:
-        return f"{said} with no mode up to half the sampling frequency that is damped by {100 * DAMPING:g} % only"
+        return f"{said} with no mode up to half the sampling frequency that is damped by {100 * MODE_DAMPING:g} % only"
     where = "any mode above its crossover" if lowest == modes[0] else f"a first mode above {number(lowest, 3)} Hz"
-    return f"{said} with {where}, damped by {100 * DAMPING:g} % (load shares {_SHARES[0]} to {_SHARES[-1]})"
+    return f"{said} with {where}, damped by {100 * MODE_DAMPING:g} % (load shares {_SHARES[0]} to {_SHARES[-1]})"
 
 
-def _band(hertz: FloatArray, response: ComplexArray) -> Band:
+def _band(hertz: FloatArray, response: ComplexArray) -> ResponseBand:
     """Return the band of some responses, the first of them the nominal one, at fewer frequencies."""
     phase = np.unwrap(np.angle(response), axis=1)
     size = np.abs(response)
     kept_at = np.unique(np.linspace(0, hertz.size - 1, min(hertz.size, _DRAWN)).astype(np.intp))
-    return Band(
+    return ResponseBand(
         hertz[kept_at],
         response[0, kept_at],
         np.array([size.min(axis=0), size.max(axis=0)])[:, kept_at],
@@ -255,7 +257,7 @@ def _band(hertz: FloatArray, response: ComplexArray) -> Band:
     )
 
 
-def _joint_band(case: _Case, hertz: FloatArray) -> Band:
+def _joint_band(case: _Case, hertz: FloatArray) -> ResponseBand:
     """Return the response from torque to the motor's velocity, in continuous time."""
     joints = linear_joints(case.interval.joint, [*case.interval.at(case.points), *case.interval.others])
     s = 2j * math.pi * hertz

@@ -1,4 +1,4 @@
-"""What to do with an estimate: the answer, complete, and its tables."""
+"""The result of tuning, and its tables."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from jointid.tuning.settings import Tuning
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Band:
+class ResponseBand:
     """A response over an interval of joints.
 
     Attributes:
@@ -45,7 +45,7 @@ class LoopMargins:
     estimate: Margins
     worst: Margins
     crossover: float
-    response: Band
+    response: ResponseBand
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class ProposedNotch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tuned:
-    """Margins over the interval of an estimate, what is proposed, and what change would be told.
+    """Margins over the interval of an estimate, the proposed gains, and the smallest detectable change.
 
     Attributes:
         record: its name. model: "rigid" or "flexible". transmission: on whose `side` the joint is.
@@ -104,7 +104,7 @@ class Tuned:
     notch: ProposedNotch | None
     feedforward: tuple[FeedForward, ...]
     detectable: Detectable
-    joint: Band
+    joint: ResponseBand
     position_unit: str
     torque_unit: str
     notes: tuple[str, ...]
@@ -112,7 +112,7 @@ class Tuned:
     def __str__(self) -> str:
         """Return the tables, before and after, and the notes."""
         parts = [
-            f"What to do with the estimate of {self.record}, a {self.model} joint",
+            f"Tuning for {self.record}, a {self.model} joint",
             "\n".join([f"worst case over {self.interval}", *transmission_lines(self.transmission)]),
             self._margins(),
         ]
@@ -136,14 +136,14 @@ class Tuned:
             rows.append(_row("proposed, worst case", self.proposed.worst, self.proposed))
             asked = self.settings
             rows.append(
-                ("asked", number(asked.gain_margin, 3), f"{20 * math.log10(asked.gain_margin):.1f}",
+                ("required", number(asked.gain_margin, 3), f"{20 * math.log10(asked.gain_margin):.1f}",
                  number(asked.gain_margin, 3), number(asked.phase_margin, 3), "-", number(asked.modulus, 3), "-")
             )  # fmt: skip
         return aligned(header, rows, (False, *(True,) * 7))
 
     def _gains(self) -> str:
         rows = [(g.key, number(g.before), number(g.after), g.unit, g.formula) for g in self.gains]
-        return aligned(("gain", "now", "proposed", "unit", "from"), rows, (False, True, True, False, False))
+        return aligned(("gain", "now", "proposed", "unit", "formula"), rows, (False, True, True, False, False))
 
     def _feedforward(self) -> str:
         drive = any(f.drive is not None for f in self.feedforward)
@@ -171,7 +171,7 @@ class Tuned:
         right = (False, True, True, False, True, True, True, *((True, False) if drive else ()))
         return (
             aligned(header, rows, right)
-            + "\nnow and proposed are in controller units, per unit of the reference as the law sees it"
+            + "\nnow and proposed are in controller units, per unit of the controller's reference"
         )
 
 

@@ -1,4 +1,4 @@
-"""The worst of many joints: their margins under one law, and where in an ellipsoid these are smallest."""
+"""Worst-case margins: many joints under one law, and the joints of an ellipsoid at which they are smallest."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from jointid.models.linear import ComplexArray, linear_joints
 from jointid.tuning.interval import Interval
 from jointid.tuning.loop import loop_response, spectral_radius
 from jointid.tuning.margins import NAMES, all_margins, grid
-from jointid.tuning.plant import SampledJoints, sampled_joints
+from jointid.tuning.plant import SampledJoints, sample_joints
 
 _ROUNDS = 4  # of looking for a worse joint
 _NEAR = 6  # joints looked at around the worst one, for every margin
@@ -23,8 +23,8 @@ _STABLE = 1.0 - 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bench:
-    """Joints, seen by all laws of one period and delay.
+class JointSet:
+    """Joints sampled for all laws of one period and delay.
 
     Attributes:
         hertz: (frequencies,). sampled: the joints. position: (joints, frequencies) their responses.
@@ -37,11 +37,11 @@ class Bench:
     ways: int
 
     @property
-    def first(self) -> Bench:
+    def first(self) -> JointSet:
         """The first candidate alone."""
         s, kept = self.sampled, slice(0, self.ways)
         alone = replace(s, drive=s.drive.of(kept))
-        return Bench(self.hertz, alone, self.position[kept], self.ways)
+        return JointSet(self.hertz, alone, self.position[kept], self.ways)
 
     def response(self, law: SampledLaw) -> ComplexArray:
         """Return the loops cut open, (joints, frequencies)."""
@@ -54,16 +54,16 @@ class Bench:
         return np.asarray(np.min(found.reshape(-1, self.ways, len(NAMES)), axis=1))
 
 
-def bench(joint: Joint, candidates: Sequence[Mapping[str, float]], law: SampledLaw) -> Bench:
-    """Return joints as a law, and others of its period and delay, see them."""
+def joint_set(joint: Joint, candidates: Sequence[Mapping[str, float]], law: SampledLaw) -> JointSet:
+    """Sample joints for a law, and others of its period and delay."""
     linear = linear_joints(joint, candidates)
-    sampled = sampled_joints(linear, law)
+    sampled = sample_joints(linear, law)
     hertz = grid(linear, law.period)
-    return Bench(hertz, sampled, sampled.response(hertz), len(linear.A) // len(candidates))
+    return JointSet(hertz, sampled, sampled.response(hertz), len(linear.A) // len(candidates))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Worst:
+class WorstCase:
     """The worst margins over an interval.
 
     Attributes:
@@ -75,7 +75,7 @@ class Worst:
     points: FloatArray
 
 
-def worst(interval: Interval, law: SampledLaw, points: FloatArray, seed: int = 0) -> Worst:
+def find_worst_case(interval: Interval, law: SampledLaw, points: FloatArray, seed: int = 0) -> WorstCase:
     """Return the worst margins over an interval: over given points, then down their slopes and around the worst.
 
     Args:
@@ -85,30 +85,30 @@ def worst(interval: Interval, law: SampledLaw, points: FloatArray, seed: int = 0
         seed: of the joints that are tried around the worst.
     """
     joints = [*interval.at(points), *interval.others]
-    margins = bench(interval.joint, joints, law).margins(law)
+    margins = joint_set(interval.joint, joints, law).margins(law)
     if not interval.names:
-        return Worst(np.min(margins, axis=0), points[:1])
+        return WorstCase(np.min(margins, axis=0), points[:1])
     rng = np.random.default_rng(seed)
     for _ in range(_ROUNDS):
         before = np.min(margins, axis=0)
         more = np.concatenate([_downhill(points, margins), _around(points, margins, rng)])
-        margins = np.concatenate([margins, bench(interval.joint, interval.at(more), law).margins(law)])
+        margins = np.concatenate([margins, joint_set(interval.joint, interval.at(more), law).margins(law)])
         points = np.concatenate([points, more])
         after = np.min(margins, axis=0)
         if np.all(after >= before * (1 - 1e-3)) or not after[-1]:
             break
-    return Worst(np.min(margins, axis=0), points[np.unique(np.argmin(margins, axis=0))])
+    return WorstCase(np.min(margins, axis=0), points[np.unique(np.argmin(margins, axis=0))])
 
 
 def _downhill(points: FloatArray, margins: FloatArray) -> FloatArray:
     """Return, for every margin, where on the surface its straight part is smallest."""
     found = []
     for one in margins.T:
-        told = np.isfinite(one) & (margins[:, -1] > 0)
-        if np.sum(told) <= points.shape[1] + 1:
+        stable = np.isfinite(one) & (margins[:, -1] > 0)
+        if np.sum(stable) <= points.shape[1] + 1:
             continue
-        columns = np.column_stack([np.ones(int(np.sum(told))), points[told]])
-        slope = np.linalg.lstsq(columns, one[told], rcond=None)[0][1:]
+        columns = np.column_stack([np.ones(int(np.sum(stable))), points[stable]])
+        slope = np.linalg.lstsq(columns, one[stable], rcond=None)[0][1:]
         if size := float(np.linalg.norm(slope)):
             found.append(-slope / size)
     return np.array(found).reshape(-1, points.shape[1])

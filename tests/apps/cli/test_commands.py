@@ -12,19 +12,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid.apps.cli.app import app, main
+from jointid.apps.cli.app import main
 from jointid.config import load
 from jointid.controller_id.learned import LearnedLoop
 from jointid.models.controllers import Cascade
 from jointid.models.joints import FlexibleJoint
 from jointid.paper.twin import CONTROLLERS, JOINT_FILE, TABLE_2, twin
-from jointid.records.excitation import trapezoids
+from jointid.records.files.writing import write
 from jointid.records.formats import Table, write_table
-from jointid.records.reading import read
+from jointid.records.reading.read import read
 from jointid.records.record import Record
-from jointid.records.writing import write
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
+from tests.apps.commands import commands
 
 ROOT = Path(__file__).resolve().parents[3]
 EMPS = ROOT / "examples" / "emps" / "joint.toml"
@@ -67,7 +68,7 @@ def test_advise_says_what_a_load_encoder_would_do(
     out = tmp_path / "advice.json"
     (tmp_path / "joint.toml").write_text(JOINT_FILE, encoding="utf-8")
     words = ("--record", demo / "record.csv", "--encoder-step", "1e-6", "--json", out, "-q")
-    assert run("advise", tmp_path / "joint.toml", *words) == 0
+    assert run("diagnose", "sensors", tmp_path / "joint.toml", *words) == 0
     assert "load encoder: steps of 1e-06 m; narrows" in capsys.readouterr().out
     answer = json.loads(out.read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.advice/1"
@@ -104,6 +105,7 @@ def test_tune_says_what_to_set_and_how_far_the_loop_is_from_instability(
     assert "the power is from 0.5 to 1" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_refused_stiffness_ends_with_what_would_show_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     loop = ClosedLoop(FlexibleJoint(), CONTROLLERS["L19"])
     reference = trapezoids((0.042, 0.125), 0.83, 0.2, 1e-3, duration=8.0)
@@ -121,7 +123,7 @@ def test_a_refused_stiffness_ends_with_what_would_show_it(tmp_path: Path, capsys
         "which its record did not tell, so it predicts no torque; identify the joint as rigid"
         in capsys.readouterr().err
     )
-    assert run("advise", tmp_path / "joint.toml", "-q", "--json", tmp_path / "out.json") == 0
+    assert run("diagnose", "sensors", tmp_path / "joint.toml", "-q", "--json", tmp_path / "out.json") == 0
     assert json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["sentence"] in capsys.readouterr().out
 
 
@@ -341,7 +343,7 @@ own = ["motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb", "dampin
 """
     joint, out = tmp_path / "joint.toml", tmp_path / "out.json"
     joint.write_text(JOINT_FILE + listed, encoding="utf-8")
-    assert run("together", joint, "--json", out) == 0
+    assert run("identify", joint, "--json", out) == 0
     said = capsys.readouterr()
     assert "record 2: heavy, 10.000 kg added to the load" in said.out
     assert "by itself" in said.err
@@ -353,21 +355,40 @@ own = ["motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb", "dampin
     assert abs(inertia["value"] - TABLE_2["load_inertia"]) <= 4 * inertia["std"]
     assert len(answer["correlation"]) == len(answer["free"])
     words = [word for name in ("light", "light") for word in ("--record", tmp_path / f"{name}.csv")]
-    assert run("together", joint, "-q", *words) == 2
+    assert run("identify", joint, "-q", *words) == 2
     assert "Records 1 and 2 are the same record" in capsys.readouterr().err
-    assert run("together", joint, "-q", "--record", tmp_path / "light.csv") == 2
-    assert "lists 2 records and 1 are named" in capsys.readouterr().err
+    # One that is named is identified alone.
+    assert (
+        run("identify", joint, "-q", "--record", tmp_path / "light.csv") == 0
+    )  # one that is named is identified alone
+    assert "of light" in capsys.readouterr().out
 
 
 @pytest.fixture
 def learned(monkeypatch: pytest.MonkeyPatch) -> Cascade:
-    """What `jointid loop` finds here, at once: a velocity loop at 4 ms, and a position loop at every fourth of them."""
+    """The controller that is found here, at once: a velocity loop at 4 ms, a position loop at every fourth of them."""
     controller = Cascade(kp=40.0, kv=2.0, period=4e-3, position_period=16e-3, position_offset=12e-3)
     nothing = np.zeros(0)
 
     def learn_loop(record: Record, **_: object) -> LearnedLoop:
         return LearnedLoop(
-            controller, "P-P", (), nothing, (), (), (), 0.0, 0.0, 0.0, 0.0, 1.0, nothing, "N m", "rad", record.name, ""
+            controller,
+            "P-P",
+            (),
+            nothing,
+            (),
+            (),
+            (),
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            1.0,
+            nothing,
+            "N m",
+            "rad",
+            record.name,
+            None,
         )
 
     monkeypatch.setattr("jointid.controller_id.learn.learn_loop", learn_loop)
@@ -400,7 +421,7 @@ name = "idim"
     folder = home / place
     folder.mkdir(parents=True, exist_ok=True)
     monkeypatch.chdir(home)
-    assert run("loop", "joint.toml", "--record", "run 1.csv", "--write", f"{place}/out.toml", "-q") == 0
+    assert run("controller", "joint.toml", "--record", "run 1.csv", "--write", f"{place}/out.toml", "-q") == 0
     made = load(folder / "out.toml")
     assert made.source.file is not None
     assert not Path(made.source.file).is_absolute()
@@ -419,7 +440,6 @@ MISTAKES = {
     "no frequency": (("identify", EMPS, "--frequency", "fast"), "fast"),
     "frequency of a rigid joint": (("identify", EMPS, "--frequency", "30"), 'set joint.model = "flexible"'),
     "no estimate": (("validate", EMPS, "--estimate", EMPS), "is no JSON file"),
-    "no records": (("together", EMPS), "Two or more records are identified together; received 0"),
     "unwritable folder": (("demo", EMPS / "inside"), "cannot be made a folder"),
 }
 
@@ -466,7 +486,7 @@ def test_a_failure_of_ours_is_a_sentence_and_exit_code_1(
 ) -> None:
     import jointid.config
 
-    def broken(path: Path) -> None:
+    def broken(*_: object) -> None:
         raise ZeroDivisionError("by design")
 
     monkeypatch.setattr(jointid.config, "load", broken)
@@ -483,7 +503,7 @@ def test_an_interruption_is_said(
 ) -> None:
     import jointid.config
 
-    def interrupted(path: Path) -> None:
+    def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(jointid.config, "load", interrupted)
@@ -495,7 +515,7 @@ def test_compare_sets_every_method_of_the_real_axis_side_by_side(
     emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out.json"
-    assert run("compare", EMPS, "--record", emps_path, "--json", out) == 0
+    assert run("diagnose", "methods", EMPS, "--record", emps_path, "--json", out) == 0
     said = capsys.readouterr()
     assert "trying IDIM-IV" in said.err
     assert "IDIM-IV reads torque, reference, motor_position" in said.out
@@ -521,12 +541,11 @@ def test_every_command_and_option_is_documented() -> None:
     page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     documented = {}
     for section in page.split("\n## `jointid ")[1:]:
-        name = section.split()[0].rstrip("`")
+        name = re.match(r"(?:data |diagnose )?[a-z-]+", section)[0]
         documented[name] = set(re.findall(r"`(--?[a-z-]+)`", section))
-    commands = {name for name in app if not name.startswith("-")}
-    assert set(documented) == commands
-    for name in commands:
-        arguments = app[name].assemble_argument_collection(parse_docstring=True)
+    found = commands()
+    assert set(documented) == set(found)
+    for name, arguments in found.items():
         options = {word for argument in arguments for word in argument.names if word.startswith("-")}
         assert documented[name] == options, name
 

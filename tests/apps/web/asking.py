@@ -1,4 +1,4 @@
-"""A visitor without a browser: sends what the page's forms send."""
+"""The person at the page without a browser: sends what its forms send."""
 
 from __future__ import annotations
 
@@ -8,16 +8,17 @@ from dataclasses import dataclass
 from html import unescape
 from pathlib import Path
 
-from jointid.apps.web.sessions import Run, Visitor
+from jointid.apps.web.folder import Folder, Run
 from tests.apps.web.testclient import TestClient
 
-ORIGIN = {"origin": "http://127.0.0.1:8765"}
+TOKEN = "kept-secret"
+ADDRESS = f"http://127.0.0.1:8765/{TOKEN}/"
 LAW = {"controller.law": "cascade", "controller.kp": "60", "controller.kv": "500"}
 
 
 @dataclass
 class Asker:
-    """One visitor."""
+    """The person who started the page."""
 
     client: TestClient
 
@@ -27,11 +28,11 @@ class Asker:
         return unescape(answer.text)
 
     def post(self, path: str, data: dict[str, str] | None = None) -> tuple[int, str]:
-        answer = self.client.post(path, data=data or {}, headers=ORIGIN)
+        answer = self.client.post(path, data=data or {})
         return answer.status_code, unescape(answer.text)
 
     def send(self, name: str, content: bytes, to: str = "/record") -> tuple[int, str]:
-        answer = self.client.post(to, files={"file": (name, content)}, headers=ORIGIN)
+        answer = self.client.post(to, files={"file": (name, content)})
         return answer.status_code, unescape(answer.text)
 
     def said(self, name: str, content: bytes) -> str:
@@ -45,23 +46,22 @@ class Asker:
         """Go through the steps, and return the identification."""
         assert self.send("log.csv", log)[0] == 200
         assert self.post("/channels")[0] == 200
-        answer = self.client.post("/joint", data={**LAW, **fields}, headers=ORIGIN, follow_redirects=False)
+        answer = self.client.post("/joint", data={**LAW, **fields}, follow_redirects=False)
         assert answer.status_code == 303, answer.text
-        found = self.visitor.run(int(answer.headers["location"].rsplit("/", 1)[1]))
+        found = self.folder.run(int(answer.headers["location"].rsplit("/", 1)[1]))
         assert found is not None
         return found
 
     @property
-    def visitor(self) -> Visitor:
-        desk = self.client.app.state.desk  # type: ignore[attr-defined]
-        found = desk.sessions.visitor(self.client.cookies[desk.cookie])
-        assert isinstance(found, Visitor)
+    def folder(self) -> Folder:
+        found = self.client.app.state.page.folder  # type: ignore[attr-defined]
+        assert isinstance(found, Folder)
         return found
 
     @property
     def kept(self) -> set[str]:
-        """The names of all files of this visitor."""
-        folder: Path = self.visitor.folder
+        """The names of all files in the folder."""
+        folder: Path = self.folder.path
         return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
 
 
@@ -71,14 +71,14 @@ def ended(run: Run, most: float = 180.0) -> str:
         if not run.active:
             return str(run.status["state"])
         time.sleep(0.1)
-    raise AssertionError(f"still {run.status} after {most} s: {run.lines()}")
+    raise AssertionError(f"still {run.status} after {most} s: {run.read_progress()}")
 
 
 def running(run: Run, line: str, most: float = 60.0) -> None:
     """Wait until an identification has told that it is there."""
     for _ in range(int(most / 0.05)):
-        if any(line in told for told in run.lines()):
+        if any(line in told for told in run.read_progress()):
             return
         assert run.active, run.status
         time.sleep(0.05)
-    raise AssertionError(f"{run.status}: {run.lines()}")
+    raise AssertionError(f"{run.status}: {run.read_progress()}")

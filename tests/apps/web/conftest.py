@@ -7,15 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from jointid.apps.web.application import application
+from jointid.apps.web.application import build_application
 from jointid.apps.web.limits import Limits
 from jointid.models.controllers import Cascade
 from jointid.models.joints import RigidJoint
-from jointid.records.excitation import trapezoids
-from jointid.records.writing import write
+from jointid.records.files.writing import write
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
-from tests.apps.web.asking import Asker
+from tests.apps.web.asking import ADDRESS, TOKEN, Asker
 from tests.apps.web.testclient import TestClient
 
 TRUTH = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
@@ -23,18 +23,20 @@ TRUTH = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    return tmp_path / "page"
+    path = tmp_path / "page"
+    path.mkdir()
+    return path
 
 
 @pytest.fixture
 def limits() -> Limits:
     """Small enough to be reached."""
-    return Limits(upload=2_000_000, joint_file=20_000, visitors=3, runs=3, waiting=2)
+    return Limits(upload=2_000_000, joint_file=20_000)
 
 
 @pytest.fixture
 def client(folder: Path, limits: Limits) -> Iterator[TestClient]:
-    with TestClient(application(folder, limits=limits), base_url="http://127.0.0.1:8765") as made:
+    with TestClient(build_application(folder, TOKEN, limits=limits), base_url=ADDRESS) as made:
         yield made
 
 

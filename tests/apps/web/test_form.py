@@ -10,9 +10,9 @@ import pytest
 
 from jointid.apps.web.fields import EXTRA_LAW, FIELDS, JOINT_STEP, LAWS, LEARN, NAMES, WITHOUT
 from jointid.apps.web.form import cleaned, imported, ordered, record_tables, tables, told
-from jointid.apps.web.plots import column_svg
-from jointid.apps.web.preview import preview
-from jointid.apps.web.roles import guessed_roles
+from jointid.apps.web.plots import draw_svg
+from jointid.apps.web.preview import build_preview
+from jointid.apps.web.roles import guess_roles
 from jointid.common.errors import JointFileError
 from jointid.config import json_schema, load, loads
 from jointid.paper.twin import JOINT_FILE
@@ -111,7 +111,7 @@ def test_what_is_filled_in_is_what_is_written() -> None:
         ({"controller.velocity_filter": "0,5; 0,5"}, "controller.velocity_filter", "write 0.5."),
         ({"extra": "[parameters"}, "extra", "is not TOML"),
         ({"extra": '[[records]]\nfile = "/etc/passwd"'}, "extra", "says [[records]], and this page identifies one"),
-        ({"extra": "[together]"}, "extra", "use jointid together for several records"),
+        ({"extra": "[together]"}, "extra", "use jointid identify for several records"),
         ({"extra": "[controller]\nkp = 3.0"}, "controller.kp", "further lines and in its field"),
     ],
 )
@@ -165,7 +165,7 @@ def test_a_draft_holds_what_the_form_has_and_no_more() -> None:
     ],
 )
 def test_roles_are_guessed_by_names(columns: list[str], roles: dict[str, str]) -> None:
-    found = guessed_roles(columns)
+    found = guess_roles(columns)
     assert {role: found.get(role) for role in roles} == roles
     assert not (roles == {} and found)
     assert len(set(found.values())) == len(found)
@@ -174,14 +174,12 @@ def test_roles_are_guessed_by_names(columns: list[str], roles: dict[str, str]) -
 def test_a_preview_is_small_and_has_the_peaks() -> None:
     values = np.zeros(100_000)
     values[54_321], values[7] = 5.0, np.nan
-    found = preview(Table({"a": values, "b": np.full(3, np.nan)}))
+    found = build_preview(Table({"a": values, "b": np.full(3, np.nan)}))
     first, second = found["columns"]
     assert (first["low"], first["high"], first["samples"]) == (0.0, 5.0, 100_000)
     assert len(first["outline"][0]) == 400
     assert max(first["outline"][1]) == 5.0
     assert (second["low"], second["outline"]) == (None, None)
-    assert "5.000" in column_svg(first, "1 s")
-    assert "no numbers" in column_svg(second, "1 s")
-    assert (
-        column_svg({**first, "low": 2.0, "high": 2.0, "outline": [[2.0, None], [2.0, None]]}, "<b>").count("<b>") == 0
-    )
+    assert "5.000" in draw_svg(first, "1 s")
+    assert "no numbers" in draw_svg(second, "1 s")
+    assert draw_svg({**first, "low": 2.0, "high": 2.0, "outline": [[2.0, None], [2.0, None]]}, "<b>").count("<b>") == 0

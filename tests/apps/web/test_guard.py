@@ -1,4 +1,4 @@
-"""Who may ask the page, and what a browser may do with its answers."""
+"""Who may use the page, and what a browser may do with its answers."""
 
 from __future__ import annotations
 
@@ -6,33 +6,58 @@ from pathlib import Path
 
 import pytest
 
-from jointid.apps.web.application import application
-from jointid.apps.web.limits import Limits
-from jointid.apps.web.sessions import Sessions
-from tests.apps.web.asking import ORIGIN, Asker
+from jointid.apps.web.application import build_application
+from tests.apps.web.asking import TOKEN, Asker
 from tests.apps.web.testclient import TestClient
+
+PAGE = "http://127.0.0.1:8765"
+PATHS = ["/", "/record", "/channels", "/runs/1", "/runs/1/events", "/runs/1/all.zip", "/static/page.js", "/nothing"]
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_without_the_token_nothing_is_there(client: TestClient, path: str) -> None:
+    for method in ("GET", "POST"):
+        answer = client.request(method, f"{PAGE}{path}")
+        assert answer.status_code == 403
+        assert answer.text.startswith("The token is missing or wrong; open the whole address")
+        assert answer.text.count("\n") == 1
+        assert TOKEN not in answer.text
 
 
 @pytest.mark.parametrize(
-    "headers",
-    [
-        {},
-        {"origin": "http://evil.example"},
-        {"origin": "null"},
-        {"origin": "http://127.0.0.1:9999"},
-        {"sec-fetch-site": "cross-site"},
-        {"sec-fetch-site": "same-site"},
-        {**ORIGIN, "sec-fetch-site": "cross-site"},
-    ],
+    "wrong", ["wrong", TOKEN[:-1], f"{TOKEN}0", TOKEN.upper(), "%FF", "%C3%A9", f"x/{TOKEN}", f"/{TOKEN}"]
 )
-@pytest.mark.parametrize("path", ["/record", "/example", "/draft", "/joint", "/forget", "/runs/1/cancel"])
-def test_other_sites_cannot_have_a_browser_send_forms(client: TestClient, headers: dict[str, str], path: str) -> None:
-    assert client.post(path, headers=headers).status_code == 403
+def test_with_a_wrong_token_neither(client: TestClient, wrong: str) -> None:
+    assert client.get(f"{PAGE}/{wrong}/").status_code == 403
+    assert client.get(f"{PAGE}/?token={TOKEN}").status_code == 403  # it is a part of the path
 
 
-def test_the_page_itself_can(client: TestClient) -> None:
-    assert client.post("/forget", headers=ORIGIN).status_code == 200
-    assert client.post("/forget", headers={"sec-fetch-site": "same-origin"}).status_code == 200
+def test_with_the_token_the_page_is_there(client: TestClient) -> None:
+    answer = client.get(f"{PAGE}/{TOKEN}/")
+    assert answer.status_code == 200
+    assert client.get(f"{PAGE}/{TOKEN}").url.path == f"/{TOKEN}/"
+    assert client.get("/channels").url.path == f"/{TOKEN}/"  # there is no record yet
+
+
+def test_no_cookie_is_ever_set(client: TestClient, asker: Asker, log: bytes) -> None:
+    asker.identify(log)
+    paths = ["/", "/channels", "/joint", "/runs/1", "/runs/1/joint.toml", "/plot/0.svg", "/static/page.js", "/nothing"]
+    answers = [client.get(path) for path in paths] + [client.post("/runs/1/cancel"), client.get(f"{PAGE}/wrong/")]
+    assert not any("set-cookie" in one.headers for answer in answers for one in [*answer.history, answer])
+    assert not client.cookies
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site"])
+@pytest.mark.parametrize("path", ["/record", "/example", "/draft", "/joint", "/runs/1/cancel"])
+def test_other_sites_cannot_have_a_browser_send_forms(client: TestClient, path: str, site: str) -> None:
+    answer = client.post(path, headers={"sec-fetch-site": site})
+    assert answer.status_code == 403
+    assert "another site" in answer.text
+
+
+@pytest.mark.parametrize("site", ["same-origin", "none"])
+def test_the_page_itself_can(client: TestClient, site: str) -> None:
+    assert client.post("/draft", headers={"sec-fetch-site": site}).status_code == 204
 
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:8765", "", "[", "127.0.0.1.evil.example", "10.0.0.1"])
@@ -46,15 +71,17 @@ def test_the_names_of_this_machine_are_not(client: TestClient, host: str) -> Non
 
 
 def test_a_page_on_the_network_is_reached_by_its_number(folder: Path) -> None:
-    client = TestClient(application(folder, host="0.0.0.0"))
-    assert client.get("/", headers={"host": "192.168.1.7:8765"}).status_code == 200
-    assert client.get("/", headers={"host": "evil.example"}).status_code == 403
+    client = TestClient(build_application(folder, TOKEN, host="0.0.0.0"))
+    assert client.get(f"/{TOKEN}/", headers={"host": "192.168.1.7:8765"}).status_code == 200
+    assert client.get(f"/{TOKEN}/", headers={"host": "evil.example"}).status_code == 403
+    assert client.get("/", headers={"host": "192.168.1.7:8765"}).status_code == 403
 
 
-@pytest.mark.parametrize("path", ["/", "/static/page.js", "/nothing", "/runs/1"])
+@pytest.mark.parametrize("path", ["/", "/static/page.js", "/nothing", "/runs/1", "http://127.0.0.1:8765/"])
 def test_every_answer_tells_browsers_how_little_it_may_do(client: TestClient, path: str) -> None:
     headers = client.get(path).headers
     assert headers["x-content-type-options"] == "nosniff"
+    assert headers["referrer-policy"] == "no-referrer"
     policy = headers["content-security-policy"]
     assert "default-src 'none'" in policy
     assert "unsafe" not in policy
@@ -68,45 +95,7 @@ def test_pages_bring_no_script_or_style_of_their_own(client: TestClient, asker: 
         assert "<style" not in text
         assert " style=" not in text
         assert " onclick" not in text
-        assert text.count("<script") == text.count('<script src="/static/page.js"') == 1
-
-
-def test_the_cookie_is_for_this_page_alone(client: TestClient, log: bytes) -> None:
-    assert "set-cookie" not in client.get("/").headers
-    answer = client.post("/record", files={"file": ("log.csv", log)}, headers=ORIGIN, follow_redirects=False)
-    cookie = answer.headers["set-cookie"].lower()
-    assert "httponly" in cookie
-    assert "samesite=strict" in cookie
-
-
-def test_a_cookie_that_is_not_ours_leads_nowhere(client: TestClient, folder: Path) -> None:
-    for token in ("../../etc", "x", "a" * 43):
-        client.cookies.set(client.app.state.desk.cookie, token)  # type: ignore[attr-defined]
-        assert client.get("/runs/1").status_code == 404
-    assert not list(folder.glob("*")) if folder.exists() else True
-
-
-def test_nobody_is_given_a_cookie_that_somebody_else_chose(client: TestClient, asker: Asker, log: bytes) -> None:
-    name = client.app.state.desk.cookie  # type: ignore[attr-defined]
-    headers = {**ORIGIN, "cookie": f"{name}={'a' * 43}"}
-    answer = client.post("/record", files={"file": ("log.csv", log)}, headers=headers, follow_redirects=False)
-    assert answer.status_code == 303
-    assert client.cookies[name] != "a" * 43
-    assert asker.visitor.record is not None
-    again = client.post("/record", files={"file": ("log.csv", log)}, headers=ORIGIN, follow_redirects=False)
-    assert f"{name}={client.cookies[name]}" in again.headers["set-cookie"]  # one who was here stays who they are
-
-
-def test_pages_of_two_folders_on_one_host_have_cookies_of_their_own(folder: Path, limits: Limits) -> None:
-    names = {Sessions(place, limits).cookie for place in (folder, folder / "..", folder / ".." / folder.name)}
-    assert len(names) == 2
-
-
-def test_a_record_that_is_refused_leaves_no_folder_without_a_cookie(client: TestClient, asker: Asker) -> None:
-    headers = {**ORIGIN, "accept": "application/json"}
-    answer = client.post("/record", files={"file": ("a.csv", b"no numbers")}, headers=headers)
-    assert answer.status_code == 422
-    assert asker.visitor.folder.is_dir()
+        assert text.count("<script") == text.count(f'<script src="/{TOKEN}/static/page.js"') == 1
 
 
 @pytest.mark.parametrize("path", ["/static/../application.py", "/static/%2e%2e/worker.py", "/runs/1/run.json", "/x"])
@@ -123,9 +112,8 @@ def test_a_number_of_many_digits_leads_nowhere(client: TestClient, asker: Asker,
 
 @pytest.mark.parametrize("last", ["9" * 5000, "²"])
 def test_a_place_in_the_progress_that_is_no_number_is_the_beginning(
-    client: TestClient, asker: Asker, log: bytes, limits: Limits, last: str
+    client: TestClient, asker: Asker, last: str
 ) -> None:
-    asker.send("log.csv", log)
-    asker.visitor.new_run(limits).update(state="done")
+    asker.folder.new_run().update(state="done")
     answer = client.get("/runs/1/events", headers={"last-event-id": last.encode("latin-1")})
-    assert "event: state" in answer.text
+    assert "event: end" in answer.text

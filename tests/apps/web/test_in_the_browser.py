@@ -16,6 +16,8 @@ import pytest
 from jointid.apps.cli.app import main
 from tests.browser import browser_path
 
+pytestmark = pytest.mark.browser
+
 ARGUMENTS = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-background-networking", "--disable-component-update",
     "--disable-sync", "--no-first-run",
@@ -25,15 +27,15 @@ PATIENCE = 240_000  # ms
 SHOTS = os.environ.get("JOINTID_SHOTS")  # a folder: pictures of each step are left there
 
 
-@pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+@pytest.fixture
+def address(tmp_path: Path) -> Iterator[str]:
     """The page, served by the command."""
-    folder = tmp_path_factory.mktemp("page")
+    folder = tmp_path / "page"
     program = "import sys; from jointid.apps.cli import main; main(sys.argv[1:])"
     words = [sys.executable, "-c", program, "serve", "--port", "0", "--folder", str(folder)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        found = re.search(r"http://127\.0\.0\.1:\d+/", process.stdout.readline())
+        found = re.search(r"http://127\.0\.0\.1:\d+/[\w-]+/", process.stdout.readline())
         assert found is not None
         yield found[0]
         process.terminate()
@@ -51,7 +53,7 @@ def browser() -> Iterator[Any]:
 
 
 class Visit:
-    """A visitor with a fresh browser; what the page complains of, and where it asks, is written down."""
+    """A person with a fresh browser; what the page complains of, and where it asks, is written down."""
 
     def __init__(self, browser: Any, address: str, width: int = 1280, height: int = 800) -> None:
         self.page = browser.new_context(viewport={"width": width, "height": height}).new_page()
@@ -154,9 +156,7 @@ def test_emps_end_to_end(browser: Any, address: str, emps_path: Path, tmp_path: 
 def test_scripts_that_are_not_ours_do_not_run(browser: Any, address: str, emps_path: Path) -> None:
     visit = Visit(browser, address)
     upload(visit, emps_path)
-    cookies = visit.page.context.cookies()
-    assert [(cookie["httpOnly"], cookie["sameSite"]) for cookie in cookies] == [(True, "Strict")]
-    assert visit.page.evaluate("document.cookie") == ""
+    assert visit.page.context.cookies() == []
     blocked = visit.page.evaluate(
         "new Promise(done => { addEventListener('securitypolicyviolation', e => done(e.effectiveDirective));"
         "const s = document.createElement('script'); s.textContent = 'window.ran = true'; document.body.append(s); })"
@@ -184,12 +184,12 @@ def test_by_keyboard_alone(browser: Any, address: str) -> None:
     keys.press("Enter")
     assert page.evaluate("document.activeElement.id") == "content"
     tab_to(visit, "#file")
-    tab_to(visit, 'form[action="/example"] button')
+    tab_to(visit, 'form[action$="/example"] button')
     keys.press("Enter")
     visit.on("channels")
     tab_to(visit, '[name="joint.kind"]')
     tab_to(visit, '[name="record.channels.torque.column"]')
-    tab_to(visit, 'form[action="/channels"] button.primary')
+    tab_to(visit, 'form[action$="/channels"] button.primary')
     keys.press("Enter")
     visit.on("joint")
     tab_to(visit, '[name="joint.model"]')
@@ -198,24 +198,19 @@ def test_by_keyboard_alone(browser: Any, address: str) -> None:
     tab_to(visit, '[name="controller.kp"]')
     keys.press("Control+A")
     keys.type("fast")
-    tab_to(visit, 'form[action="/joint"] button.primary')
+    tab_to(visit, 'form[action$="/joint"] button.primary')
     keys.press("Enter")
     page.wait_for_selector(".fault:visible")
     assert page.evaluate("document.activeElement.name") == "controller.kp"  # the focus is at the fault
     assert 'is "fast"; expected a number' in page.inner_text("#controller-kp-wrong")
     keys.press("Control+A")
     keys.type("160.18")
-    tab_to(visit, 'form[action="/joint"] button.primary')
+    tab_to(visit, 'form[action$="/joint"] button.primary')
     keys.press("Enter")
     visit.on("runs/1")
     tab_to(visit, 'form[action$="/cancel"] button')
     keys.press("Enter")
     page.wait_for_selector("h1:has-text('Cancelled')")
-    page.on("dialog", lambda dialog: dialog.accept())
-    tab_to(visit, ".danger")
-    keys.press("Enter")
-    page.wait_for_selector("h1:has-text('Your data is deleted')")
-    assert page.context.cookies() == []
 
 
 def test_every_field_has_a_name_for_those_who_do_not_see(browser: Any, address: str, emps_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Identifications of the page: each a process that may crash, be cancelled, or belong to somebody else."""
+"""Identifications of the page: each a process that may crash, be cancelled or be cut off by the end of the page."""
 
 from __future__ import annotations
 
@@ -8,28 +8,37 @@ import json
 import os
 import signal
 import sys
-import time
 import zipfile
+from asyncio.subprocess import Process
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
-from starlette.concurrency import run_in_threadpool
 
 from jointid.apps.cli.app import main
-from jointid.apps.web.application import application
-from jointid.apps.web.jobs import Jobs
+from jointid.apps.web.application import build_application
+from jointid.apps.web.folder import write_json
 from jointid.apps.web.limits import Limits
-from jointid.apps.web.sessions import PageError, Run, write_json
-from tests.apps.web.asking import LAW, ORIGIN, Asker, ended, running
+from tests.apps.web.asking import ADDRESS, LAW, TOKEN, Asker, ended, running
 from tests.apps.web.conftest import TRUTH
 from tests.apps.web.testclient import TestClient
 
+pytestmark = pytest.mark.slow
 
-def process(client: TestClient, run: Run) -> int:
-    """Return the process of an identification that runs."""
-    jobs = client.app.state.desk.jobs  # type: ignore[attr-defined]
-    return int(jobs._jobs[run.folder].process.pid)
+
+@pytest.fixture
+def processes(monkeypatch: pytest.MonkeyPatch) -> list[Process]:
+    """The processes that the page has started, the latest at the end."""
+    started = []
+    start = asyncio.create_subprocess_exec
+
+    async def start_and_note(*words: str, **options: Any) -> Process:
+        started.append(await start(*words, **options))
+        return started[-1]
+
+    monkeypatch.setattr(asyncio, "create_subprocess_exec", start_and_note)
+    return started
 
 
 def alive(pid: int) -> bool:
@@ -77,13 +86,12 @@ def test_the_report_is_shown_in_a_sandbox(client: TestClient, asker: Asker, log:
     assert kept.content == answer.content
     events = client.get(f"/runs/{run.number}/events").text
     assert 'data: "identifying"' in events
-    assert events.rstrip().endswith('event: state\ndata: "done"')
+    assert events.rstrip().endswith('event: end\ndata: "done"')
     later = client.get(f"/runs/{run.number}/events", headers={"last-event-id": "0"}).text
     assert "id: 0\n" not in later
     assert "id: 1\n" in later
 
 
-@pytest.mark.slow
 def test_a_controller_that_nobody_knows_is_learned(client: TestClient, asker: Asker, log: bytes) -> None:
     run = asker.identify(log, **{"controller.law": "learn"})
     assert ended(run) == "done", run.status
@@ -94,10 +102,12 @@ def test_a_controller_that_nobody_knows_is_learned(client: TestClient, asker: As
     assert "P-P" in asker.get(f"/runs/{run.number}")
 
 
-def test_a_process_that_is_killed_leaves_the_page_up(client: TestClient, asker: Asker, log: bytes) -> None:
+def test_a_process_that_is_killed_leaves_the_page_up(
+    client: TestClient, asker: Asker, log: bytes, processes: list[Process]
+) -> None:
     run = asker.identify(log)
     running(run, "reading the record")
-    os.kill(process(client, run), signal.SIGKILL)
+    os.kill(processes[-1].pid, signal.SIGKILL)
     assert ended(run) == "failed"
     assert "signal 9" in asker.get(f"/runs/{run.number}")
     assert client.get(f"/runs/{run.number}/answer.json").status_code == 404
@@ -116,101 +126,58 @@ def test_what_the_record_does_not_allow_is_said_in_its_sentence(asker: Asker, lo
     assert "Traceback" not in page
 
 
-def test_cancelling_ends_the_process(client: TestClient, asker: Asker, log: bytes) -> None:
-    run, second = asker.identify(log), asker.identify(log)
+def test_cancelling_ends_the_process(asker: Asker, log: bytes, processes: list[Process]) -> None:
+    run = asker.identify(log)
     running(run, "reading the record")
-    pid = process(client, run)
-    assert second.status["state"] == "queued"
-    assert asker.post(f"/runs/{second.number}/cancel")[0] == 200
     assert "You cancelled it" in asker.post(f"/runs/{run.number}/cancel")[1]
-    assert ended(run) == ended(second) == "cancelled"
-    assert not alive(pid)
+    assert run.status["state"] == "cancelled"
+    assert not alive(processes[-1].pid)
     assert not run.has("answer.json")  # it did not run to its end
-    time.sleep(0.3)
-    assert second.lines() == []  # it never began
 
 
-def test_users_do_not_see_each_other(client: TestClient, asker: Asker, log: bytes, folder: Path) -> None:
+def test_one_identification_runs_at_a_time(asker: Asker, log: bytes) -> None:
     run = asker.identify(log)
-    other = Asker(TestClient(client.app, base_url="http://127.0.0.1:8765"))
-    paths = [f"/runs/{run.number}{rest}" for rest in ("", "/events", "/joint.toml", "/all.zip")]
-    for path in [*paths, "/plot/0.svg"]:
-        assert other.client.get(path).status_code == 404
-    assert other.client.post(f"/runs/{run.number}/cancel", headers=ORIGIN).status_code == 404
-    assert "log.csv" not in other.get("/")
-    assert other.send("mine.csv", log)[0] == 200
-    assert len(list(folder.iterdir())) == 2
-    other.post("/forget")
-    assert run.active
-    assert "log.csv" in asker.get("/")
-    token = next(iter(client.cookies.values()))
-    assert all(token not in path.name for path in folder.iterdir())
-
-
-def test_deleting_ends_what_runs_and_leaves_nothing(client: TestClient, asker: Asker, log: bytes, folder: Path) -> None:
-    run = asker.identify(log)
-    running(run, "reading the record")
-    pid = process(client, run)
-    code, said = asker.post("/forget")
-    assert code == 200
-    assert "Your data is deleted" in said
-    assert list(folder.iterdir()) == []
-    assert not alive(pid)
-    assert "log.csv" not in asker.get("/")
-
-
-def test_only_so_many_wait(asker: Asker, log: bytes, limits: Limits) -> None:
-    for _ in range(limits.runs):
-        asker.identify(log)
-    code, said = asker.post("/joint", LAW)
+    code, page = asker.post("/joint", LAW)
     assert code == 422
-    assert "waiting or running" in said
-    assert len(asker.visitor.runs) == limits.runs
+    assert "Identification 1 is still running; wait for its end or cancel it" in page
+    assert [one.number for one in asker.folder.runs] == [1]
+    asker.post(f"/runs/{run.number}/cancel")
+    assert asker.post("/joint", LAW)[0] == 200
+    assert [one.number for one in asker.folder.runs] == [2, 1]
 
 
-def test_nobody_takes_all_places_of_the_queue(folder: Path, log: bytes) -> None:
-    with TestClient(application(folder, limits=Limits(waiting_each=2)), base_url="http://127.0.0.1:8765") as client:
-        asker, other = Asker(client), Asker(TestClient(client.app, base_url="http://127.0.0.1:8765"))
-        asker.identify(log)
-        second = asker.identify(log)
-        code, said = asker.post("/joint", LAW)
-        assert code == 422
-        assert "2 identifications of yours are waiting or running" in said
-        other.identify(log)
-        asker.post(f"/runs/{second.number}/cancel")
-        asker.identify(log)
+def test_an_identification_that_takes_too_long_is_stopped(folder: Path, log: bytes, processes: list[Process]) -> None:
+    hasty = build_application(folder, TOKEN, limits=Limits(seconds=0.5))
+    with TestClient(hasty, base_url=ADDRESS) as client:
+        run = Asker(client).identify(log)
+        assert ended(run) == "failed"
+        assert "took longer than" in run.status["sentence"]
+        assert not alive(processes[-1].pid)
 
 
-def test_the_end_of_the_page_ends_what_runs(folder: Path, log: bytes) -> None:
-    with TestClient(application(folder), base_url="http://127.0.0.1:8765") as client:
-        asker = Asker(client)
-        run = asker.identify(log)
+def test_the_end_of_the_page_ends_what_runs(folder: Path, log: bytes, processes: list[Process]) -> None:
+    with TestClient(build_application(folder, TOKEN), base_url=ADDRESS) as client:
+        run = Asker(client).identify(log)
         running(run, "reading the record")
-        pid = process(client, run)
-    assert not alive(pid)
+    assert not alive(processes[-1].pid)
+    assert run.status["state"] == "cancelled"
+    assert "The page was stopped" in run.status["sentence"]
 
 
-def test_a_page_that_begins_again_says_what_was_cut_off(folder: Path, log: bytes) -> None:
-    with TestClient(application(folder), base_url="http://127.0.0.1:8765") as client:
+def test_a_page_that_is_started_again_finds_everything_under_its_new_token(folder: Path, log: bytes) -> None:
+    with TestClient(build_application(folder, TOKEN), base_url=ADDRESS) as client:
         asker = Asker(client)
         run = asker.identify(log)
-        visitor, cookies = asker.visitor, dict(client.cookies)
-    write_json(run.folder / "run.json", {"state": "running", "sentence": ""})
-    with TestClient(application(folder), base_url="http://127.0.0.1:8765", cookies=cookies) as client:
+        asker.post(f"/runs/{run.number}/cancel")
+    write_json(run.folder / "run.json", {"state": "running", "sentence": ""})  # as a page that is killed leaves it
+    with TestClient(build_application(folder, "new"), base_url="http://127.0.0.1:8765/new/") as client:
+        assert "log.csv" in client.get("/").text
         assert "stopped before this had ended" in client.get("/runs/1").text
-    os.utime(visitor.folder, (0, 0))
-    with TestClient(application(folder), base_url="http://127.0.0.1:8765", cookies=cookies) as client:
-        for _ in range(100):
-            if not visitor.folder.exists():
-                break
-            time.sleep(0.05)
-        assert not visitor.folder.exists()
-        assert "log.csv" not in client.get("/").text
+        assert client.get(f"http://127.0.0.1:8765/{TOKEN}/").status_code == 403
 
 
-def test_two_tabs_of_one_visitor_take_turns(client: TestClient, asker: Asker, log: bytes) -> None:
+def test_two_tabs_take_turns(asker: Asker, log: bytes) -> None:
     asker.send("log.csv", log)
-    asker.get("/channels")
     tabs = [lambda: asker.send("one.csv", log), lambda: asker.send("two.csv", log), lambda: asker.post("/channels")]
     with ThreadPoolExecutor() as pool:
         codes = [each.result()[0] for each in [pool.submit(tab) for tab in tabs]]
@@ -219,77 +186,12 @@ def test_two_tabs_of_one_visitor_take_turns(client: TestClient, asker: Asker, lo
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux holds a process to a bound of its memory")
 def test_a_record_that_takes_too_much_memory_is_refused_in_a_sentence(folder: Path, log: bytes) -> None:
-    small = application(folder, limits=Limits(memory=200 * 2**20))
-    with TestClient(small, base_url="http://127.0.0.1:8765") as client:
+    small = build_application(folder, TOKEN, limits=Limits(memory=200 * 2**20))
+    with TestClient(small, base_url=ADDRESS) as client:
         asker = Asker(client)
         assert "too large for the memory" in asker.said("long.csv", b"1,2\n" * 1_000_000)
         assert asker.send("log.csv", log)[0] == 200
         asker.post("/draft", {"extra": '[record]\nresample = {method = "linear", sample_time = 1e-6}'})
         code, said = asker.post("/channels", {"record.channels.torque.unit@prismatic": "N"})
         assert code == 422
-        assert "jointid long" in said
-
-
-def reading(client: TestClient) -> int:
-    """Wait until a record is read, or made, and return the process."""
-    jobs = client.app.state.desk.jobs  # type: ignore[attr-defined]
-    for _ in range(600):
-        if found := [one.pid for one in list(jobs._attended)]:
-            return int(found[0])
-        time.sleep(0.02)
-    raise AssertionError("nothing is read")
-
-
-def test_deleting_ends_what_is_read_and_nothing_comes_back(
-    client: TestClient, asker: Asker, log: bytes, folder: Path
-) -> None:
-    asker.send("log.csv", log)
-    visitor = asker.visitor
-    with ThreadPoolExecutor() as pool:
-        making = pool.submit(asker.post, "/example")
-        pid = reading(client)
-        waiting = pool.submit(asker.send, "late.csv", log)
-        turn = client.app.state.desk._turns[visitor.folder]  # type: ignore[attr-defined]
-        while not turn._waiters and not waiting.done():
-            time.sleep(0.02)
-        assert asker.post("/forget")[0] == 200
-        assert not alive(pid)
-        for overtaken in (making, waiting):
-            code, said = overtaken.result()
-            assert code == 422
-            assert "Your data was deleted while this was done" in said
-    with pytest.raises(PageError, match="was deleted"):
-        visitor.save_draft({"extra": ""})
-    with pytest.raises(FileNotFoundError):
-        visitor.new_run(Limits())
-    assert list(folder.iterdir()) == []
-
-
-def test_the_end_of_the_page_ends_what_is_read(client: TestClient, asker: Asker, log: bytes) -> None:
-    with ThreadPoolExecutor() as pool:
-        making = pool.submit(asker.post, "/example")
-        pid = reading(client)
-        client.app.state.desk.jobs.close()  # type: ignore[attr-defined]
-        assert "The page is being stopped" in making.result()[1]
-    assert not alive(pid)
-    assert "The page is being stopped" in asker.said("log.csv", log)
-    with pytest.raises(PageError, match="is being stopped"):
-        client.app.state.desk.jobs.submit(asker.visitor.new_run(Limits()))  # type: ignore[attr-defined]
-
-
-def test_those_who_wait_to_be_read_keep_no_thread_and_are_only_so_many(tmp_path: Path) -> None:
-    async def asked() -> None:
-        jobs = Jobs(Limits(waiting=45))
-        async with jobs._reading, jobs._reading:  # every place is taken
-            waiting = [asyncio.create_task(jobs.attend("look", tmp_path)) for _ in range(47)]
-            await asyncio.sleep(0)
-            assert await asyncio.wait_for(run_in_threadpool(str, 5), 60) == "5"  # there are 40 threads
-            with pytest.raises(PageError, match="47 records are being read or wait for it"):
-                await jobs.attend("look", tmp_path)
-            for one in waiting:
-                one.cancel()
-            await asyncio.gather(*waiting, return_exceptions=True)
-        with pytest.raises(FileNotFoundError):  # and their places are free again
-            await jobs.attend("look", tmp_path / "gone")
-
-    asyncio.run(asked())
+        assert "jointid identify --window" in said

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import sys
 from collections.abc import Callable
@@ -33,7 +34,7 @@ def test_only_another_host_than_this_machine_is_warned_of(
     assert served("--host", host, "--folder", tmp_path) == 0
     said = capsys.readouterr()
     assert f"http://{host}:8765/" in said.out
-    assert ("without a password" in said.err) == warned
+    assert ("the network reaches the page" in " ".join(said.err.split())) == warned
 
 
 @pytest.mark.parametrize("module", ["uvicorn", "starlette", "jinja2", "bokeh", "python_multipart"])
@@ -76,3 +77,27 @@ def test_a_folder_that_others_may_read_is_warned_of(
     tmp_path.chmod(mode)
     assert served("--folder", tmp_path) == 0
     assert (f"other users of this machine may read {tmp_path}" in " ".join(capsys.readouterr().err.split())) == warned
+
+
+def test_the_address_holds_a_token_that_is_new_at_each_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uvicorn.Server.run", lambda server, sockets: None)
+    addresses: list[str] = []
+    for _ in range(2):
+        serving.serve(tmp_path, "127.0.0.1", 0, addresses.append)
+    tokens = [re.fullmatch(r"http://127\.0\.0\.1:[0-9]+/([A-Za-z0-9_-]{32})/", one) for one in addresses]
+    first, second = (token[1] for token in tokens if token is not None)
+    assert first != second
+
+
+def test_the_browser_is_started_without_the_token_among_its_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened_at: list[str] = []
+    monkeypatch.setattr(serving, "serve", opened)
+    monkeypatch.setattr("webbrowser.open", opened_at.append)
+    assert served("--open", "--folder", tmp_path) == 0
+    path = tmp_path / "open.html"
+    assert opened_at == [path.as_uri()]
+    assert 'url=http://127.0.0.1:8765/"' in path.read_text(encoding="utf-8")
+    if sys.platform != "win32":
+        assert path.stat().st_mode & 0o777 == 0o600

@@ -1,4 +1,4 @@
-"""`jointid long`: from a text file to the table, its JSON, and how it ends when it cannot go on."""
+"""`jointid identify --window`: from a text file to the table, its JSON, and how it ends when it cannot go on."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from jointid.apps.cli.app import main
-from jointid.records.chunks import Log, Piece
+from jointid.records.reading.chunks import Chunk, Log
 from tests.estimation.streaming.test_identify_long import rigid, stored
 
 JOINT_FILE = """
@@ -52,7 +52,7 @@ def test_a_log_is_identified_and_every_key_documented(
     joint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out.json"
-    assert run("long", joint, "--window", 4, "--json", out) == 0
+    assert run("identify", joint, "--window", 4, "--json", out) == 0
     said = capsys.readouterr()
     assert "Rigid joint, DIDIM in windows, of day" in said.out
     assert "20 of 4 s" in said.out
@@ -71,7 +71,7 @@ def test_an_interrupted_log_is_told_as_far_as_it_was_read(
 ) -> None:
     whole = Log.pieces
 
-    def stopped(self: Log, length: int, overlap: int, every: int = 1) -> Iterator[Piece]:
+    def stopped(self: Log, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
         for count, piece in enumerate(whole(self, length, overlap, every)):
             if every == 1 and count == 14:
                 raise KeyboardInterrupt
@@ -79,7 +79,7 @@ def test_an_interrupted_log_is_told_as_far_as_it_was_read(
 
     monkeypatch.setattr(Log, "pieces", stopped)
     out = tmp_path / "out.json"
-    assert run("long", joint, "--window", 4, "--json", out, "-q") == 130
+    assert run("identify", joint, "--window", 4, "--json", out, "-q") == 130
     said = capsys.readouterr()
     assert "interrupted after 14 windows" in said.out
     assert "what was written so far is kept" in said.err
@@ -91,7 +91,7 @@ def test_a_bad_row_ends_it_with_its_line(joint: Path, tmp_path: Path, capsys: py
     lines[54_321] = "1.0,#"
     bad = tmp_path / "bad.csv"
     bad.write_text("\n".join(lines), encoding="utf-8")
-    assert run("long", joint, "--record", bad, "--window", 4, "-q") == 2
+    assert run("identify", joint, "--record", bad, "--window", 4, "-q") == 2
     assert 'bad.csv: line 54322, column "reference" holds "#", which is not a number' in capsys.readouterr().err
 
 
@@ -99,5 +99,5 @@ def test_it_needs_a_controller(tmp_path: Path, capsys: pytest.CaptureFixture[str
     path = tmp_path / "joint.toml"
     bare = JOINT_FILE.split("[controller]", maxsplit=1)[0]
     path.write_text(bare + 'motor_position = { column = "q" }\n[method]\nname = "idim"\n', encoding="utf-8")
-    assert run("long", path, "-q") == 2
+    assert run("identify", path, "--window", 60, "-q") == 2
     assert "add [controller] to the joint file" in capsys.readouterr().err

@@ -15,15 +15,16 @@ from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.streaming.identify_long import identify_long
+from jointid.estimation.result.summary import describe_drift
+from jointid.estimation.streaming.settings import Windowing
 from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.paper.twin import CONTROLLERS, TABLE_2
-from jointid.records.chunks import InMemory, Log, Piece
-from jointid.records.excitation import trapezoids
 from jointid.records.formats import Table, write_table
+from jointid.records.reading.chunks import Chunk, InMemory, Log
 from jointid.records.record import Channel, Record
+from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 
@@ -52,24 +53,24 @@ def joined(*records: Record) -> Record:
 
 def test_windows_say_what_the_whole_says() -> None:
     record = rigid(120.0)
-    whole, parts = identify(record, LOOP), identify_long(record, LOOP, window=5.0)
-    assert parts.converged
-    assert parts.windows == 24
+    whole, parts = identify(record, LOOP), identify(record, LOOP, windows=Windowing(length=5.0))
+    assert parts.fit.converged
+    assert parts.data.windows.count == 24
     for name, truth in TRUTH.items():
-        std = whole[name].std
+        std = whole[name].stderr
         assert std is not None
-        assert parts[name].std is not None
+        assert parts[name].stderr is not None
         assert abs(parts[name].value - whole[name].value) <= 0.35 * std, name
         assert abs(parts[name].value - truth) <= 3.5 * std, name
-        assert 0.4 <= parts[name].std / std <= 2.5, name
-    assert parts.filtered_error == pytest.approx(whole.filtered_error, rel=0.02)
+        assert 0.4 <= parts[name].stderr / std <= 2.5, name
+    assert parts.fit.filtered_error == pytest.approx(whole.fit.filtered_error, rel=0.02)
 
 
 def test_without_noise_the_truth_comes_back() -> None:
-    estimate = identify_long(rigid(40.0, noise=0.0), LOOP, window=5.0)
+    estimate = identify(rigid(40.0, noise=0.0), LOOP, windows=Windowing(length=5.0))
     for name, truth in TRUTH.items():
         assert estimate[name].value == pytest.approx(truth, rel=1e-6)
-    assert estimate.converged
+    assert estimate.fit.converged
 
 
 @pytest.mark.slow
@@ -79,9 +80,9 @@ def test_a_flexible_joint_in_windows_is_that_of_the_whole() -> None:
     force = 30.0 * np.random.default_rng(5).standard_normal(reference.size)
     record = simulated_record(loop, reference, TABLE_2, sample_time=PERIOD, disturbance=force)
     method = FlexibleDIDIM(frequency=30.0)
-    whole, parts = identify(record, loop, method), identify_long(record, loop, window=15.0, method=method)
+    whole, parts = identify(record, loop, method), identify(record, loop, windows=Windowing(length=15.0), method=method)
     for name in TABLE_2:
-        std = whole[name].std
+        std = whole[name].stderr
         assert std is not None
         assert abs(parts[name].value - whole[name].value) <= 0.35 * std, name
 
@@ -92,16 +93,23 @@ def stored(path: Path, record: Record) -> Log:
     return Log(path, {"torque": "torque", "reference": "reference"}, {"sample_time": PERIOD})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".csv", ".npy"])
 def test_memory_does_not_grow_with_the_record(tmp_path: Path, suffix: str) -> None:
     short = stored(tmp_path / f"short{suffix}", rigid(50.0))
     long = stored(tmp_path / f"long{suffix}", rigid(200.0))
-    identify_long(short, LOOP, window=5.0)  # what is loaded once is loaded
+    identify(short, LOOP, windows=Windowing(length=5.0))  # what is loaded once is loaded
     found = []
     for log in (short, long):
         tracemalloc.start()
-        estimate = identify_long(log, LOOP, window=5.0)
-        found.append((tracemalloc.get_traced_memory()[1], estimate.windows, estimate.simulations / estimate.passes))
+        estimate = identify(log, LOOP, windows=Windowing(length=5.0))
+        found.append(
+            (
+                tracemalloc.get_traced_memory()[1],
+                estimate.data.windows.count,
+                estimate.fit.simulations / estimate.fit.passes,
+            )
+        )
         tracemalloc.stop()
     (before, few, _), (after, many, work) = found
     assert (few, many) == (10, 40)
@@ -111,8 +119,11 @@ def test_memory_does_not_grow_with_the_record(tmp_path: Path, suffix: str) -> No
 
 def test_a_record_in_a_file_is_that_in_memory(tmp_path: Path) -> None:
     record = rigid(60.0)
-    there, here = (identify_long(source, LOOP, window=5.0) for source in (stored(tmp_path / "day.npy", record), record))
-    for p in here.parameters:
+    there, here = (
+        identify(source, LOOP, windows=Windowing(length=5.0))
+        for source in (stored(tmp_path / "day.npy", record), record)
+    )
+    for p in here.params:
         assert there[p.name].value == pytest.approx(p.value, rel=1e-12)
 
 
@@ -128,8 +139,8 @@ class Stopped:
     def sample_time(self) -> float:
         return self.source.sample_time
 
-    def pieces(self, length: int, overlap: int, every: int = 1) -> Iterator[Piece]:
-        for count, piece in enumerate(self.source.pieces(length, overlap, every)):
+    def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
+        for count, piece in enumerate(self.source.chunks(length, overlap, every)):
             if every == 1 and count >= self.after:
                 raise KeyboardInterrupt
             yield piece
@@ -137,32 +148,35 @@ class Stopped:
 
 def test_an_interrupt_keeps_what_it_had() -> None:
     record = rigid(100.0)
-    whole, estimate = identify(record, LOOP), identify_long(Stopped(InMemory(record), 12), LOOP, window=5.0)
-    assert estimate.interrupted
-    assert not estimate.converged
-    assert estimate.windows == 12
-    assert estimate.stop.startswith("interrupted after 12 windows")
-    std = whole["inertia"].std
+    whole, estimate = (
+        identify(record, LOOP),
+        identify(Stopped(InMemory(record), 12), LOOP, windows=Windowing(length=5.0)),
+    )
+    assert estimate.fit.interrupted
+    assert not estimate.fit.converged
+    assert estimate.data.windows.count == 12
+    assert estimate.fit.stop.startswith("interrupted after 12 windows")
+    std = whole["inertia"].stderr
     assert std is not None
     assert abs(estimate["inertia"].value - whole["inertia"].value) <= 3 * std
     with pytest.raises(KeyboardInterrupt):  # of too few windows nothing can be said
-        identify_long(Stopped(InMemory(record), 3), LOOP, window=5.0)
+        identify(Stopped(InMemory(record), 3), LOOP, windows=Windowing(length=5.0))
 
 
 def test_a_joint_that_changes_is_seen_and_one_that_does_not_is_not() -> None:
-    steady = identify_long(rigid(400.0), LOOP, window=4.0)
-    assert len(steady.drift.stretches) == 8
-    assert steady.drift.agreement is not None
-    assert not steady.drift.agreement.differs
-    assert "no parameter changes" in steady.drift_sentence
+    steady = identify(rigid(400.0), LOOP, windows=Windowing(length=4.0))
+    assert len(steady.checks.drift.segments) == 8
+    assert steady.checks.drift.agreement is not None
+    assert not steady.checks.drift.agreement.differs
+    assert "no parameter changes" in describe_drift(steady.checks.drift, steady.params)
     warming = joined(*(rigid(100.0, seed=k, viscous=80.0 - 10.0 * k) for k in range(4)))
-    estimate = identify_long(warming, LOOP, window=4.0)
-    assert "viscous" in estimate.drift.names
-    assert "inertia" not in estimate.drift.names
-    values = [s.values["viscous"] for s in estimate.drift.stretches]
+    estimate = identify(warming, LOOP, windows=Windowing(length=4.0))
+    assert "viscous" in estimate.checks.drift.names
+    assert "inertia" not in estimate.checks.drift.names
+    values = [s.values["viscous"] for s in estimate.checks.drift.segments]
     assert values[0] == pytest.approx(80.0, abs=5.0)
     assert values[-1] == pytest.approx(50.0, abs=5.0)
-    trend = next(t for t in estimate.drift.trends if t.name == "viscous")
+    trend = next(t for t in estimate.checks.drift.trends if t.name == "viscous")
     assert trend.per_hour == pytest.approx(-10.0 * 36, rel=0.2)
     assert "per hour" in str(estimate)
 
@@ -176,38 +190,41 @@ def test_windows_without_motion_are_left_out() -> None:
         torque=replace(record.torque, values=2.0 + 0.1 * np.random.default_rng(0).standard_normal(still.size)),
         reference=Channel(np.full(still.size, record.reference.values[-1]), "m", PERIOD),
     )
-    estimate = identify_long(joined(record, quiet, rigid(40.0, seed=2)), LOOP, window=4.0)
-    assert estimate.still >= 3
+    estimate = identify(joined(record, quiet, rigid(40.0, seed=2)), LOOP, windows=Windowing(length=4.0))
+    assert estimate.data.windows.still >= 3
     for name, truth in TRUTH.items():
-        std = estimate[name].std
+        std = estimate[name].stderr
         assert std is not None
         assert abs(estimate[name].value - truth) <= 4 * std
 
 
 def test_how_long_a_window_remembers_is_measured() -> None:
-    stiff = identify_long(rigid(40.0), LOOP, window=5.0)
+    stiff = identify(rigid(40.0), LOOP, windows=Windowing(length=5.0))
     slow = ClosedLoop(RigidJoint(), Cascade(kp=5.0, kv=500.0))
     reference = trapezoids(SPEEDS, 2.0, 0.1, PERIOD, duration=100.0)
     record = simulated_record(slow, reference, TRUTH, sample_time=PERIOD)
-    loose = identify_long(record, slow, window=10.0)
-    assert stiff.settling < 1.0 < loose.settling
+    loose = identify(record, slow, windows=Windowing(length=10.0))
+    assert stiff.data.windows.settling < 1.0 < loose.data.windows.settling
     assert loose["inertia"].value == pytest.approx(30.0, rel=1e-2)
-    assert any("forgets" in warning for warning in identify_long(record, slow, window=1.5).warnings)
+    assert any(
+        "forgets" in warning for warning in identify(record, slow, windows=Windowing(length=1.5)).checks.warnings
+    )
 
 
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
         ({"method": IDIM()}, "give the method didim"),
-        ({"window": 0.0}, "A window lasts a finite time"),
-        ({"window": 5.0, "settling": 3.0}, "at most half a window of 5 s; received 3 s"),
-        ({"window": 5.0, "settling": 0.0}, "more than 0"),
-        ({"window": 40.0}, "two windows or more"),
+        ({"length": 0.0}, "A window lasts a finite time"),
+        ({"length": 5.0, "settling": 3.0}, "at most half a window of 5 s; received 3 s"),
+        ({"length": 5.0, "settling": 0.0}, "more than 0"),
+        ({"length": 40.0}, "two windows or more"),
     ],
 )
 def test_what_cannot_be_done_is_said(changes: dict[str, object], said: str) -> None:
     with pytest.raises(MethodError, match=said):
-        identify_long(rigid(20.0), LOOP, **changes)  # type: ignore[arg-type]
+        method = changes.pop("method", None)
+        identify(rigid(20.0), LOOP, method, windows=Windowing(**changes))  # type: ignore[arg-type]
 
 
 def test_a_record_that_nothing_can_be_started_from_is_refused() -> None:
@@ -215,9 +232,9 @@ def test_a_record_that_nothing_can_be_started_from_is_refused() -> None:
     assert record.reference is not None
     resting = replace(record, reference=replace(record.reference, values=np.zeros(len(record.reference))))
     with pytest.raises(MethodError, match="In no window of this record does the axis move"):
-        identify_long(resting, LOOP, window=4.0)
+        identify(resting, LOOP, windows=Windowing(length=4.0))
     with pytest.raises(RecordError, match="needs torque"):
-        identify_long(Record(reference=record.reference), LOOP, window=4.0)
+        identify(Record(reference=record.reference), LOOP, windows=Windowing(length=4.0))
 
 
 def test_what_surrounds_the_joint_can_be_free() -> None:
@@ -225,9 +242,9 @@ def test_what_surrounds_the_joint_can_be_free() -> None:
     true = ClosedLoop(RigidJoint(), PD(kp=1e5, kd=2000.0))
     reference = trapezoids(SPEEDS, 2.0, 0.1, PERIOD, duration=60.0)
     record = simulated_record(true, reference, TRUTH, sample_time=PERIOD)
-    estimate = identify_long(record, declared, window=5.0, method=DIDIM(free=("kp",)))
+    estimate = identify(record, declared, windows=Windowing(length=5.0), method=DIDIM(free=("kp",)))
     assert estimate["kp"].value == pytest.approx(1e5, rel=1e-4)
-    assert estimate.loop.controller.kp == pytest.approx(1e5, rel=1e-4)  # type: ignore[union-attr]
+    assert estimate.settings.loop.controller.kp == pytest.approx(1e5, rel=1e-4)  # type: ignore[union-attr]
     assert "kp" not in estimate.values
 
 
@@ -244,13 +261,13 @@ def test_a_stretch_is_silent_of_what_it_does_not_tell() -> None:
     reference = np.concatenate([both, onwards])
     log = 2.0 * np.random.default_rng(1).standard_normal(reference.size)
     record = simulated_record(loop, reference, truth, sample_time=PERIOD, torque_noise=log)
-    estimate = identify_long(record, loop, window=5.0)
-    first, second = estimate.drift.stretches
+    estimate = identify(record, loop, windows=Windowing(length=5.0))
+    first, second = estimate.checks.drift.segments
     told = {"inertia", "viscous_forwards", "coulomb_forwards"}
-    assert set(second.values) == told == {t.name for t in estimate.drift.trends}
+    assert set(second.values) == told == {t.name for t in estimate.checks.drift.trends}
     assert set(first.values) == told | {"viscous_backwards", "coulomb_backwards"}
-    assert estimate.drift.agreement is not None
-    assert not estimate.drift.agreement.differs
+    assert estimate.checks.drift.agreement is not None
+    assert not estimate.checks.drift.agreement.differs
     assert "not told" in str(estimate)
 
 
@@ -259,8 +276,10 @@ def test_windows_begin_with_a_period_of_a_controller_slower_than_the_log() -> No
     loop = ClosedLoop(RigidJoint(), Cascade(kp=30.0, kv=2000.0, period=4e-3))
     lap = trapezoids(SPEEDS, 2.0, 0.1, PERIOD)
     reference = np.tile(np.concatenate([lap, np.zeros(10_000 - lap.size)]), 4)
-    estimate = identify_long(simulated_record(loop, reference, TRUTH, sample_time=PERIOD), loop, window=5.001)
-    assert estimate.window == pytest.approx(5.02)
-    assert estimate.filtered_error < 1e-5
+    estimate = identify(
+        simulated_record(loop, reference, TRUTH, sample_time=PERIOD), loop, windows=Windowing(length=5.001)
+    )
+    assert estimate.data.windows.length == pytest.approx(5.02)
+    assert estimate.fit.filtered_error < 1e-5
     for name, truth in TRUTH.items():
         assert estimate[name].value == pytest.approx(truth, rel=1e-6)

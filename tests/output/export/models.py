@@ -20,7 +20,7 @@ def answer(joint: Joint, values: Mapping[str, float | None], record: str = "run 
         "method": "didim",
         "model": joint.model,
         "kind": joint.kind,
-        "friction": "symmetric" if joint.friction.symmetric else "asymmetric",
+        "friction": joint.friction.name,
         "gravity": gravity_answer(joint),
         "transmission": transmission_answer(joint.transmission),
         "record": {"name": record, "sample_time": 1e-3, "torque_sha256": "5f1c"},

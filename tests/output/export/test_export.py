@@ -144,7 +144,7 @@ def test_friction_that_identify_was_told_on_the_command_line_comes_into_the_join
     (tmp_path / "out.json").write_text(json.dumps(told), encoding="utf-8")
     assert exported(tmp_path, "filled.toml") == 0
     file = ji.load(tmp_path / "filled.toml")
-    assert not file.joint.friction.symmetric
+    assert file.joint.friction.name == "asymmetric"
     assert file.values() == values
 
 
@@ -218,8 +218,8 @@ def test_estimates_of_every_kind_are_exported_as_they_are_found() -> None:
         ji.RigidJoint(), ji.Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15065188)
     )
     alone = ji.identify(first, loop, filtering=ji.Filtering(cutoff=5.0))
-    both = ji.identify_together([first, second], [loop, loop], filtering=ji.Filtering(cutoff=5.0))
-    hours = ji.identify_long(first, loop, window=6.0, settling=1.0, filtering=ji.Filtering(cutoff=5.0))
+    both = ji.identify([first, second], [loop, loop], filtering=ji.Filtering(cutoff=5.0))
+    hours = ji.identify(first, loop, windows=ji.Windowing(length=6.0, settling=1.0), filtering=ji.Filtering(cutoff=5.0))
     every: tuple[tuple[Any, str], ...] = ((alone, "estimate"), (both, "together"), (hours, "long"))
     for estimate, schema in every:
         document = json.loads(ji.export(estimate, "state-space", name="Achse").text)

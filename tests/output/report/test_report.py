@@ -57,6 +57,18 @@ def test_every_section_is_there(made: object) -> None:
     assert not re.search(r"\b(nan|None)\b", text)
 
 
+def test_a_refused_stiffness_of_a_short_record_is_told_too(stiff_axis: tuple[ji.Record, ji.Estimate]) -> None:
+    record, estimate = stiff_axis
+    told = ji.report_estimate(estimate, record, profiles=[], loop=False)
+    text = told.markdown()
+    assert "the stiffness cannot be told" in text
+    assert "at least" in text.split("## Verdicts")[0]
+    assert "## How soft the spring may be" in text
+    assert "bounds" in told.charts
+    assert "Not here: A frequency response needs every parameter" in text
+
+
+@pytest.mark.slow
 def test_a_refused_stiffness_is_told_in_words_and_bounds(emps_path: Path) -> None:
     told = reports.refused(emps_path)
     text = told.markdown()
@@ -138,12 +150,14 @@ def test_inert_json_is_the_same_json() -> None:
     assert json.loads(text) == given
 
 
+@pytest.mark.slow
 def test_the_same_answer_gives_the_same_bytes(rigid_page: str) -> None:
     assert reports.rigid().html() == rigid_page
     told = reports.rigid()
     assert told.markdown() == told.markdown()
 
 
+@pytest.mark.browser
 def test_the_page_draws_its_plots_and_links_their_zoom(rigid_page: str, tmp_path: Path) -> None:
     path = tmp_path / "page.html"
     path.write_text(rigid_page, encoding="utf-8")
@@ -169,6 +183,7 @@ def test_the_page_draws_its_plots_and_links_their_zoom(rigid_page: str, tmp_path
         assert page.evaluate("document.documentElement.scrollWidth") <= 820
 
 
+@pytest.mark.browser
 def test_without_scripts_and_on_paper_the_figures_are_still(rigid_page: str, tmp_path: Path) -> None:
     path = tmp_path / "page.html"
     path.write_text(rigid_page, encoding="utf-8")
@@ -225,17 +240,18 @@ def test_thinning_keeps_every_peak() -> None:
 def test_a_long_record_says_what_is_left_out() -> None:
     told = reports.rigid()
     many = 40_000
-    estimate = replace(
-        told.estimate,
-        measured=np.resize(told.estimate.measured, many),
-        predicted=np.resize(told.estimate.predicted, many),
+    estimate = told.estimate.amended(
+        fit={
+            "measured": np.resize(told.estimate.fit.measured, many),
+            "predicted": np.resize(told.estimate.fit.predicted, many),
+        }
     )
     longer = ji.Report(replace(told.dossier, estimate=estimate, motion=None))
     assert f"of {many} samples are drawn" in longer.charts["torque"].caption
     assert "residual" not in longer.charts
 
 
-@pytest.mark.slow
+@pytest.mark.docs
 def test_the_program_of_the_documentation_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = (DOCS / "report.md").read_text(encoding="utf-8")
     monkeypatch.chdir(tmp_path)

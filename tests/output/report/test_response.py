@@ -51,9 +51,9 @@ def test_the_band_is_that_of_the_covariance() -> None:
     curve = found.curves[0]
     inertia = estimate["inertia"]
     assert inertia.value is not None
-    assert inertia.std is not None
+    assert inertia.stderr is not None
     ratio = curve.high[-1] / curve.magnitude[-1]  # far above the corner only the inertia counts
-    assert np.log(ratio) == pytest.approx(2 * inertia.std / inertia.value, rel=0.02)
+    assert np.log(ratio) == pytest.approx(2 * inertia.stderr / inertia.value, rel=0.02)
 
 
 def test_the_spectrum_of_white_noise_is_flat_and_of_the_right_size() -> None:

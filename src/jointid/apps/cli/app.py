@@ -14,22 +14,21 @@ import sys
 from cyclopts import App, CycloptsError
 
 from jointid import __version__
-from jointid.apps.cli.advise import advise
 from jointid.apps.cli.compare import compare
-from jointid.apps.cli.compare_reports import compare_reports
-from jointid.apps.cli.convert import convert
+from jointid.apps.cli.controller import controller
+from jointid.apps.cli.data.convert import convert
+from jointid.apps.cli.data.inspect import inspect
 from jointid.apps.cli.demo import demo
+from jointid.apps.cli.diagnose.intervals import intervals
+from jointid.apps.cli.diagnose.loop import loop
+from jointid.apps.cli.diagnose.methods import methods
+from jointid.apps.cli.diagnose.sensors import sensors
 from jointid.apps.cli.export import export
 from jointid.apps.cli.identify import identify
-from jointid.apps.cli.inspect import inspect
-from jointid.apps.cli.intervals import intervals
-from jointid.apps.cli.long import long
-from jointid.apps.cli.loop import loop
 from jointid.apps.cli.report import report
 from jointid.apps.cli.reproduce import reproduce
 from jointid.apps.cli.serve import serve
 from jointid.apps.cli.simulate import simulate
-from jointid.apps.cli.together import together
 from jointid.apps.cli.tune import tune
 from jointid.apps.cli.validate import validate
 from jointid.common.errors import JointidError
@@ -43,11 +42,16 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (
-    demo, inspect, convert, loop, identify, report, long, together, intervals, compare, compare_reports, validate,
-    advise, tune, simulate, export, serve, reproduce,
-):  # fmt: skip
-    app.command(command)
+data = App(name="data", help="Look into files of records, and convert them.", help_format="plaintext")
+diagnose = App(name="diagnose", help="Ask what an estimate is worth, one question a command.", help_format="plaintext")
+for parent, commands in (
+    (app, (demo, identify, validate, report, compare)),
+    (diagnose, (methods, intervals, loop, sensors)),
+    (app, (diagnose, controller, tune, simulate, export, data, serve, reproduce)),
+    (data, (inspect, convert)),
+):
+    for command in commands:
+        parent.command(command)
 
 
 def main(arguments: list[str] | None = None) -> None:

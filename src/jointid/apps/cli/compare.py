@@ -1,52 +1,32 @@
-"""`jointid compare`: every method that a record allows, side by side."""
+"""`jointid compare`: what changed between two estimates of the same joint."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
-
-from cyclopts import Parameter
 
 
 def compare(
-    joint: Path,
+    before: Path,
+    after: Path,
     /,
     *,
-    record: Path | None = None,
-    filtering: Literal["default", "published", "as-printed"] | None = None,
+    level: float = 0.05,
     json: Path | None = None,
-    quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
 ) -> None:
-    """Identify a joint by every method that the record and the joint file allow, and set the answers side by side.
+    """Say what changed between two estimates of the same joint, and whether it is more than their errors.
 
     Args:
-        joint: the joint file (TOML); of its method the settings of didim are used.
-        record: the record, instead of the one the joint file names.
-        filtering: of every method, as for identify.
+        before: the first (A): what identify --json wrote, or the page of a report.
+        after: the second (B), likewise.
+        level: chance that anything is called changed where nothing is, for all quantities together.
         json: also write the answer as JSON to this file.
-        quiet: say nothing of the progress.
     """
-    from jointid.apps.cli.console import check_outputs, progress, ready, show
-    from jointid.config import load
-    from jointid.diagnostics.method_comparison import compare as run
-    from jointid.estimation.methods.didim import DIDIM
-    from jointid.estimation.methods.flexible import FlexibleDIDIM
+    from jointid.apps.cli.console import check_outputs, show
+    from jointid.diagnostics.compare_estimates import compare_reports as run
+    from jointid.output import json as answers
 
-    listener = progress(quiet)
     check_outputs(None, json)
-    file = load(joint).overridden(filtering=filtering)
-    logged = file.record(record)
-    ready(listener)
-    comparison = run(
-        logged,
-        file.loop or file.joint,
-        filtering=file.filtering,
-        parameters=file.parameters,
-        didim=file.method if isinstance(file.method, DIDIM | FlexibleDIDIM) else None,
-        progress=listener,
-    )
-    show(comparison)
+    found = run(answers.read_report(before), answers.read_report(after), level)
+    show(found)
     if json is not None:
-        from jointid.output import json as answers
-
-        answers.write(answers.comparison_answer(comparison), json)
+        answers.write(answers.drift_answer(found), json)

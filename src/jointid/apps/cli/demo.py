@@ -38,7 +38,7 @@ def demo(
     from jointid.output import json as answers
     from jointid.output.figures.figures import save, torque_figure
     from jointid.paper.twin import JOINT_FILE, twin
-    from jointid.records.writing import write
+    from jointid.records.files.writing import write
 
     listener = progress(quiet)
     made = make_folder(folder)
@@ -82,7 +82,7 @@ def _found(estimate: Estimate, name: str) -> tuple[float, float, str, str]:
     """Return value, deviation, symbol and unit of a parameter, or of the sum of both sides."""
     if name in estimate.values:
         found = estimate[name]
-        return estimate.values[name], found.std or 0.0, found.symbol, found.unit
+        return estimate.values[name], found.stderr or 0.0, found.symbol, found.unit
     motor, load = estimate[f"motor_{name}"], estimate[f"load_{name}"]
-    value, std = estimate.total((motor.name, load.name))
+    value, std = estimate.params.total((motor.name, load.name))
     return value, std, f"{motor.symbol}+{load.symbol}", motor.unit

@@ -7,6 +7,8 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from jointid.apps.cli.options import Changes
+
 Language = Literal["joint-file", "state-space", "matlab", "mjcf", "urdf", "modelica"]
 
 
@@ -15,6 +17,7 @@ def export(
     /,
     *,
     estimate: Path,
+    changes: Changes = (),
     out: Path,
     format: Language | None = None,  # noqa: A002
     side: Literal["motor", "load"] | None = None,
@@ -31,6 +34,7 @@ def export(
     Args:
         joint: the joint file (TOML).
         estimate: what identify, together or long --json wrote.
+        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         out: the file to write.
         format: the language, instead of the one the ending of the file means.
         side: of a transmission, whose numbers are written; without it the load's for URDF and MJCF, and else the side
@@ -54,7 +58,7 @@ def export(
     given = {"values": "fixed" if fixed else None, "period": period, "delay": delay, "timestep": timestep}
     settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     exporter = exporter_of(out, **settings) if format is None else exporter_named(format, **settings)
-    file = load(joint).overridden(friction=answers.read_friction(estimate))
+    file = load(joint, changes).override(friction=answers.read_friction(estimate))
     if isinstance(exporter, JointToml):
         exporter = JointToml(file, exporter.values, out.parent)
     exported = run(read_estimated(estimate, file.joint, file.name), exporter, side=side)

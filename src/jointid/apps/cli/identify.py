@@ -1,21 +1,32 @@
-"""`jointid identify`: a joint file and a record in, the table out."""
+"""`jointid identify`: a joint file and one record, several, or a long log in, the table out."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
+
+from jointid.apps.cli.options import Changes
+
+if TYPE_CHECKING:
+    from jointid.common.progress import Progress
+    from jointid.config import JointFile
+    from jointid.estimation.result.estimate import Estimate
+    from jointid.estimation.streaming.settings import Windowing
 
 
 def identify(
     joint: Path,
     /,
     *,
-    record: Path | None = None,
+    record: Annotated[list[Path] | None, Parameter(negative=())] = None,
+    window: float | None = None,
+    settling: float | None = None,
+    changes: Changes = (),
     method: Literal["didim", "idim", "drive_side", "open_loop"] | None = None,
     filtering: Literal["default", "published", "as-printed"] | None = None,
-    friction: Literal["symmetric", "asymmetric"] | None = None,
+    friction: str | None = None,
     minimiser: Literal["least-squares", "nelder-mead"] | None = None,
     frequency: float | None = None,
     estimator: Literal["ols", "weighted", "robust", "iv"] | None = None,
@@ -26,16 +37,21 @@ def identify(
     figure: Path | None = None,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
 ) -> None:
-    """Identify a joint from a record.
+    """Identify a joint from a record, from several in one fit, or from hours of its log in bounded memory.
 
     Args:
         joint: the joint file (TOML).
-        record: the record, instead of the one the joint file names.
+        record: the record, instead of the one the joint file names; given several times, or with [[records]] in the
+            joint file and none here, all of them are identified in one fit, and held against each other.
+        window: seconds of a window; the record, of a format that is read in chunks, is a log too long for memory: it is
+            identified in windows, and tested for drift.
+        settling: seconds before and after each window that are simulated and not fitted; without it measured.
+        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         method: didim reads torque and reference only; idim reads torque and motor position, and the load's position
             too if the joint is flexible; drive_side and open_loop read torque and motor position, and no controller.
         filtering: published repeats the results of the EMPS benchmark; as-printed the paper's for a flexible joint,
             which aliases at 1 kHz and warns of it; default is the program's own.
-        friction: the same in both directions, or not.
+        friction: the friction law, symmetric (the same in both directions) or another that joint.friction may name.
         minimiser: of didim for a flexible joint; nelder-mead is the paper's.
         frequency: in Hz, free-free, from which didim for a flexible joint starts its stiffness.
         estimator: of idim; weighted, each equation of a flexible joint by the size of its error; robust, rows that do
@@ -50,10 +66,11 @@ def identify(
     from jointid.apps.cli.console import check_outputs, identified, progress, show
     from jointid.config import load
     from jointid.diagnostics.check_loop import with_loop_verdict
+    from jointid.estimation.streaming.settings import Windowing
 
     listener = progress(quiet)
     check_outputs(figure, json)
-    file = load(joint).overridden(
+    file = load(joint, changes).override(
         method=method,
         filtering=filtering,
         friction=friction,
@@ -64,9 +81,16 @@ def identify(
         period=period,
         drift=drift,
     )
-    logged, estimate = identified(file, record, listener)
-    if file.tells_of_its_loop:
-        estimate = with_loop_verdict(estimate, logged)
+    records = record or []
+    logged = None
+    if window is not None or settling is not None:
+        estimate = _from_log(file, records, Windowing(window or Windowing().length, settling), listener)
+    elif len(records) > 1 or (file.runs and not records):
+        estimate = _from_several(file, records, listener)
+    else:
+        logged, estimate = identified(file, records[0] if records else None, listener)
+        if file.tells_of_its_loop:
+            estimate = with_loop_verdict(estimate, logged)
     show(estimate)
     if json is not None:
         from jointid.output import json as answers
@@ -76,7 +100,54 @@ def identify(
         from jointid.output.figures.figures import save, torque_figure
 
         save(torque_figure(estimate), figure)
-    if estimate.bounds:
+    if logged is not None and estimate.checks.bounds:
         from jointid.diagnostics.stiffness_test_design import what_would_tell_more
 
         show(f"\n{what_would_tell_more(estimate, logged)}")
+    if estimate.fit.interrupted:
+        raise KeyboardInterrupt
+
+
+def _from_several(file: JointFile, records: list[Path], listener: Progress) -> Estimate:
+    from jointid.apps.cli.console import ready
+    from jointid.common.errors import MethodError
+    from jointid.estimation.identify import identify
+    from jointid.estimation.several_records.settings import SeveralRecords
+
+    each = file.each(records)
+    loops = [one.loop for one in each if one.loop is not None]
+    if len(loops) < len(each):
+        raise MethodError(
+            "Several records are identified by simulating their loop; add [controller] to the joint file."
+        )
+    logged = [one.record() for one in each]
+    ready(listener)
+    several = SeveralRecords(
+        added_inertia=[more for one in each for more in one.added_inertias],
+        own=[run.own for one in each for run in one.runs],
+        free=file.free,
+        weighting=file.weighting,
+    )
+    return identify(
+        logged, loops, file.method, several=several, filtering=file.filtering, parameters=file.parameters,
+        progress=listener,
+    )  # fmt: skip
+
+
+def _from_log(file: JointFile, records: list[Path], windows: Windowing, listener: Progress) -> Estimate:
+    from jointid.apps.cli.console import ready
+    from jointid.common.errors import MethodError
+    from jointid.estimation.identify import identify
+
+    if len(records) > 1:
+        raise MethodError(
+            f"A log is one record; received {len(records)} with --window: name one, or leave --window out."
+        )
+    if file.loop is None:
+        raise MethodError("A long record is identified by simulating its loop; add [controller] to the joint file.")
+    log = file.log(records[0] if records else None)
+    ready(listener)
+    return identify(
+        log, file.loop, file.method, windows=windows, filtering=file.filtering, parameters=file.parameters,
+        progress=listener,
+    )  # fmt: skip

@@ -7,18 +7,21 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from jointid.apps.cli.options import Changes
+
 
 def report(
     joint: Path,
     /,
     *,
     record: Path | None = None,
+    changes: Changes = (),
     html: Path | None = None,
     markdown: Path | None = None,
     figures: Path | None = None,
     method: Literal["didim", "idim", "drive_side", "open_loop"] | None = None,
     filtering: Literal["default", "published", "as-printed"] | None = None,
-    friction: Literal["symmetric", "asymmetric"] | None = None,
+    friction: str | None = None,
     no_profiles: Annotated[bool, Parameter(negative=())] = False,
     json: Path | None = None,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
@@ -28,6 +31,7 @@ def report(
     Args:
         joint: the joint file (TOML).
         record: the record, instead of the one the joint file names.
+        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         html: the page, one file that opens without a network; report.html where nothing else is asked for.
         markdown: folder for the same as Markdown, report.md, and its figures as SVG.
         figures: folder for the figures as PNG and SVG, for a paper.
@@ -50,7 +54,7 @@ def report(
         require_page(page)
         require_extra(plots=True)
     listener = progress(quiet)
-    file = load(joint).overridden(method=method, filtering=filtering, friction=friction)
+    file = load(joint, changes).override(method=method, filtering=filtering, friction=friction)
     source = Path(file.record_path(record))
     options = {"method": method, "filtering": filtering, "friction": friction}
     again = repetition(joint, source, options, "report.html" if page is None else page.name)

@@ -34,12 +34,13 @@ def reproduce(
     written = save(reproduction_document(found), out, "reproduction")
     didim, best = found.first.didim, found.first.best
     for name in ("motor_inertia", "load_inertia", "stiffness"):
-        value, std, truth = best.values[name], best[name].std or 0.0, found.first.axis.truth[name]
+        value, std, truth = best.values[name], best[name].stderr or 0.0, found.first.axis.truth[name]
         show(
             f"{best[name].symbol:4} {value:.5g} +- {2 * std:.2g} {best[name].unit}, truth {truth:g}, from torque alone"
         )
     show(
-        f"Nelder-Mead took {didim.simulations} simulations, least squares from a grid of starts {best.simulations}; "
+        f"Nelder-Mead took {didim.fit.simulations} simulations, least squares from a grid of starts "
+        f"{best.fit.simulations}; "
         f"+10 kg was found as {found.variations('idim')['load_inertia']:.2f} kg by IDIM, "
         f"{found.variations('didim')['load_inertia']:.2f} kg by DIDIM"
     )

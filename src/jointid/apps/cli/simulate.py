@@ -8,12 +8,15 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from jointid.apps.cli.options import Changes
+
 
 def simulate(
     joint: Path | None = None,
     /,
     *,
     record: Path | None = None,
+    changes: Changes = (),
     estimate: Path | None = None,
     out: Path | None = None,
     json: Path | None = None,
@@ -31,6 +34,7 @@ def simulate(
     Args:
         joint: the joint file (TOML).
         record: the record whose reference (and injected signal) drives the loop.
+        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         estimate: what identify --json wrote; its parameters are used.
         out: write torque, reference and positions to this file, of any format, under the names and in the
             units in which the joint file, or its drive's profile, reads them, each on its own side of a transmission.
@@ -46,19 +50,26 @@ def simulate(
 
     check_outputs(None, json, out)
     if twin is not None:
-        if out is None or any(given is not None for given in (joint, record, estimate, json)):
+        if out is None or changes or any(g is not None for g in (joint, record, estimate, json)):
             raise MethodError(
-                "--twin needs --out, and takes no joint file, --record, --estimate or --json; give only where to write."
+                "--twin needs --out, and takes no joint file, --record, --set, --estimate or --json; give only where "
+                "to write."
             )
         _twin(twin, added_mass, noise, seed, out, quiet)
         return
     if joint is None:
         raise MethodError("A simulation needs a joint file; name one, or give --twin L19 for the paper's axis.")
-    _joint(joint, record, estimate, out, json, quiet)
+    _joint(joint, record, changes, estimate, out, json, quiet)
 
 
 def _joint(
-    joint: Path, record: Path | None, estimate: Path | None, out: Path | None, json: Path | None, quiet: bool
+    joint: Path,
+    record: Path | None,
+    changes: tuple[str, ...],
+    estimate: Path | None,
+    out: Path | None,
+    json: Path | None,
+    quiet: bool,
 ) -> None:
     from jointid.apps.cli.console import progress, ready, show
     from jointid.common.errors import MethodError
@@ -68,9 +79,9 @@ def _joint(
     from jointid.simulation.closed_loop import require_finished, simulate
     from jointid.simulation.loop_input import prepare
 
-    file = load(joint)
+    file = load(joint, changes)
     if estimate is not None:
-        file = file.overridden(friction=answers.read_friction(estimate))
+        file = file.override(friction=answers.read_friction(estimate))
     if file.loop is None:
         raise MethodError("A simulation needs the controller; add a [controller] table to the joint file.")
     # What is written begins with its first sample, from where a position loop's offset will be counted.
@@ -110,7 +121,7 @@ def _twin(
 ) -> None:
     from jointid.apps.cli.console import progress, ready, show
     from jointid.paper.twin import twin
-    from jointid.records.writing import write
+    from jointid.records.files.writing import write
 
     ready(progress(quiet), derivatives=False)
     axis = twin(loop, added_mass=added_mass, noise=noise, seed=seed)

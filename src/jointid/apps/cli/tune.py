@@ -7,12 +7,15 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from jointid.apps.cli.options import Changes
+
 
 def tune(
     joint: Path,
     /,
     *,
     record: Path | None = None,
+    changes: Changes = (),
     gain_margin: float = 2.0,
     phase_margin: float = 45.0,
     modulus: float = 0.5,
@@ -29,6 +32,7 @@ def tune(
     Args:
         joint: the joint file (TOML).
         record: the record, instead of the one the joint file names.
+        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         gain_margin: that the proposed loop keeps in the worst case, a ratio; 2 is 6 dB.
         phase_margin: likewise, degrees.
         modulus: likewise, the smallest distance of the loop's response from -1; the inverse of the largest sensitivity.
@@ -49,7 +53,7 @@ def tune(
     listener = progress(quiet)
     check_outputs(figure, json)
     settings = Tuning(gain_margin, phase_margin, modulus, confidence, notch, false_alarm, power)
-    file = load(joint).overridden(method="didim")
+    file = load(joint, changes).override(method="didim")
     logged, estimate = identified(file, record, listener)
     if file.tells_of_its_loop:  # margins are of the loop as it is declared
         estimate = with_loop_verdict(estimate, logged)

@@ -7,6 +7,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from jointid.apps.cli.options import Changes
+
 
 def validate(
     joint: Path,
@@ -14,6 +16,7 @@ def validate(
     *,
     estimate: Path,
     record: Path | None = None,
+    changes: Changes = (),
     json: Path | None = None,
     figure: Path | None = None,
     residuals: Path | None = None,
@@ -25,6 +28,7 @@ def validate(
         joint: the joint file (TOML).
         estimate: what identify --json wrote.
         record: the record, instead of the one the joint file names.
+        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         json: also write the answer as JSON to this file.
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         residuals: also save the error against velocity and position, and its autocorrelation, likewise.
@@ -37,9 +41,9 @@ def validate(
 
     check_outputs(figure, json)
     check_outputs(residuals)
-    file = load(joint).overridden(friction=answers.read_friction(estimate))
+    file = load(joint, changes).override(friction=answers.read_friction(estimate))
     identified = answers.read_identified(estimate, file.joint, file.loop)
-    file = file.overridden(method=identified.method)
+    file = file.override(method=identified.method)
     logged = file.record(record)
     ready(progress(quiet))
     validation = run(identified, logged)

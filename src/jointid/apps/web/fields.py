@@ -1,19 +1,29 @@
 """The fields of the page's form: which key of the joint file each one is, and what it is called in plain words.
 
-A field's name begins with the path of its key. What a choice means is said here; that the keys and the words are those
-of the joint file is held by a test. What has no field can be said in the lines of the joint file that the form keeps as
-they are, "extra".
+A field's name begins with the path of its key. How it is entered, its unit and the words it chooses among are those of
+the setting's declaration, and so is its help where none is written here; what it is called, and what a word means to
+someone who never read a joint file, is said here. What has no field can be said in the lines of the joint file that the
+form keeps as they are, "extra".
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
+from jointid.common.settings import Declared, settings_of
 from jointid.common.units import units_of
-from jointid.records.columns import known_units, unit_in_name
+from jointid.config.sources import Source
+from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.models.controllers import PD, PID, Cascade, DiagramController
+from jointid.models.friction import FRICTIONS
+from jointid.models.gravity import Gravity
+from jointid.models.transmission import Transmission
+from jointid.records.columns import Column, known_units, unit_in_name
+from jointid.records.drives.drive import Drive
 from jointid.records.record import CHANNELS
+from jointid.records.signals.filtering import Filtering
 
 Form: TypeAlias = Literal["number", "numbers", "text", "choice", "column", "unit", "sign", "flag"]
 Draft: TypeAlias = Mapping[str, str]
@@ -65,8 +75,58 @@ class Field:
         return all(draft.get(name, usual(name)) in values for name, values in self.when.items())
 
 
-def _same(text: str) -> tuple[str, str]:
-    return text, text
+def _of(
+    owner: type,
+    key: str,
+    label: str,
+    help: str | None = None,  # noqa: A002
+    words: Mapping[str, str] | None = None,
+    **further: Any,
+) -> Field:
+    """Return the field of a setting.
+
+    Args:
+        owner: the dataclass that declares it.
+        key: its path in the joint file.
+        label: what it is called.
+        help: what it means; as it is declared when None.
+        words: what each of the words means that the setting chooses among; "" leaves the key out.
+        further: the other attributes of the field.
+
+    Raises:
+        KeyError: a word is not told.
+    """
+    one = next(one for one in settings_of(owner) if one.name == key.rpartition(".")[2])
+    words = words or {}
+    choices = tuple((word, words[word]) for word in (*([""] if "" in words else []), *_words(one)))
+    meaning = one.setting.help.partition(";")[0]
+    said = f"{meaning[:1].upper()}{meaning[1:]}." if help is None else help
+    return Field(
+        key, label, said, **{"form": _form(one), "unit": _units(one.setting.unit), "choices": choices} | further
+    )
+
+
+def _words(one: Declared) -> tuple[str, ...]:
+    """Return the words among which a setting chooses, as a form sends them."""
+    if one.type is bool:
+        return "true", "false"
+    return tuple(map(str, one.setting.only)) or one.choices
+
+
+def _form(one: Declared) -> Form:
+    """Return how a setting is entered."""
+    if one.choices:
+        return "choice"
+    if one.setting.only:
+        return "sign"
+    return {bool: "flag", str: "text", float: "number", int: "number"}.get(one.type, "numbers")  # type: ignore[return-value]
+
+
+def _units(unit: str) -> tuple[str, str]:
+    """Return a declared unit for a prismatic and for a revolute joint: "controller units per m/s or rad/s"."""
+    straight, _, turning = unit.partition(" or ")
+    before, per, _ = straight.rpartition(" per ")
+    return straight, f"{before}{per}{turning}" if turning else straight
 
 
 _LAWED = {"controller.law": LAWS}
@@ -91,10 +151,10 @@ CHANNEL_WORDS = {
 """What each channel is called, and what it is."""
 
 CLOCK = (
-    Field("record.time", "Time", "The column with the time of each row.", "column"),
-    Field("record.time_unit", "Unit of the time", "Left open: as the column's name says, or seconds.", "choice",
-          choices=(("", "as named, or s"), *((u, u) for u in ("s", "ms", "us", "ns", "min", "h")))),
-    Field("record.sample_time", "Time between rows", "Needed where there is no time column.", unit=_same("s")),
+    _of(Source, "record.time", "Time", "The column with the time of each row.", form="column"),
+    _of(Source, "record.time_unit", "Unit of the time", "Left open: as the column's name says, or seconds.",
+        {"": "as named, or s", **{unit: unit for unit in units_of("time")}}),
+    _of(Source, "record.sample_time", "Time between rows", "Needed where there is no time column."),
 )  # fmt: skip
 
 TEXT = (
@@ -116,41 +176,40 @@ def channel_fields(channel: str) -> tuple[Field, ...]:
         for kind in KINDS
     )  # fmt: skip
     made = [
-        Field(f"{path}.column", *CHANNEL_WORDS[channel], "column"),
+        _of(Column, f"{path}.column", *CHANNEL_WORDS[channel], form="column"),
         *units,
-        Field(f"{path}.gain", "Multiply by", "What takes the column's numbers to the unit."),
-        Field(f"{path}.sign", "Direction", "", "sign", choices=(("1", "as it is"), ("-1", "turned round"))),
-        Field(f"{path}.timing", "A value stands for", "", "choice",
-              choices=(("", "the usual"), ("sampled", "its instant"), ("held", "the time until the next value"),
-                       ("averaged", "the mean since the last value"))),
+        _of(Column, f"{path}.gain", "Multiply by"),
+        _of(Column, f"{path}.sign", "Direction", "", {"1": "as it is", "-1": "turned round"}),
+        _of(Column, f"{path}.timing", "A value stands for", "",
+            {"": "the usual", "sampled": "its instant", "held": "the time until the next value",
+             "averaged": "the mean since the last value"}),
     ]  # fmt: skip
     if channel == "torque":
         made.append(
-            Field(f"{path}.tap", "Where it was logged", "", "choice",
-                  choices=(("", "the controller's output"), ("command", "the controller's output"),
-                           ("filtered", "behind the drive's torque filters"),
-                           ("measured", "a measured current")))
+            _of(Column, f"{path}.tap", "Where it was logged", "",
+                {"": "the controller's output", "command": "the controller's output",
+                 "filtered": "behind the drive's torque filters", "measured": "a measured current"})
         )  # fmt: skip
     if channel == "injected":
         made += [
-            Field(f"{path}.at", "It is added", "", "choice",
-                  choices=(("", "after the torque limit"), ("after_limit", "after the torque limit"),
-                           ("before_limit", "before the torque limit"))),
-            Field(f"{path}.in_torque", "The logged torque", "", "flag",
-                  choices=(("", "contains it"), ("true", "contains it"), ("false", "does not contain it"))),
+            _of(Column, f"{path}.at", "It is added", "",
+                {"": "after the torque limit", "after_limit": "after the torque limit",
+                 "before_limit": "before the torque limit"}),
+            _of(Column, f"{path}.in_torque", "The logged torque", "",
+                {"": "contains it", "true": "contains it", "false": "does not contain it"}),
         ]  # fmt: skip
     elif channel.endswith("position") or channel == "reference":
-        made.append(Field(f"{path}.wrap", "Begins again at", "Of an encoder that wraps round: 65536, or 360."))
+        made.append(_of(Column, f"{path}.wrap", "Begins again at", "Of an encoder that wraps round: 65536, or 360."))
     return tuple(made)
 
 
 CHANNEL_FIELDS = {channel: channel_fields(channel) for channel in CHANNELS}
 
 DRIVE = (
-    Field("drive.torque_constant", "Torque constant", "Takes a current to a torque.", unit=("N/A", "N m/A")),
-    Field("drive.rated_torque", "Rated torque", "What % and per mille are a share of.", unit=("N", "N m")),
-    Field("drive.counts_per_turn", "Encoder counts in one turn", when={"joint.kind": ("revolute",)}),
-    Field("drive.counts_per_metre", "Encoder counts in one metre", when={"joint.kind": ("prismatic",)}),
+    _of(Drive, "drive.torque_constant", "Torque constant", "Takes a current to a torque."),
+    _of(Drive, "drive.rated_torque", "Rated torque", "What % and per mille are a share of."),
+    _of(Drive, "drive.counts_per_turn", "Encoder counts in one turn", "", when={"joint.kind": ("revolute",)}),
+    _of(Drive, "drive.counts_per_metre", "Encoder counts in one metre", "", when={"joint.kind": ("prismatic",)}),
 )
 
 JOINT = (
@@ -158,12 +217,13 @@ JOINT = (
           choices=(("rigid", "one mass and its friction (rigid)"),
                    ("flexible", "two masses and the spring between them (flexible)")), usual="rigid"),
     Field("joint.friction", "Friction", "", "choice",
-          choices=(("symmetric", "the same in both directions"), ("asymmetric", "different in the two directions")),
+          choices=tuple((law.name, law.label) for law in FRICTIONS.values()),
           usual="symmetric"),
-    Field("gravity.load", "Gravity", "", "choice",
-          choices=(("", "does not matter"), ("constant", "a vertical axis: a constant weight"),
-                   ("link", "an arm that swings in a vertical plane"))),
-    Field("transmission.ratio", "Gear ratio", "How far the motor goes while the load goes 1; empty without a gear."),
+    _of(Gravity, "gravity.load", "Gravity", "",
+        {"": "does not matter", "constant": "a vertical axis: a constant weight",
+         "link": "an arm that swings in a vertical plane"}),
+    _of(Transmission, "transmission.ratio", "Gear ratio",
+        "How far the motor goes while the load goes 1; empty without a gear."),
     Field("joint.name", "Name", "What the report calls the axis.", "text"),
 )  # fmt: skip
 
@@ -180,38 +240,33 @@ LAW = Field(
     ),
 )  # fmt: skip
 
+_OF_CASCADE = {"controller.law": ("cascade",)}
+
 CONTROLLER = (
-    Field("controller.kp", "Position gain kp", "", unit=_same("1/s"), when={"controller.law": ("cascade",)}),
-    Field("controller.kv", "Velocity gain kv", "", unit=("controller units per m/s", "controller units per rad/s"),
-          when={"controller.law": ("cascade",)}),
-    Field("controller.ki", "Integral gain ki", "1 over the integral time; empty for none.", unit=_same("1/s"),
-          when={"controller.law": ("cascade",)}),
-    Field("controller.velocity_feedforward", "Velocity feed-forward", "A share: 1 is all of it; empty for none.",
-          when={"controller.law": ("cascade",)}),
-    Field("controller.kp", "Proportional gain kp", "", unit=("controller units per m", "controller units per rad"),
-          when={"controller.law": ("pd", "pid")}, variant="pd"),
-    Field("controller.ki", "Integral gain ki", "", unit=("controller units per m s", "controller units per rad s"),
-          when={"controller.law": ("pid",)}, variant="pid"),
-    Field("controller.kd", "Derivative gain kd", "", unit=("controller units per m/s", "controller units per rad/s"),
-          when={"controller.law": ("pd", "pid")}),
-    Field("controller.velocity_filter", "Velocity filter", "Numbers that weigh this and earlier velocities: 0.5, 0.5 "
-          "is the mean of two. Empty for none.", "numbers", when=_LAWED),
-    Field("controller.gain", "Torque per controller unit", "1 if the controller speaks N or N m already; the drive's "
-          "gain if it speaks volts or ampere.", unit=("N per unit", "N m per unit"),
-          when={"controller.law": (*LAWS, LEARN)}),
-    Field("controller.limit", "Torque limit", "Of the controller's output, both ways; empty for none.",
-          unit=_same("controller units"), when=_LAWED),
-    Field("controller.delay", "Delay", "From the sampled position to the torque; empty for none.", unit=_same("s"),
-          when=_LAWED),
-    Field("controller.period", "Period", "Of the controller, if it is not that of the log.", unit=_same("s"),
-          when=_LAWED),
+    _of(Cascade, "controller.kp", "Position gain kp", "", when=_OF_CASCADE),
+    _of(Cascade, "controller.kv", "Velocity gain kv", "", when=_OF_CASCADE),
+    _of(Cascade, "controller.ki", "Integral gain ki", "1 over the integral time; empty for none.", when=_OF_CASCADE),
+    _of(Cascade, "controller.velocity_feedforward", "Velocity feed-forward", "A share: 1 is all of it; empty for none.",
+        when=_OF_CASCADE),
+    _of(PD, "controller.kp", "Proportional gain kp", "", when={"controller.law": ("pd", "pid")}, variant="pd"),
+    _of(PID, "controller.ki", "Integral gain ki", "", when={"controller.law": ("pid",)}, variant="pid"),
+    _of(PD, "controller.kd", "Derivative gain kd", "", when={"controller.law": ("pd", "pid")}),
+    _of(DiagramController, "controller.velocity_filter", "Velocity filter", "Numbers that weigh this and earlier velocities: 0.5, "
+        "0.5 is the mean of two. Empty for none.", when=_LAWED),
+    _of(DiagramController, "controller.gain", "Torque per controller unit", "1 if the controller speaks N or N m already; the "
+        "drive's gain if it speaks volts or ampere.", unit=("N per unit", "N m per unit"),
+        when={"controller.law": (*LAWS, LEARN)}),
+    _of(DiagramController, "controller.limit", "Torque limit", "Of the controller's output, both ways; empty for none.",
+        when=_LAWED),
+    _of(DiagramController, "controller.delay", "Delay", "From the sampled position to the torque; empty for none.", when=_LAWED),
+    _of(DiagramController, "controller.period", "Period", "Of the controller, if it is not that of the log.", when=_LAWED),
 )  # fmt: skip
 
 METHOD = (
-    Field("method.frequency", "Resonance, roughly", "Where the search for the spring begins; empty tries several.",
-          unit=_same("Hz"), when={"joint.model": ("flexible",), "controller.law": ("", *LAWS, LEARN, EXTRA_LAW)}),
-    Field("filtering.cutoff", "Look up to", "The highest frequency that is compared; empty for a share of the rate of "
-          "the log.", unit=_same("Hz")),
+    _of(FlexibleDIDIM, "method.frequency", "Resonance, roughly", "Where the search for the spring begins; empty tries "
+        "several.", when={"joint.model": ("flexible",), "controller.law": ("", *LAWS, LEARN, EXTRA_LAW)}),
+    _of(Filtering, "filtering.cutoff", "Look up to", "The highest frequency that is compared; empty for a share of the "
+        "rate of the log."),
 )  # fmt: skip
 
 CHANNEL_STEP: tuple[Field, ...] = (

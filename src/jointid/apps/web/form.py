@@ -13,8 +13,8 @@ import tomli_w
 from jointid.apps.web.fields import EXTRA, EXTRA_LAW, FIELDS, LAWS, LEARN, NAMES, WITHOUT, Draft, Field, usual
 from jointid.apps.web.values import no_number, shown_as, value_of
 from jointid.common.errors import JointFileError
+from jointid.common.messages import dot_path
 from jointid.config import JointFile, dumps
-from jointid.config.messages import dotted
 
 LONGEST = {EXTRA: 100_000}
 _LONGEST = 300  # characters of any other field
@@ -23,7 +23,7 @@ _STAND_IN = {"law": "cascade", "kp": 1.0, "kv": 1.0}
 
 _LAW = "controller.law"
 _SEVERAL = {"records": "[[records]]", "together": "[together]"}
-"""Tables of a joint file that read other records than the visitor's."""
+"""Tables of a joint file that read other records than the one that was sent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,7 +242,7 @@ def _merged(made: dict[str, Any], extra: Mapping[str, Any], path: tuple[str, ...
             except JointFileError as error:
                 faults += error.faults
         else:
-            faults.append(f"{dotted(here)} stands in the further lines and in its field; remove it from the lines.")
+            faults.append(f"{dot_path(here)} stands in the further lines and in its field; remove it from the lines.")
     if faults:
         raise JointFileError(faults)
     return joined
@@ -265,6 +265,6 @@ def _parsed(text: str, place: str) -> dict[str, Any]:
     if several := [written for key, written in _SEVERAL.items() if key in said]:
         raise JointFileError(
             f"{place} says {' and '.join(several)}, and this page identifies one record, the one that was sent; remove "
-            "that, or use jointid together for several records."
+            "that, or use jointid identify for several records."
         )
     return said

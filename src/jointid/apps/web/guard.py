@@ -1,8 +1,9 @@
-"""What every request passes and every answer carries: who may ask, and what a browser may do with the answer."""
+"""Guard of every request and answer: the token, the host's name, and the policy that binds the browser."""
 
 from __future__ import annotations
 
 import ipaddress
+import secrets
 import socket
 from urllib.parse import urlsplit
 
@@ -11,8 +12,6 @@ from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from jointid.apps.web.limits import LOOPBACK
-
-_SAFE = ("GET", "HEAD")
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -24,11 +23,11 @@ REPORT_POLICY = (
     "sandbox allow-scripts allow-downloads allow-modals; default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; "
     "style-src 'unsafe-inline'; img-src data: blob:; font-src data:; frame-ancestors 'self'"
 )
-"""A report brings its own scripts: they run in a sandbox without this page's cookie, and reach nothing."""
+"""A report brings its own scripts: they run in a sandbox that reaches neither the page nor the network."""
 
 _HEADERS = {
     "x-content-type-options": "nosniff",
-    "referrer-policy": "same-origin",  # with none at all, browsers hide the origin of our own forms, too
+    "referrer-policy": "no-referrer",  # the address holds the token
     "cache-control": "no-store",
     "cross-origin-opener-policy": "same-origin",
     "cross-origin-resource-policy": "same-origin",
@@ -37,14 +36,15 @@ _HEADERS = {
 
 
 class Guard:
-    """Refuse requests that other sites make, and tell browsers how little each answer may do.
+    """Refuse requests without the token, under a foreign name or from another site; bound what browsers may do.
 
     A page elsewhere can have a browser send requests here, under this host's name or, by rebinding its own name's
-    address, under its own: the names of `Host` and `Origin` tell.
+    address, under its own. It does not know the token; the header Host tells the name all the same.
     """
 
-    def __init__(self, app: ASGIApp, host: str) -> None:
+    def __init__(self, app: ASGIApp, host: str, token: str) -> None:
         self._app = app
+        self._token = token.encode()
         self._loopback = host in LOOPBACK
         self._names = {*LOOPBACK, host.lower(), socket.gethostname().lower()}
 
@@ -54,30 +54,25 @@ class Guard:
             await self._app(scope, receive, send)
             return
 
-        async def guarded(message: Message) -> None:
+        async def send_guarded(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
-                for name, value in _HEADERS.items():
+                for name, value in {**_HEADERS, "content-security-policy": POLICY}.items():
                     headers.setdefault(name, value)
-                headers.setdefault("content-security-policy", POLICY)
             await send(message)
 
-        refusal = self._refusal(scope["method"], Headers(scope=scope))
-        app = self._app if refusal is None else PlainTextResponse(refusal, 403)
-        await app(scope, receive, guarded)
+        refusal = self._refuse(scope["method"], scope["path"], Headers(scope=scope))
+        app = self._app if refusal is None else PlainTextResponse(f"{refusal}\n", 403)
+        await app(scope, receive, send_guarded)
 
-    def _refusal(self, method: str, headers: Headers) -> str | None:
+    def _refuse(self, method: str, path: str, headers: Headers) -> str | None:
         """Return why a request is refused, None if it is not."""
-        host = headers.get("host", "")
-        if not self._is_here(host):
-            return "This page is not reached under that name; open the address that jointid serve printed.\n"
-        if method in _SAFE:
-            return None
-        site, origin = headers.get("sec-fetch-site"), headers.get("origin")
-        if site not in (None, "same-origin") or (origin is not None and urlsplit(origin).netloc != host):
-            return "This request comes from another site, and is refused; use the page itself.\n"
-        if site is None and origin is None:
-            return "This request does not say where it comes from, and is refused; use the page in a browser.\n"
+        if not self._is_here(headers.get("host", "")):
+            return "This page is not reached under that name; open the address that jointid serve printed."
+        if not secrets.compare_digest(path.split("/")[1].encode(errors="replace"), self._token):
+            return "The token is missing or wrong; open the whole address that jointid serve printed at its last start."
+        if method not in ("GET", "HEAD") and headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
+            return "This request comes from another site, and is refused; use the page itself."
         return None
 
     def _is_here(self, host: str) -> bool:

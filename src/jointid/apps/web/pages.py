@@ -3,131 +3,105 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cache
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any
+
+from starlette.responses import HTMLResponse, Response
 
 from jointid import __version__
 from jointid.apps.web import fields
-from jointid.apps.web.fields import Field
+from jointid.apps.web.folder import Run, read_json
 from jointid.apps.web.form import Faults
-from jointid.apps.web.limits import Limits, megabytes
-from jointid.apps.web.preview import duration
-from jointid.apps.web.sessions import Run, Visitor, read_json
+from jointid.apps.web.limits import format_size
+from jointid.apps.web.preview import find_duration
 from jointid.common.text import number
 from jointid.records.formats import FORMATS
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-STATIC = {
-    "page.css": "text/css; charset=utf-8",
-    "page.js": "text/javascript; charset=utf-8",
-    "icon.svg": "image/svg+xml",
-}
-"""The files that pages load, all ours."""
+    from jointid.apps.web.app_state import AppState
+
+_NO_FAULTS = Faults()
 
 
-@cache
-def static(name: str) -> bytes:
-    """Return one of the files that pages load."""
-    return files("jointid.apps.web").joinpath("static", name).read_bytes()
+def list_suffixes() -> list[str]:
+    """Return the suffixes of the files that are read."""
+    return [suffix for entry in FORMATS for suffix in entry.suffixes]
 
 
-def render(template: str, visitor: Visitor | None, limits: Limits, **values: object) -> str:
-    """Return a page.
-
-    Args:
-        template: its name, without the suffix.
-        visitor: whose page it is, None before there is anything of them.
-        limits: of this page.
-        values: that the template asks for.
-    """
-    runs = [] if visitor is None else visitor.runs
-    common: dict[str, object] = {
-        "version": __version__,
-        "record": None if visitor is None else visitor.record,
-        "has_data": visitor is not None and visitor.folder.is_dir(),
-        "latest": runs[0] if runs else None,
-        "runs": [(run, run.status) for run in runs],
-        "days": f"{limits.days:g}",
-    }
-    return _environment().get_template(f"{template}.html").render(common | values)
-
-
-def record_page(visitor: Visitor | None, limits: Limits, faults: Sequence[str] = ()) -> str:
-    """Return step 1: the record."""
-    suffixes = [suffix for entry in FORMATS for suffix in entry.suffixes]
-    return render(
-        "record", visitor, limits, step=1, faults=faults, accept=",".join(suffixes), suffixes=", ".join(suffixes),
-        most=megabytes(limits.upload), bound=limits.upload,
-        draft={} if visitor is None else visitor.draft, text_fields=fields.TEXT,
+def show_record(state: AppState, refusal: Exception | None = None) -> Response:
+    """Show step 1: the record, and why it was refused."""
+    faults = [] if refusal is None else str(refusal).splitlines()
+    return _render(
+        "record", state, 422 if faults else 200, step=1, faults=faults, suffixes=list_suffixes(),
+        bound=state.limits.upload, draft=state.folder.draft, text_fields=fields.TEXT,
     )  # fmt: skip
 
 
-def channels_page(visitor: Visitor, limits: Limits, faults: Faults) -> str:
-    """Return step 2: what each column is."""
-    preview, draft = visitor.preview or {"columns": [], "roles": {}, "more": 0}, visitor.draft
-    return render(
-        "channels", visitor, limits, step=2, faults=faults, draft=draft, preview=preview, kind=fields.KIND,
-        clock=fields.CLOCK, channels=_channels(draft), drive=fields.DRIVE, places=_places(preview),
+def show_channels(state: AppState, faults: Faults = _NO_FAULTS) -> Response:
+    """Show step 2: what each column is."""
+    preview, draft = state.folder.preview or {"columns": [], "roles": {}, "more": 0}, state.folder.draft
+    always = ("torque", "reference", "motor_position")
+    return _render(
+        "channels", state, 422 if faults else 200, step=2, faults=faults, draft=draft, preview=preview,
+        kind=fields.KIND, clock=fields.CLOCK, drive=fields.DRIVE,
+        channels=[(name, one, name in always) for name, one in fields.CHANNEL_FIELDS.items()],
+        places={one["name"]: i for i, one in enumerate(preview["columns"]) if one["outline"] is not None},
     )  # fmt: skip
 
 
-def joint_page(visitor: Visitor, limits: Limits, faults: Faults, imported: str = "") -> str:
-    """Return step 3: the axis and its controller."""
-    return render(
-        "joint", visitor, limits, step=3, faults=faults, draft=visitor.draft, joint=fields.JOINT, law=fields.LAW,
-        controller=fields.CONTROLLER, method=fields.METHOD, extra=fields.EXTRA, imported=imported,
-        checked=read_json(visitor.folder / "checked.json"), most=megabytes(limits.joint_file),
+def show_joint(state: AppState, faults: Faults = _NO_FAULTS, imported: str = "") -> Response:
+    """Show step 3: the axis and its controller."""
+    return _render(
+        "joint", state, 422 if faults else 200, step=3, faults=faults, draft=state.folder.draft, joint=fields.JOINT,
+        law=fields.LAW, controller=fields.CONTROLLER, method=fields.METHOD, extra=fields.EXTRA, imported=imported,
+        checked=read_json(state.folder.path / "checked.json"),
     )  # fmt: skip
 
 
-def run_page(visitor: Visitor, limits: Limits, run: Run) -> str:
-    """Return steps 4 and 5: progress, then the answer."""
+def show_run(state: AppState, run: Run) -> Response:
+    """Show steps 4 and 5: progress, then the answer."""
     status = run.status
-    began = status.get("started") or status.get("queued") or time.time()
     answer = read_json(run.folder / "answer.json") if status["state"] == "done" else None
-    values: dict[str, object] = {}
-    if answer is not None:
-        values = {"rows": _rows(answer), "answer": answer}
-    for name in ("answer", "learned"):
-        path = run.folder / f"{name}.txt"
-        values[f"{name}_text"] = path.read_text(encoding="utf-8") if path.is_file() else ""
-    return render(
-        "run", visitor, limits, step=5 if status["state"] == "done" else 4, run=run, status=status, lines=run.lines(),
-        elapsed=round((status.get("ended") or time.time()) - began), **values,
+    texts = {name: run.folder / f"{name}.txt" for name in ("answer", "learned")}
+    return _render(
+        "run", state, step=4 if answer is None else 5, run=run, status=status, lines=run.read_progress(), answer=answer,
+        elapsed=round((status.get("ended") or time.time()) - (status.get("started") or time.time())),
+        rows=[] if answer is None else _build_rows(answer), runs=[(one, one.status) for one in state.folder.runs],
+        texts={name: path.read_text(encoding="utf-8") if path.is_file() else "" for name, path in texts.items()},
     )  # fmt: skip
 
 
-def message_page(visitor: Visitor | None, limits: Limits, title: str, said: str) -> str:
-    """Return a page that says one thing."""
-    return render("message", visitor, limits, step=0, title=title, said=said)
+def show_message(state: AppState, code: int, title: str, sentences: str) -> Response:
+    """Show a page of a few sentences."""
+    return _render("message", state, code, step=0, title=title, sentences=sentences)
 
 
-def end_of_plot(preview: Mapping[str, Any], draft: Mapping[str, str], column: Mapping[str, Any]) -> str:
-    """Return what stands at the end of a plot's time axis."""
+def _render(template: str, state: AppState, code: int = 200, **values: object) -> Response:
+    runs = state.folder.runs
+    common = {
+        "root": state.root,
+        "version": __version__,
+        "folder": state.folder.path.name,
+        "record": state.folder.record,
+        "latest": f"/runs/{runs[0].number}" if runs else "",
+    }
+    return HTMLResponse(_load_templates().get_template(f"{template}.html").render(common | values), code)
+
+
+def label_end(preview: Mapping[str, Any], draft: Mapping[str, str], column: Mapping[str, Any]) -> str:
+    """Return the label at the right end of a plot's time axis: a duration, or a number of rows."""
     name = draft.get("record.time")
-    lasted = duration(preview, name)
+    lasted = find_duration(preview, name)
     samples = next((one["samples"] for one in preview["columns"] if one["name"] == name), None)
     if lasted is None or samples != column["samples"]:
         return f"{column['samples']} rows"
     return f"{number(lasted, 3)} {draft.get('record.time_unit') or fields.time_unit(name or '')}"
 
 
-def _channels(draft: Mapping[str, str]) -> list[tuple[str, tuple[Field, ...], bool]]:
-    """Return each channel, its fields, and whether it is one that every record has."""
-    always = ("torque", "reference", "motor_position")
-    return [(name, one, name in always) for name, one in fields.CHANNEL_FIELDS.items()]
-
-
-def _places(preview: Mapping[str, Any]) -> dict[str, int]:
-    """Return the number of each column that has a plot."""
-    return {column["name"]: i for i, column in enumerate(preview["columns"]) if column["outline"] is not None}
-
-
-def _rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:
+def _build_rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:
     """Return the rows of the table of parameters."""
     rows = []
     for name, p in answer["parameters"].items():
@@ -141,7 +115,7 @@ def _rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:
 
 
 @cache
-def _environment() -> Environment:
+def _load_templates() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     made = Environment(
@@ -149,5 +123,5 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )  # fmt: skip
     made.filters["sentences"] = lambda text: str(text).splitlines()
-    made.filters["size"] = megabytes
+    made.filters["size"] = format_size
     return made

@@ -15,12 +15,12 @@ _LINE = "#0072B2"  # that of what is measured, in all our figures
 _THINNEST = 1.2  # px: a flat stretch still shows
 
 
-def column_svg(column: Mapping[str, Any], end: str) -> str:
-    """Return the picture of a column.
+def draw_svg(column: Mapping[str, Any], end: str) -> str:
+    """Return a column as SVG.
 
     Args:
         column: of a preview.
-        end: what stands at the right end of the time axis, such as "24.8 s".
+        end: the label at the right end of the time axis, such as "24.8 s".
     """
     low, high = column["low"], column["high"]
     body = '<text x="320" y="80" text-anchor="middle">no numbers</text>'
@@ -31,7 +31,7 @@ def column_svg(column: Mapping[str, Any], end: str) -> str:
         texts = "".join(
             f'<text x="{_LEFT - 6}" y="{y:g}" text-anchor="end">{escape(number(v, 4))}</text>' for v, y in labels
         )
-        body = texts + _outline(column["outline"], bottom, span)
+        body = texts + _draw_band(column["outline"], bottom, span)
     base = HEIGHT - _BOTTOM
     frame = (
         f'<path d="M{_LEFT} {_TOP}V{base}H{WIDTH - _RIGHT}" fill="none" stroke="#8a949e"/>'
@@ -44,7 +44,7 @@ def column_svg(column: Mapping[str, Any], end: str) -> str:
     )
 
 
-def _outline(outline: Sequence[Sequence[float | None]], bottom: float, span: float) -> str:
+def _draw_band(outline: Sequence[Sequence[float | None]], bottom: float, span: float) -> str:
     """Return a band from the lowest to the highest values; where there are none, a gap."""
     count, tall = len(outline[0]), HEIGHT - _TOP - _BOTTOM
     wide = (WIDTH - _LEFT - _RIGHT) / max(count - 1, 1)

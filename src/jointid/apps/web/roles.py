@@ -1,11 +1,11 @@
-"""Which column is probably which channel, by its name; a proposal that the visitor sees and changes."""
+"""Guess the channel of each column from its name; a proposal that is shown and can be changed."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable
 
-from jointid.records.drives.profiles import Profile, profile_named, profile_names
+from jointid.records.drives.profiles import Profile, load_profile, profile_names
 from jointid.records.record import CHANNELS
 
 _PROFILE_FIRST = "generic"
@@ -31,7 +31,7 @@ _WORD = re.compile(r"[a-z0-9]+")
 _BRACKETS = re.compile(r"\s*[\[(][^\[\]()]*[\])]\s*$")
 
 
-def guessed_roles(columns: Iterable[str]) -> dict[str, str]:
+def guess_roles(columns: Iterable[str]) -> dict[str, str]:
     """Return the column of each channel, and of "time", as far as exactly one of them is called so.
 
     Args:
@@ -41,32 +41,32 @@ def guessed_roles(columns: Iterable[str]) -> dict[str, str]:
     found: dict[str, str] = {}
     for role in ("time", *CHANNELS):
         free = [name for name in names if name not in found.values()]
-        column = _by_usage(role, free) or (None if role == "time" else _by_profile(role, free))
+        column = _find_by_usage(role, free) or (None if role == "time" else _find_by_profile(role, free))
         if column is not None:
             found[role] = column
     return found
 
 
-def _by_usage(role: str, names: list[str]) -> str | None:
+def _find_by_usage(role: str, names: list[str]) -> str | None:
     for usual in _USUAL.get(role, ()):
-        called = [name for name in names if _spoken(name) == usual]
+        called = [name for name in names if _normalise(name) == usual]
         if len(called) == 1:
             return called[0]
     return None
 
 
-def _by_profile(channel: str, names: list[str]) -> str | None:
-    for profile in _profiles():
+def _find_by_profile(channel: str, names: list[str]) -> str | None:
+    for profile in _list_profiles():
         called = [name for name in names if profile.signals(channel, name, None) or profile.signals(channel, name, 1)]
         if len(called) == 1:
             return called[0]
     return None
 
 
-def _profiles() -> list[Profile]:
+def _list_profiles() -> list[Profile]:
     rest = [name for name in profile_names() if name != _PROFILE_FIRST]
-    return [profile_named(name) for name in (_PROFILE_FIRST, *rest)]
+    return [load_profile(name) for name in (_PROFILE_FIRST, *rest)]
 
 
-def _spoken(name: str) -> str:
+def _normalise(name: str) -> str:
     return " ".join(_WORD.findall(_HUMP.sub(" ", _BRACKETS.sub("", name)).casefold()))

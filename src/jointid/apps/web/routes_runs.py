@@ -1,4 +1,4 @@
-"""Steps 4 and 5: an identification's progress, its answer, and the files of it."""
+"""Steps 4 and 5: the progress of an identification, its answer, and its files."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ import json
 import re
 import zipfile
 from collections.abc import AsyncIterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response, StreamingResponse
+from starlette.responses import FileResponse, Response, StreamingResponse
 
 from jointid.apps.web import pages
-from jointid.apps.web.app_state import Desk
+from jointid.apps.web.app_state import AppState
+from jointid.apps.web.folder import Run, read_json
 from jointid.apps.web.guard import REPORT_POLICY
-from jointid.apps.web.sessions import ACTIVE, Run, Visitor, read_json
 
 _EVERY = 0.25  # seconds between looks at the progress
 _ALIVE = 60  # of these, after which a line is sent that keeps the connection
@@ -28,97 +28,79 @@ FILES = {
     "answer.txt": "text/plain; charset=utf-8",
     "report.html": "text/html; charset=utf-8",
 }
-"""What can be downloaded of an answer, beside all of it with the record."""
+"""The files of an answer that can be downloaded, beside all of it with the record."""
 
 BUNDLE = "all.zip"
 _LINE = re.compile(r"[0-9]{1,9}")
 
 
-@dataclass(frozen=True, slots=True)
-class Running:
-    """Steps 4 and 5."""
-
-    desk: Desk
-
-    async def run(self, request: Request) -> Response:
-        """Show the progress, or the answer."""
-        visitor, run = self._run(request)
-        if visitor is None or run is None:
-            return self.desk.nothing(request)
-        return HTMLResponse(pages.run_page(visitor, self.desk.limits, run))
-
-    async def events(self, request: Request) -> Response:
-        """Tell the progress as it comes."""
-        _, run = self._run(request)
-        if run is None:
-            return self.desk.nothing(request)
-        last = request.headers.get("last-event-id", "")
-        begin = int(last) + 1 if _LINE.fullmatch(last) else 0
-        return StreamingResponse(_told(run, begin), media_type="text/event-stream")
-
-    async def cancel(self, request: Request) -> Response:
-        """End an identification."""
-        _, run = self._run(request)
-        if run is None:
-            return self.desk.nothing(request)
-        await run_in_threadpool(self.desk.jobs.cancel, run)
-        return RedirectResponse(f"/runs/{run.number}", 303)
-
-    async def file(self, request: Request) -> Response:
-        """Give one of the files of an answer."""
-        visitor, run = self._run(request)
-        name = request.path_params["name"]
-        if visitor is not None and run is not None and name == BUNDLE and run.has("answer.json"):
-            path = await self._bundle(visitor, run)
-            return FileResponse(path, media_type="application/zip", filename=f"{_stem(run)}.zip")
-        if run is None or name not in FILES or not run.has(name):
-            return self.desk.nothing(request)
-        if name == "report.html" and "download" not in request.query_params:
-            policy = {"content-security-policy": REPORT_POLICY}
-            return FileResponse(run.folder / name, media_type=FILES[name], headers=policy)
-        return FileResponse(run.folder / name, media_type=FILES[name], filename=name)
-
-    async def _bundle(self, visitor: Visitor, run: Run) -> Path:
-        """Return the archive of an answer, which is made once."""
-        async with self.desk.turn(visitor):
-            if not run.has(BUNDLE):
-                await run_in_threadpool(self.desk.sessions.require_room, visitor)
-                await run_in_threadpool(_bundled, run)
-        return run.folder / BUNDLE
-
-    def _run(self, request: Request) -> tuple[Visitor | None, Run | None]:
-        visitor = self.desk.known(request)
-        return visitor, None if visitor is None else visitor.run(request.path_params["number"])
+async def show_run(request: Request) -> Response:
+    """Show the progress, or the answer."""
+    return pages.show_run(AppState.of(request), _find_run(request))
 
 
-async def _told(run: Run, begin: int) -> AsyncIterator[str]:
-    """Yield the lines of an identification's progress as server-sent events, and its end."""
+async def stream_progress(request: Request) -> Response:
+    """Send the progress as it comes, as server-sent events."""
+    last = request.headers.get("last-event-id", "")
+    begin = int(last) + 1 if _LINE.fullmatch(last) else 0
+    return StreamingResponse(_events(_find_run(request), begin), media_type="text/event-stream")
+
+
+async def cancel_run(request: Request) -> Response:
+    """End an identification."""
+    state, run = AppState.of(request), _find_run(request)
+    await state.jobs.cancel(run)
+    return state.redirect(f"/runs/{run.number}")
+
+
+async def send_file(request: Request) -> Response:
+    """Send one of the files of an answer."""
+    run, name = _find_run(request), request.path_params["name"]
+    if name == BUNDLE and run.has("answer.json"):
+        async with AppState.of(request).files:
+            path, stem = await run_in_threadpool(_bundle, run)
+        return FileResponse(path, media_type="application/zip", filename=f"jointid-{stem}.zip")
+    if name not in FILES or not run.has(name):
+        raise HTTPException(404)
+    if name == "report.html" and "download" not in request.query_params:
+        policy = {"content-security-policy": REPORT_POLICY}
+        return FileResponse(run.folder / name, media_type=FILES[name], headers=policy)
+    return FileResponse(run.folder / name, media_type=FILES[name], filename=name)
+
+
+def _find_run(request: Request) -> Run:
+    run = AppState.of(request).folder.run(request.path_params["number"])
+    if run is None:
+        raise HTTPException(404)
+    return run
+
+
+async def _events(run: Run, begin: int) -> AsyncIterator[str]:
+    """Yield the lines of an identification's progress from a number on, and its end."""
     sent, looks = begin, 0
     while True:
-        state = run.status["state"]  # before the lines: none that came before the end is left out
-        lines = run.lines()
+        status = run.status  # before the lines: none that came before the end is left out
+        lines = run.read_progress()
         for number in range(sent, len(lines)):
             yield f"id: {number}\ndata: {json.dumps(lines[number])}\n\n"
         sent, looks = max(sent, len(lines)), looks + 1
-        yield f"event: state\ndata: {json.dumps(state)}\n\n" if looks == 1 or state not in ACTIVE else ""
-        if state not in ACTIVE:
+        if status["state"] != "running":
+            yield f"event: end\ndata: {json.dumps(status['state'])}\n\n"
             return
         if looks % _ALIVE == 0:
             yield ": still here\n\n"
         await asyncio.sleep(_EVERY)
 
 
-def _bundled(run: Run) -> None:
-    """Make an archive of everything: unpacked, `jointid identify joint.toml` in it gives the same numbers."""
+def _bundle(run: Run) -> tuple[Path, str]:
+    """Return an archive of the answer and the stem of its record; in it `jointid identify joint.toml` repeats it."""
     work = read_json(run.folder / "work.json") or {}
-    beside = run.folder / "bundle.part"
-    with zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name in (name for name in FILES if run.has(name)):
-            archive.write(run.folder / name, name)
-        archive.write(run.folder / work["file"], work["name"])
-    beside.replace(run.folder / BUNDLE)
-
-
-def _stem(run: Run) -> str:
-    work = read_json(run.folder / "work.json") or {"name": "record"}
-    return f"jointid-{Path(work['name']).stem}"
+    path = run.folder / BUNDLE
+    if not path.exists():
+        beside = run.folder / "bundle.part"
+        with zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name in (name for name in FILES if run.has(name)):
+                archive.write(run.folder / name, name)
+            archive.write(run.folder / work["file"], work["name"])
+        beside.replace(path)
+    return path, Path(work["name"]).stem

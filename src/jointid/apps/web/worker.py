@@ -1,8 +1,8 @@
 """The process that does one piece of work for the page: `python -m jointid.apps.web.worker ACTION FOLDER MEMORY`.
 
-What it reads and how long it computes is the visitor's: whatever becomes of it, the page stays up, and the memory it
-takes is bounded. It prints its progress, a line each, and leaves its answer in the folder; exit code 2 and `fault.json`
-for what is the visitor's to mend. It ends when the page does, whose end it hears on its standard input.
+A file may be damaged and a fit may take hours: whatever becomes of the process, the page stays up, and its memory is
+bounded. It prints its progress, a line each, and leaves its answer in the folder; exit code 2 and `fault.json` for what
+the person can mend. It ends when the page does, whose end it hears on its standard input.
 """
 
 from __future__ import annotations
@@ -25,28 +25,28 @@ if TYPE_CHECKING:
 REFUSED = 2
 
 _TOO_LARGE = (
-    "The record, or what is asked of it, is too large for the memory that this page gives one visitor; cut the record "
-    "or resample it slower, or use the command line, which has no such bound: jointid identify, or jointid long for a "
-    "record of hours."
+    "The record, or what is asked of it, is too large for the memory that this page gives one run; cut the record or "
+    "resample it slower, or use the command line, which has no such bound: jointid identify, or jointid identify "
+    "--window for a record of hours."
 )
 
 
-def look(folder: Path) -> None:
+def preview(folder: Path) -> None:
     """Read the record of `work.json`, and write `preview.json`."""
-    from jointid.apps.web.preview import preview
+    from jointid.apps.web.preview import build_preview
     from jointid.records.formats import read_table
 
-    work = _work(folder)
+    work = _read_work(folder)
     table = read_table(folder / work["file"], **work["options"])
     if not table.columns:
         raise JointidError("The file holds no column with more than one number; choose another file.")
-    _write(folder / "preview.json", json.dumps(preview(table), allow_nan=False))
+    _write(folder / "preview.json", json.dumps(build_preview(table), allow_nan=False))
 
 
-def example(folder: Path) -> None:
+def simulate(folder: Path) -> None:
     """Simulate the digital twin, and write `example.csv`."""
     from jointid.paper.twin import twin
-    from jointid.records.writing import write
+    from jointid.records.files.writing import write
 
     write(twin().record, folder / "example.csv")
 
@@ -55,12 +55,12 @@ def check(folder: Path) -> None:
     """Read the record as the tables of `work.json` say, and write what it holds to `checked.json`."""
     from jointid.config import JointFile
 
-    work = _work(folder)
-    record = _record(JointFile.of(work["tables"]), folder, work)
+    work = _read_work(folder)
+    record = _read_record(JointFile.of(work["tables"]), folder, work)
     torque = record.torque
     assert torque is not None
-    said = {"samples": len(torque), "sample_time": torque.sample_time, "duration": torque.duration, "unit": torque.unit}
-    _write(folder / "checked.json", json.dumps(said))
+    size = {"samples": len(torque), "sample_time": torque.sample_time, "duration": torque.duration}
+    _write(folder / "checked.json", json.dumps({**size, "unit": torque.unit}))
 
 
 def identify(folder: Path) -> None:
@@ -71,12 +71,12 @@ def identify(folder: Path) -> None:
     from jointid.output.report.reproducibility import repetition
     from jointid.simulation import sensitivities
 
-    work = _work(folder)
+    work = _read_work(folder)
     if work["learn"] is not None:
         _learn(folder, work)
     file = load(folder / "joint.toml")
     _tell("reading the record")
-    record = _record(file, folder, work)
+    record = _read_record(file, folder, work)
     _tell("preparing the simulation; the first time on a machine this takes some 20 s")
     sensitivities.warm_up()
     _tell("identifying")
@@ -97,7 +97,7 @@ def _learn(folder: Path, work: dict[str, Any]) -> None:
     _tell("learning the controller")
     reading = JointFile.of(work["learn"]["reading"])
     learned = learn_loop(
-        _record(reading, folder, work),
+        _read_record(reading, folder, work),
         gain=work["learn"]["gain"],
         transmission=reading.joint.transmission,
         progress=_tell,
@@ -107,12 +107,12 @@ def _learn(folder: Path, work: dict[str, Any]) -> None:
     _write(folder / "learned.txt", f"{learned}\n")
 
 
-def _record(file: JointFile, folder: Path, work: dict[str, Any]) -> Record:
-    """Read the record, and call it as its visitor does."""
+def _read_record(file: JointFile, folder: Path, work: dict[str, Any]) -> Record:
+    """Read the record, under the name it came with."""
     return replace(file.record(folder / work["file"]), name=Path(work["name"]).stem)
 
 
-def _work(folder: Path) -> dict[str, Any]:
+def _read_work(folder: Path) -> dict[str, Any]:
     found: dict[str, Any] = json.loads((folder / "work.json").read_text(encoding="utf-8"))
     return found
 
@@ -125,7 +125,12 @@ def _tell(message: str) -> None:
     print(message.replace("\n", " "), flush=True)  # noqa: T201
 
 
-ACTIONS: dict[str, Callable[[Path], None]] = {"look": look, "example": example, "check": check, "identify": identify}
+ACTIONS: dict[str, Callable[[Path], None]] = {
+    "preview": preview,
+    "simulate": simulate,
+    "check": check,
+    "identify": identify,
+}
 
 
 def _end_with_the_page() -> None:
@@ -135,7 +140,7 @@ def _end_with_the_page() -> None:
     os._exit(1)
 
 
-def _bound(memory: int) -> None:
+def _bound_memory(memory: int) -> None:
     """Take no more address space than so many bytes, where the system can hold a process to it."""
     if sys.platform == "linux":  # macOS knows the bound and does not keep to it, Windows has none
         import resource
@@ -161,5 +166,5 @@ def main(action: str, folder: Path) -> int:
 
 if __name__ == "__main__":
     threading.Thread(target=_end_with_the_page, daemon=True).start()
-    _bound(int(sys.argv[3]))
+    _bound_memory(int(sys.argv[3]))
     sys.exit(main(sys.argv[1], Path(sys.argv[2])))

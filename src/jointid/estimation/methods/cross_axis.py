@@ -6,9 +6,9 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.result.estimate import Estimate
+from jointid.records.checks.record_warnings import find_record_warnings
 from jointid.records.record import Record
-from jointid.records.record_warnings import record_notes
-from jointid.records.signals import decimate, differences, lowpass
+from jointid.records.signals.filtering import decimate, differentiate_twice, lowpass
 from jointid.uncertainty.coupling import coupling
 
 _FEWEST = 4  # rows to a column of the regression
@@ -16,7 +16,7 @@ _FEWEST = 4  # rows to a column of the regression
 
 def record_warnings(record: Record, estimate: Estimate) -> tuple[str, ...]:
     """Return what a reader of an estimate must know of its record, one sentence each."""
-    return (*record_notes(record, estimate.channels), *coupling_warnings(record, estimate))
+    return (*find_record_warnings(record, estimate.data.channels), *coupling_warnings(record, estimate))
 
 
 def coupling_warnings(record: Record, estimate: Estimate) -> tuple[str, ...]:
@@ -32,7 +32,7 @@ def coupling_warnings(record: Record, estimate: Estimate) -> tuple[str, ...]:
         f"other axes moved too ({', '.join(record.other_axes)}), and their coupling (inertia, Coriolis, gravity) is "
         "not in the model of a single joint: the parameters are those of this motion and these poses"
     )
-    motion = None if estimate.compared == "position" else _residual_and_motion(record, estimate)
+    motion = None if estimate.fit.compared == "position" else _residual_and_motion(record, estimate)
     if motion is None:
         return (said,)
     found = coupling(*motion)
@@ -43,16 +43,16 @@ def coupling_warnings(record: Record, estimate: Estimate) -> tuple[str, ...]:
 
 def _residual_and_motion(record: Record, estimate: Estimate) -> tuple[FloatArray, FloatArray] | None:
     """Return what the model leaves, (rows,), and what the other axes did, (rows, columns); None of too few rows."""
-    filtering, T = estimate.filtering, estimate.sample_time
-    residual = estimate.measured - estimate.predicted
+    filtering, T = estimate.settings.filtering, estimate.data.sample_time
+    residual = estimate.fit.measured - estimate.fit.predicted
     at = np.arange(residual.size) * T
     cutoff = filtering.position_cutoff
     assert cutoff is not None
     columns = []
     for channel in record.other_axes.values():
         position = lowpass(np.interp(at, channel.time, channel.values), cutoff, T)
-        columns += [differences(position, T)[1], position]
-    first, last = estimate.borders
+        columns += [differentiate_twice(position, T)[1], position]
+    first, last = estimate.fit.borders
     inside = slice(first, residual.size - last)
     both = np.column_stack([residual, *columns])[inside]
     rows = decimate(both, filtering, T)

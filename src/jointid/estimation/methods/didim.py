@@ -20,6 +20,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
+from jointid.common.settings import check_settings, documented, setting
 from jointid.common.text import number
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.build_estimate import answer
@@ -30,7 +31,7 @@ from jointid.estimation.search.starts import Start, given_start, inversion_start
 from jointid.models.controllers import REFERENCE
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.gauss_newton import GaussNewton
 from jointid.solvers.regression import solution as linear_solution
@@ -43,49 +44,41 @@ _AWAY = 1e100  # a derivative so large is of a loop that runs away
 _WORSE = 2.0  # times the residual: with an approximate Jacobian, a little worse is no reason to turn back
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class DIDIM:
-    """Settings of DIDIM.
+    """Settings of DIDIM."""
 
-    Attributes:
-        form: "residual" (see the module), or "paper": (11) as printed.
-        start: "inversion" of the controller; "regular": a regular inertia, no friction; "given": the starts of the
-            parameters.
-        scaled_iterations: for how many first iterations the simulated controller's gains are scaled with the
-            inertia, from a regular or a given start. Scaling at every iteration would bias the result where the
-            bandwidth it assumes is not the real one, so it always ends on the true gains.
-        tolerance: stop when the residual norm changes by at most this share ...
-        step_tolerance: ... and no parameter by more than this share of itself.
-        iterations: at most.
-        initial_state: "free" estimates where the motor is at the first sample, and whether it is at rest there or
-            how fast it moves; "reference" puts it on the reference, at rest.
-        free: what surrounds the joint and is identified with it, by least squares from where DIDIM ends: "kp", "kv",
-            "delay", ...; see `nuisance_parameters`.
-    """
-
-    form: Literal["residual", "paper"] = "residual"
-    start: Literal["inversion", "regular", "given"] = "inversion"
-    scaled_iterations: int = 2
-    tolerance: float = 1e-7
-    step_tolerance: float = 1e-7
-    iterations: int = 30
-    initial_state: Literal["free", "reference"] = "free"
-    free: tuple[str, ...] = ()
+    form: Literal["residual", "paper"] = setting(
+        "residual",
+        "whether a step solves for the change of the parameters or, as (11) in the paper, for the parameters",
+    )
+    start: Literal["inversion", "regular", "given"] = setting(
+        "inversion",
+        "where the search begins: the controller turned round, a regular inertia without friction, or the starts of "
+        "the parameters",
+    )
+    # Scaling at every iteration would bias the result where the bandwidth it assumes is not the real one.
+    scaled_iterations: int = setting(
+        2,
+        "first iterations in which the simulated gains follow the inertia, from a regular or a given start",
+        at_least=0,
+    )
+    tolerance: float = setting(1e-7, "change of the residual's norm to stop at, as a share", above=0)
+    step_tolerance: float = setting(1e-7, "change of every parameter to stop at, too, as a share of itself", above=0)
+    iterations: int = setting(30, "iterations at most", at_least=1)
+    initial_state: Literal["free", "reference"] = setting(
+        "free", "whether position and velocity at the first sample are estimated, or those of the reference at rest"
+    )
+    free: tuple[str, ...] = setting(
+        (),
+        "what surrounds the joint and is identified with it, by least squares from where DIDIM ends, from what is "
+        'declared: a number of the law such as "kp", "delay" or "torque_filters.0.frequency", or "log_gain", '
+        '"log_delay"',
+    )
 
     def __post_init__(self) -> None:
-        choices = {
-            "form": (self.form, ("residual", "paper")),
-            "start": (self.start, ("inversion", "regular", "given")),
-            "initial_state": (self.initial_state, ("free", "reference")),
-        }
-        for name, (value, allowed) in choices.items():
-            if value not in allowed:
-                raise MethodError(f'DIDIM\'s {name} is one of {", ".join(allowed)}; received "{value}".')
-        if self.iterations < 1 or self.scaled_iterations < 0 or min(self.tolerance, self.step_tolerance) <= 0:
-            raise MethodError(
-                "DIDIM needs at least 1 iteration, 0 or more scaled iterations, and positive tolerances; received "
-                f"{self.iterations}, {self.scaled_iterations}, {self.tolerance} and {self.step_tolerance}."
-            )
+        check_settings(self)
 
     @classmethod
     def paper(cls) -> DIDIM:
@@ -252,11 +245,9 @@ def identify_didim(
     state = end.state
     found = answer(record, end.problem, state.x, state.simulation, (end.stop, end.converged), known, state.J)
     form = "the paper's form (11)" if settings.form == "paper" else "residual form"
-    return replace(
-        found,
-        variant=f"DIDIM in {form} from {'an' if began == 'inversion' else 'a'} {began} start",
-        trace=tuple(search.trace),
-        simulations=search.simulations,
+    return found.amended(
+        settings={"variant": f"DIDIM in {form} from {'an' if began == 'inversion' else 'a'} {began} start"},
+        fit={"trace": tuple(search.trace), "simulations": search.simulations},
     )
 
 

@@ -15,28 +15,34 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
+from jointid.common.settings import check_settings, documented, setting
 from jointid.estimation.methods.endogeneity import Judgement, judged
 from jointid.estimation.problems.base import RecordProblem
 from jointid.estimation.problems.drive_side import CURRENT_LAG, DriveSideProblem, motion_problem
 from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
 from jointid.estimation.result.estimate import (
+    Checks,
+    Data,
     Estimate,
+    Fit,
     Iteration,
+    Settings,
     fingerprint,
     poor_fit,
     relative_error,
 )
-from jointid.estimation.result.estimated import EstimatedParameter
+from jointid.estimation.result.params import EstimatedParameter, Params
 from jointid.models.joints import acts_on_whole
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.drive_side import LOAD_STATE, DriveSide
 from jointid.solvers.bounds import Bounds
@@ -56,35 +62,37 @@ _INSEPARABLE = 0.95  # a correlation that says two parameters are known only tog
 _RESTING = 0.02  # of the record: more is said
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class DriveSideFit:
-    """Settings of the drive-side identification.
+    """Settings of the drive-side identification."""
 
-    Attributes:
-        log_delay: seconds by which the log shows the torque later than it acts; estimated when None.
-        current_lag: time constant in seconds between log and torque beside that, see `CURRENT_LAG`; estimated when
-            None.
-        frequency: motor-locked, Hz, where a grid of starts is not wanted.
-        instruments: "tested" keeps least squares unless the record's reference or injected signal shows that it is
-            biased; "always" and "never" do not ask.
-        tolerance: relative, on the parameters and the criterion.
-    """
-
-    log_delay: float | None = None
-    current_lag: float | None = 0.0
-    frequency: float | None = None
-    instruments: str = "tested"
-    tolerance: float = 1e-8
+    log_delay: float | None = setting(
+        None,
+        "how much later than it acts the log shows the torque, negative for a command that comes first; without it "
+        "estimated",
+        unit="s",
+    )
+    current_lag: float | None = setting(
+        0.0,
+        "time constant between the log and the torque beside that delay: of the current loop behind a command, or of "
+        "the filter before a measured torque",
+        unit="s",
+        at_least=0,
+        none="estimated",
+    )
+    frequency: float | None = setting(
+        None, "motor-locked frequency of the start; without it the best of a grid", unit="Hz", above=0
+    )
+    instruments: Literal["tested", "always", "never"] = setting(
+        "tested",
+        "whether the reference and the injected signal replace least squares when they show that it is biased, "
+        "always or never",
+    )
+    tolerance: float = setting(1e-8, "change of the criterion or the parameters to stop at, as a share", above=0)
 
     def __post_init__(self) -> None:
-        if self.instruments not in ("tested", "always", "never"):
-            raise MethodError(f'Instruments are "tested", "always" or "never"; received "{self.instruments}".')
-        frequency = 1.0 if self.frequency is None else self.frequency
-        if (self.current_lag or 0.0) < 0 or not min(self.tolerance, frequency) > 0:
-            raise MethodError(
-                "A time constant is 0 or more, a frequency and a tolerance are positive; received "
-                f"{self.current_lag}, {self.frequency} and {self.tolerance}."
-            )
+        check_settings(self)
 
     def surroundings(self, sample_time: float) -> tuple[Parameter, ...]:
         """Return the parameters of the log, free where they are to be estimated."""
@@ -236,33 +244,42 @@ def _answer(record: Record, problem: DriveSideProblem, solution: Solution, verdi
     )
     how = "least squares" if verdict.x is None else "instrumental variables"
     return Estimate(
-        method="drive_side",
-        variant=f"drive-side by {how}",
-        joint=problem.joint,
-        loop=None,
-        parameters=rows,
-        channels=("torque", "motor_position", *verdict.channels),
-        record=record.name,
-        sample_time=problem.sample_time,
-        torque_unit=record.torque.unit,
-        measured=problem.measured,
-        predicted=predicted,
-        borders=borders,
-        relative_error=relative_error(problem.measured, predicted, borders),
-        filtered_error=filtered_error,
-        rows=error.size,
-        conditioning=None,
-        initial=None,
-        filtering=problem.filtering,
-        trace=trace_of(problem, solution),
-        simulations=solution.evaluations + verdict.simulations,
-        stop=solution.message,
-        converged=solution.converged,
-        intervals=f"from the sensitivities of the torque: {words(covariance)}; {band_words()}",
-        warnings=warnings,
-        fingerprint=fingerprint(record.torque.values),
-        delay=-values[LOG_DELAY.name],
-        correlation=covariance.correlation,
+        params=Params(
+            rows,
+            tuple(p.name for p in problem.free),
+            covariance.correlation,
+            f"from the sensitivities of the torque: {words(covariance)}; {band_words()}",
+        ),
+        fit=Fit(
+            measured=problem.measured,
+            predicted=predicted,
+            borders=borders,
+            relative_error=relative_error(problem.measured, predicted, borders),
+            filtered_error=filtered_error,
+            rows=error.size,
+            conditioning=None,
+            initial=None,
+            trace=trace_of(problem, solution),
+            simulations=solution.evaluations + verdict.simulations,
+            stop=solution.message,
+            converged=solution.converged,
+        ),
+        checks=Checks(warnings=warnings),
+        data=Data(
+            channels=("torque", "motor_position", *verdict.channels),
+            record=record.name,
+            sample_time=problem.sample_time,
+            torque_unit=record.torque.unit,
+            fingerprint=fingerprint(record.torque.values),
+        ),
+        settings=Settings(
+            method="drive_side",
+            variant=f"drive-side by {how}",
+            joint=problem.joint,
+            loop=None,
+            filtering=problem.filtering,
+            delay=-values[LOG_DELAY.name],
+        ),
     )
 
 

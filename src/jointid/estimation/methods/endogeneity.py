@@ -25,7 +25,7 @@ from jointid.common.progress import Progress
 from jointid.estimation.problems.drive_side import DriveSideProblem
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
-from jointid.records.signals import decimate
+from jointid.records.signals.filtering import decimate
 from jointid.simulation.drive_side import LOAD_STATE, PARTS, prescribed_motion
 from jointid.solvers.instrumental_variables import InstrumentalSolution, InstrumentalVariables, projection
 from jointid.solvers.solution import Solution

@@ -20,8 +20,8 @@ from typing import Literal
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
+from jointid.common.settings import check_settings, documented, setting
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.result.build_estimate import answer
@@ -34,7 +34,7 @@ from jointid.estimation.search.starts import resting_position
 from jointid.models.joints import FlexibleJoint, acts_on_whole
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.nelder_mead import NelderMead, sizes_of
 from jointid.solvers.problem import Counted
@@ -50,47 +50,52 @@ _TOLERANCE, _SIMPLEX_TOLERANCE = 1e-8, 1e-4  # the latter is that of fminsearch
 _NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class FlexibleDIDIM:
-    """Settings of DIDIM for a flexible joint.
+    """Settings of DIDIM for a flexible joint."""
 
-    Attributes:
-        minimiser: "least-squares", or the paper's "nelder-mead".
-        frequency: free-free frequency in Hz the stiffness starts from; several load shares are tried with it, and
-            for Nelder-Mead the inertia is halved as in (13) unless that loop is unstable. None tries a grid of both,
-            a simulation each.
-        rigid_cutoff: Hz, of the rigid identification that gives the start; 0.5 % of the sampling frequency when None.
-        tolerance: relative, on the parameters and the criterion; when None 1e-8, and 1e-4 for Nelder-Mead.
-        simulations: at most, of one descent.
-        restarts: of Nelder-Mead, each from where the last one stopped; it ends when one gains nothing.
-        statistics: "sensitivities" for the deviations of the output sensitivities, or the paper's "inverse-model".
-        free: what surrounds the joint and is identified with it, from what is declared: "kp", "kv", "delay", ...; see
-            `nuisance_parameters`. The offset is one of the joint's own parameters, and free by default.
-    """
-
-    minimiser: Literal["least-squares", "nelder-mead"] = "least-squares"
-    frequency: float | None = None
-    rigid_cutoff: float | None = None
-    tolerance: float | None = None
-    simulations: int = 6000
-    restarts: int = 3
-    statistics: Literal["sensitivities", "inverse-model"] = "sensitivities"
-    free: tuple[str, ...] = ()
+    minimiser: Literal["least-squares", "nelder-mead"] = setting(
+        "least-squares", "least squares with the output sensitivities, or the paper's simplex by MATLAB's fminsearch"
+    )
+    frequency: float | None = setting(
+        None,
+        "free-free frequency from which the stiffness starts, with the inertia halved; without it the best of a "
+        "grid, a simulation each",
+        unit="Hz",
+        above=0,
+    )
+    rigid_cutoff: float | None = setting(
+        None,
+        "cut-off of the rigid identification that gives the start; without it 0.5 % of the sampling frequency",
+        unit="Hz",
+        above=0,
+    )
+    tolerance: float | None = setting(
+        None,
+        "change of the criterion or the parameters to stop at, as a share; without it 1e-8, and 1e-4 with Nelder-Mead",
+        above=0,
+    )
+    simulations: int = setting(6000, "simulations of one descent of Nelder-Mead at most", at_least=1)
+    restarts: int = setting(
+        3,
+        "restarts of Nelder-Mead at most, each from where the last one stopped; it ends when one gains nothing",
+        at_least=0,
+    )
+    statistics: Literal["sensitivities", "inverse-model"] = setting(
+        "sensitivities",
+        "whether the standard deviations are those of the output sensitivities, or the paper's of the inverse model, "
+        "far too small",
+    )
+    free: tuple[str, ...] = setting(
+        (),
+        "what surrounds the joint and is identified with it, by least squares from where DIDIM ends, from what is "
+        'declared: a number of the law such as "kp", "delay" or "torque_filters.0.frequency", or "log_gain", '
+        '"log_delay"',
+    )
 
     def __post_init__(self) -> None:
-        choices = {
-            "minimiser": (self.minimiser, ("least-squares", "nelder-mead")),
-            "statistics": (self.statistics, ("sensitivities", "inverse-model")),
-        }
-        for name, (value, allowed) in choices.items():
-            if value not in allowed:
-                raise MethodError(f'The {name} is one of {", ".join(allowed)}; received "{value}".')
-        positive = (self.frequency or 1.0, self.rigid_cutoff or 1.0, self.tolerance or 1.0, float(self.simulations))
-        if min(positive) <= 0 or self.tolerance == 0 or self.restarts < 0:
-            raise MethodError(
-                "Frequencies, tolerance and simulations are positive, restarts 0 or more; received "
-                f"{self.frequency}, {self.rigid_cutoff}, {self.tolerance}, {self.simulations} and {self.restarts}."
-            )
+        check_settings(self)
 
     @classmethod
     def paper(cls, frequency: float | None = 30.0) -> FlexibleDIDIM:
@@ -157,13 +162,12 @@ def identify_flexible(
         spring = visible(problem, x, known, starts, progress)
         history.tally.evaluations += spring.simulations
         found = answer(record, problem, x, run, (stop, converged), known, J, spring.rigid_error)
-        found = replace(found, verdicts=(*found.verdicts, spring.verdict))
+        found = found.amended(checks={"verdicts": (*found.checks.verdicts, spring.verdict)})
         found = found if spring.shown else refused(found, spring)
-    return replace(
-        found,
-        variant=f"DIDIM by {how} {'from the pseudo-regular start' if paper else 'from a grid of starts'}",
-        trace=tuple(history.trace),
-        simulations=history.tally.evaluations + simulations,
+    variant = f"DIDIM by {how} {'from the pseudo-regular start' if paper else 'from a grid of starts'}"
+    return found.amended(
+        settings={"variant": variant},
+        fit={"trace": tuple(history.trace), "simulations": history.tally.evaluations + simulations},
     )
 
 
@@ -188,8 +192,8 @@ def _searched(
         return history.solve(problem, simplex, start), simplex
 
     solved, solver = solved_from(rigid)
-    assert rigid.filtering.cutoff is not None
-    edge, simulations = rigid.filtering.cutoff, rigid.simulations
+    assert rigid.settings.filtering.cutoff is not None
+    edge, simulations = rigid.settings.filtering.cutoff, rigid.fit.simulations
     for lower in () if paper or settings.rigid_cutoff else _LOWER:
         left = history.counted(solved.problem).residual(solved.solution.x)
         if np.linalg.norm(left) <= _NOTHING * solved.problem.size:
@@ -197,7 +201,7 @@ def _searched(
         # A mode near the cut-off of the rigid start makes it a poor one, and all that is explored from it.
         history.progress("the search ended where the model explains little; beginning again, below a lower frequency")
         rigid = rigid_estimate(record, loop, edge / lower, history.progress)
-        simulations += rigid.simulations
+        simulations += rigid.fit.simulations
         solved, solver = solved_from(rigid)
     if rigid["initial_velocity"].free:  # below its resonance the axis seemed to move at the first sample
         solved = or_moving(solved, rigid, not paper, solver, history)
@@ -209,22 +213,25 @@ def refused(estimate: Estimate, spring: Visibility) -> Estimate:
 
     What a rigid joint tells takes its place: the sums of both sides.
     """
-    assert isinstance(estimate.joint, FlexibleJoint)
+    joint = estimate.settings.joint
+    assert isinstance(joint, FlexibleJoint)
     whole = tuple(
-        Known(_sum_of(p, estimate.joint.unit(p)), spring.rigid[p.name], std, std / (abs(spring.rigid[p.name]) or 1.0))
-        for p in estimate.joint.rigid.parameters
+        Known(_sum_of(p, joint.unit(p)), spring.rigid[p.name], std, std / (abs(spring.rigid[p.name]) or 1.0))
+        for p in joint.rigid.parameters
         if (std := spring.rigid_std.get(p.name)) is not None and not acts_on_whole(p.name)
     )
     parted = ("motor_", "load_", "stiffness", "damping")
     lost = tuple(
-        replace(p, value=None, std=None, identifiable=False) if p.name.startswith(parted) and p.free else p
-        for p in estimate.parameters
+        replace(p, value=None, stderr=None, identifiable=False) if p.name.startswith(parted) and p.free else p
+        for p in estimate.params
     )
-    assert estimate.known is not None
-    known = replace(estimate.known, parameters=(), physical=whole, directions=(), sentences=())
+    assert estimate.checks.known is not None
+    known = replace(estimate.checks.known, parameters=(), physical=whole, directions=(), sentences=())
     only = Verdict("identifiability", False, "only the sums of both sides are told, not how they divide")
-    verdicts = tuple(only if v.subject == only.subject else v for v in estimate.verdicts)
-    return replace(estimate, parameters=lost, known=known, bounds=spring.bounds, verdicts=verdicts)
+    verdicts = tuple(only if v.subject == only.subject else v for v in estimate.checks.verdicts)
+    return estimate.amended(
+        params={"rows": lost}, checks={"known": known, "bounds": spring.bounds, "verdicts": verdicts}
+    )
 
 
 def _sum_of(p: Parameter, unit: str) -> Combination:
@@ -236,17 +243,13 @@ def _sum_of(p: Parameter, unit: str) -> Combination:
 def with_paper_statistics(estimate: Estimate, covariance: Covariance, joint: int) -> Estimate:
     """Return the estimate with the deviations of the paper, and none for what surrounds the joint."""
     found, index = [], 0
-    for p in estimate.parameters:
+    for p in estimate.params:
         std = None
         if p.free and index < joint:
             std, index = float(covariance.std[index]), index + 1
-        found.append(replace(p, std=std))
-    return replace(
-        estimate,
-        parameters=tuple(found),
-        correlation=covariance.correlation,
-        intervals="the paper's: of the inverse model on the simulated motion, which was not solved; far too small",
-    )
+        found.append(replace(p, stderr=std))
+    basis = "the paper's: of the inverse model on the simulated motion, which was not solved; far too small"
+    return estimate.amended(params={"rows": tuple(found), "correlation": covariance.correlation, "basis": basis})
 
 
 def _at_rest(record: Record, settings: FlexibleDIDIM) -> tuple[Parameter, ...]:

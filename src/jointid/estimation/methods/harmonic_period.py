@@ -22,7 +22,7 @@ from jointid.models.disturbances import Effect, PositionHarmonics, effect_column
 from jointid.models.joints import Motion
 from jointid.models.parameters import Parameter, Quantity
 from jointid.models.transmission import Side
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 
 _PERIODS = 2.0  # on the way, at least
 _STEPS = 4.0  # to the width of a valley

@@ -9,24 +9,34 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.settings import check_settings, documented, setting
 from jointid.estimation.methods.harmonic_period import PeriodColumn, is_searched, moved, with_periods
 from jointid.estimation.methods.instruments import Instrumented, by_instruments, simulated_instruments
 from jointid.estimation.methods.inverse_model import InverseModel, idim_channels, motion_of
 from jointid.estimation.methods.linear import Rows, Solution, ordinary, robust, weighted
 from jointid.estimation.problems.closed_loop import require_free
-from jointid.estimation.result.estimate import Estimate, fingerprint, poor_fit, relative_error
-from jointid.estimation.result.estimated import EstimatedParameter
+from jointid.estimation.result.estimate import (
+    Checks,
+    Data,
+    Estimate,
+    Fit,
+    Settings,
+    fingerprint,
+    poor_fit,
+    relative_error,
+)
+from jointid.estimation.result.params import EstimatedParameter, Params
 from jointid.models.disturbances import Effect, effect_parameters, require_effects
 from jointid.models.joints import Joint, acts_on_whole
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record, Timing
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.uncertainty.covariance import words
 
@@ -43,25 +53,21 @@ _SETTLED = 1e-3  # deviations of the period
 _ALIKE = 0.99  # a correlation that says two forces are known only together
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class IDIM:
-    """Settings of IDIM.
+    """Settings of IDIM; its effects are further columns, `PositionHarmonics` or `Drift`."""
 
-    Attributes:
-        estimator: "ols", ordinary least squares; "weighted", each equation of a flexible joint by the size of its
-            error; "robust", rows that do not fit weigh less or nothing; "iv", instrumental variables, right where
-            noise enters the loop too, for which the controller must be known.
-        effects: further columns, `PositionHarmonics` or `Drift`.
-    """
-
-    estimator: Estimator = "ols"
+    estimator: Estimator = setting(
+        "ols",
+        "ordinary least squares; weighted, each equation of a flexible joint by the size of its error; robust, rows "
+        "that do not fit weigh less or nothing; iv, instruments from the simulated loop, for which the controller is "
+        "needed",
+    )
     effects: tuple[Effect, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.estimator not in get_args(Estimator):
-            raise MethodError(
-                f"An estimator of IDIM is one of {', '.join(get_args(Estimator))}; received {self.estimator!r}."
-            )
+        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,38 +226,49 @@ def _answer(
     measured, predicted = model.torque[0], model.columns[0] @ values
     injected = ("injected",) if record.injected is not None else ()
     return Estimate(
-        method="idim",
-        variant=_VARIANTS[settings.estimator],
-        joint=joint,
-        loop=None,
-        parameters=_table(joint, regression, solution, values, found.periods),
-        channels=("torque", *driven, *idim_channels(joint.model)[1:], *injected),
-        record=record.name,
-        sample_time=record.torque.sample_time,
-        torque_unit=record.torque.unit,
-        measured=measured,
-        predicted=predicted,
-        borders=filtering.borders,
-        relative_error=relative_error(measured, predicted, filtering.borders),
-        filtered_error=solution.fit.relative_error,
-        rows=solution.fit.residual.size,
-        conditioning=solution.fit.conditioning,
-        initial=None,
-        filtering=filtering,
-        trace=iv.trace if iv else (),
-        simulations=len(iv.trace) - 1 if iv else 0,
-        stop=_stop(settings, found),
-        converged=iv.converged if iv else True,
-        intervals=f"of the regression, {words(solution.covariance)}",
-        warnings=(
-            *_warnings(record, filtering, solution.fit.relative_error),
-            *_like_gravity(regression.rows.names, solution.covariance.correlation),
+        params=Params(
+            _table(joint, regression, solution, values, found.periods),
+            regression.rows.names,
+            solution.covariance.correlation,
+            f"of the regression, {words(solution.covariance)}",
         ),
-        fingerprint=fingerprint(record.torque.values),
-        delay=delay,
-        correlation=solution.covariance.correlation,
-        tests=(iv.test,) if iv else (),
-        effects=found.effects,
+        fit=Fit(
+            measured=measured,
+            predicted=predicted,
+            borders=filtering.borders,
+            relative_error=relative_error(measured, predicted, filtering.borders),
+            filtered_error=solution.fit.relative_error,
+            rows=solution.fit.residual.size,
+            conditioning=solution.fit.conditioning,
+            initial=None,
+            trace=iv.trace if iv else (),
+            simulations=len(iv.trace) - 1 if iv else 0,
+            stop=_stop(settings, found),
+            converged=iv.converged if iv else True,
+        ),
+        checks=Checks(
+            warnings=(
+                *_warnings(record, filtering, solution.fit.relative_error),
+                *_like_gravity(regression.rows.names, solution.covariance.correlation),
+            ),
+            tests=(iv.test,) if iv else (),
+        ),
+        data=Data(
+            channels=("torque", *driven, *idim_channels(joint.model)[1:], *injected),
+            record=record.name,
+            sample_time=record.torque.sample_time,
+            torque_unit=record.torque.unit,
+            fingerprint=fingerprint(record.torque.values),
+        ),
+        settings=Settings(
+            method="idim",
+            variant=_VARIANTS[settings.estimator],
+            joint=joint,
+            loop=None,
+            filtering=filtering,
+            delay=delay,
+            effects=found.effects,
+        ),
     )
 
 

@@ -23,7 +23,7 @@ from jointid.estimation.result.estimate import Iteration
 from jointid.models.disturbances import Effect
 from jointid.models.parameters import Parameter
 from jointid.records.record import Channel, Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.uncertainty.endogeneity_test import ChiSquareTest, durbin_wu_hausman

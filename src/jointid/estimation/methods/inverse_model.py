@@ -21,16 +21,16 @@ from jointid.models.disturbances import Effect, effect_columns
 from jointid.models.joints import Joint, Motion
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.records.refer import require_units
-from jointid.records.signals import (
+from jointid.records.signals.filtering import (
     Filtering,
+    apply_window,
     decimate,
     decimate_all,
-    derivative,
-    differences,
+    differentiate,
+    differentiate_twice,
     lowpass,
-    picked,
-    windowed,
-    windowed_torque,
+    thin_channel,
+    window_torque,
 )
 
 
@@ -101,7 +101,7 @@ def inverse_model(
     further = effect_columns(effects, motor, load, sample_time, len(regressor))
     columns = through_window(np.concatenate([regressor, further], axis=2), filtering)
     rows = np.zeros((len(columns), size))
-    rows[0] = windowed_torque(torque, delay) if respected else torque.values
+    rows[0] = window_torque(torque, delay) if respected else torque.values
     inside = slice(filtering.borders[0], size - filtering.borders[1])
     return InverseModel(rows, columns, inside, motor, load)
 
@@ -110,16 +110,16 @@ def through_window(columns: FloatArray, filtering: Filtering) -> FloatArray:
     """Return columns, (equations, samples, parameters), as a torque whose timing is respected sees them."""
     if filtering.timing != "respected":
         return columns
-    return windowed(columns.transpose(1, 0, 2)).transpose(1, 0, 2)
+    return apply_window(columns.transpose(1, 0, 2)).transpose(1, 0, 2)
 
 
 def _motion(position: FloatArray, sample_time: float, filtering: Filtering) -> Motion:
     assert filtering.position_cutoff is not None
     smooth = lowpass(position, filtering.position_cutoff, sample_time)
     if filtering.timing == "respected":
-        return Motion(smooth, *differences(smooth, sample_time))
-    velocity = derivative(smooth, sample_time)
-    return Motion(smooth, velocity, derivative(velocity, sample_time))
+        return Motion(smooth, *differentiate_twice(smooth, sample_time))
+    velocity = differentiate(smooth, sample_time)
+    return Motion(smooth, velocity, differentiate(velocity, sample_time))
 
 
 def motor_torque(record: Record) -> Channel:
@@ -152,7 +152,7 @@ def motion_of(
     torque = motor_torque(record)
     positions = []
     for name in needed[1:]:
-        position = picked(getattr(record, name), torque.sample_time)
+        position = thin_channel(getattr(record, name), torque.sample_time)
         if position.timing is not Timing.SAMPLED:
             raise RecordError(f"IDIM needs a sampled {name}; this one is {position.timing.value}.")
         if abs(position.sample_time / torque.sample_time - 1.0) > 1e-9:

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
+from jointid.common.settings import check_settings, documented, setting
 from jointid.estimation.methods.drive_side import (
     DriveSideFit,
     covariance_of,
@@ -27,11 +27,20 @@ from jointid.estimation.methods.drive_side import (
 )
 from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
 from jointid.estimation.problems.open_loop import OpenLoopProblem, position_problem
-from jointid.estimation.result.estimate import Estimate, fingerprint, poor_fit, relative_error
-from jointid.estimation.result.estimated import EstimatedParameter
+from jointid.estimation.result.estimate import (
+    Checks,
+    Data,
+    Estimate,
+    Fit,
+    Settings,
+    fingerprint,
+    poor_fit,
+    relative_error,
+)
+from jointid.estimation.result.params import EstimatedParameter, Params
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.open_loop import OpenLoop
@@ -42,29 +51,30 @@ from jointid.uncertainty.bands import band_words
 from jointid.uncertainty.covariance import words
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class OpenLoopFit:
-    """Settings of the open-loop identification.
+    """Settings of the open-loop identification."""
 
-    Attributes:
-        log_delay: seconds by which the log shows the torque later than it acts; estimated when None.
-        highpass: Hz, below which the position is drift; 3 % of the cut-off when None.
-        frequency: motor-locked, Hz, for the start; a grid is tried when None.
-        tolerance: relative, on the parameters and the criterion.
-    """
-
-    log_delay: float | None = None
-    highpass: float | None = None
-    frequency: float | None = None
-    tolerance: float = 1e-8
+    log_delay: float | None = setting(
+        None,
+        "how much later than it acts the log shows the torque, negative for a command that comes first; without it "
+        "estimated",
+        unit="s",
+    )
+    highpass: float | None = setting(
+        None,
+        "frequency below which the position is drift, and not compared; without it 3 % of the cut-off",
+        unit="Hz",
+        above=0,
+    )
+    frequency: float | None = setting(
+        None, "motor-locked frequency of the start; without it the best of a grid", unit="Hz", above=0
+    )
+    tolerance: float = setting(1e-8, "change of the criterion or the parameters to stop at, as a share", above=0)
 
     def __post_init__(self) -> None:
-        given = [value for value in (self.highpass, self.frequency, self.tolerance) if value is not None]
-        if not min(given) > 0:
-            raise MethodError(
-                "Frequencies and the tolerance are positive; received "
-                f"{self.highpass}, {self.frequency} and {self.tolerance}."
-            )
+        check_settings(self)
 
 
 def identify_open_loop(
@@ -95,11 +105,11 @@ def identify_open_loop(
     progress("identifying the drive side for a start")
     begin = DriveSideFit(settings.log_delay, 0.0, settings.frequency, "never")
     first = identify_drive_side(record, DriveSide(closing.joint), parameters, filtering, begin, progress)
-    found = {p.name: p.value for p in first.parameters if p.value is not None}
+    found = {p.name: p.value for p in first.params if p.value is not None}
     given = {p.name: p.start for p in problem.parameters if p.start is not None}
     start, solver = problem.vector({**found, **given}), LevenbergMarquardt(settings.tolerance)
     solution = solve(problem, solver, start, reported(progress))
-    return _answer(record, problem, replace(solution, evaluations=solution.evaluations + first.simulations))
+    return _answer(record, problem, replace(solution, evaluations=solution.evaluations + first.fit.simulations))
 
 
 def _answer(record: Record, problem: OpenLoopProblem, solution: Solution) -> Estimate:
@@ -119,32 +129,43 @@ def _answer(record: Record, problem: OpenLoopProblem, solution: Solution) -> Est
     filtered_error = float(np.linalg.norm(solution.residual) / np.linalg.norm(problem.filtered(problem.measured)))
     drift = f"positions slower than {problem.highpass:g} Hz are drift in open loop, and were not compared"
     return Estimate(
-        method="open_loop",
-        variant="open loop by least squares",
-        joint=problem.joint,
-        loop=None,
-        parameters=rows,
-        channels=("torque", "motor_position"),
-        record=record.name,
-        sample_time=problem.sample_time,
-        torque_unit=record.torque.unit,
-        measured=problem.measured,
-        predicted=predicted,
-        borders=borders,
-        relative_error=relative_error(problem.measured, predicted, borders),
-        filtered_error=filtered_error,
-        rows=solution.residual.size,
-        conditioning=None,
-        initial=Initial(values["initial_position"], values["initial_velocity"]),
-        filtering=problem.filtering,
-        trace=trace_of(problem, solution),
-        simulations=solution.evaluations,
-        stop=solution.message,
-        converged=solution.converged,
-        intervals=f"from the sensitivities of the position: {words(covariance)}; {band_words()}",
-        warnings=(drift, *warnings_of(problem, x, covariance, lost, solution), *poor_fit(filtered_error)),
-        fingerprint=fingerprint(record.torque.values),
-        delay=-values[LOG_DELAY.name],
-        correlation=covariance.correlation,
-        compared="position",
+        params=Params(
+            rows,
+            tuple(p.name for p in problem.free),
+            covariance.correlation,
+            f"from the sensitivities of the position: {words(covariance)}; {band_words()}",
+        ),
+        fit=Fit(
+            measured=problem.measured,
+            predicted=predicted,
+            borders=borders,
+            relative_error=relative_error(problem.measured, predicted, borders),
+            filtered_error=filtered_error,
+            rows=solution.residual.size,
+            conditioning=None,
+            initial=Initial(values["initial_position"], values["initial_velocity"]),
+            trace=trace_of(problem, solution),
+            simulations=solution.evaluations,
+            stop=solution.message,
+            converged=solution.converged,
+            compared="position",
+        ),
+        checks=Checks(
+            warnings=(drift, *warnings_of(problem, x, covariance, lost, solution), *poor_fit(filtered_error))
+        ),
+        data=Data(
+            channels=("torque", "motor_position"),
+            record=record.name,
+            sample_time=problem.sample_time,
+            torque_unit=record.torque.unit,
+            fingerprint=fingerprint(record.torque.values),
+        ),
+        settings=Settings(
+            method="open_loop",
+            variant="open loop by least squares",
+            joint=problem.joint,
+            loop=None,
+            filtering=problem.filtering,
+            delay=-values[LOG_DELAY.name],
+        ),
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.models.parameters import Parameter
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 
 if TYPE_CHECKING:
     from jointid.models.joints import Joint

@@ -20,9 +20,9 @@ from jointid.models.controllers import number, with_numbers
 from jointid.models.joints import Joint, RigidJoint
 from jointid.models.parameters import TORQUE_UNIT, Parameter
 from jointid.records.record import Record
-from jointid.records.signals import Filtering, decimate_all
+from jointid.records.signals.filtering import Filtering, decimate_all
 from jointid.simulation.closed_loop import Initial, Outcome, Response, Simulation, simulate, simulate_torque
-from jointid.simulation.loop_input import ClosedLoop, Experiment, prepare
+from jointid.simulation.loop_input import ClosedLoop, LoopInput, prepare
 from jointid.simulation.sensitivities import Sensitivities, simulate_sensitivities
 from jointid.uncertainty.position_dependent_error import Cells, cells
 
@@ -34,7 +34,7 @@ class _Candidate:
     """What is simulated for one vector of parameters."""
 
     loop: ClosedLoop
-    experiment: Experiment
+    experiment: LoopInput
     values: Mapping[str, float]  # of the joint, per torque of the log
     initial: Initial
     drive_gain: float
@@ -54,7 +54,7 @@ class ClosedLoopProblem(RecordProblem):
     """
 
     loop: ClosedLoop
-    experiment: Experiment
+    experiment: LoopInput
 
     @property
     def joint(self) -> Joint:
@@ -100,7 +100,7 @@ class ClosedLoopProblem(RecordProblem):
         c = self._candidate(x)
         return self._shown(simulate_torque(c.loop, c.experiment, c.values, c.initial).torque, c)
 
-    def torque_if(self, x: FloatArray, driven: Callable[[Experiment], Experiment]) -> FloatArray:
+    def torque_if(self, x: FloatArray, driven: Callable[[LoopInput], LoopInput]) -> FloatArray:
         """Return the torque the log should show, raw, (samples,), if the loop were driven otherwise.
 
         Args:
@@ -251,7 +251,7 @@ def initial_of(values: Mapping[str, float]) -> Initial:
 
 
 def with_torque(
-    surroundings: Sequence[Parameter], experiment: Experiment, measured: FloatArray
+    surroundings: Sequence[Parameter], experiment: LoopInput, measured: FloatArray
 ) -> tuple[Parameter, ...]:
     """Return them with the torque at the first sample, from the log, if the law has an integral and they have none."""
     if not experiment.law.integrates or any(p.name == INITIAL_TORQUE.name for p in surroundings):

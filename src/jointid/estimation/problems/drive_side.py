@@ -24,7 +24,7 @@ from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter, Quantity
 from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.records.refer import require_units
-from jointid.records.signals import Filtering, decimate, lowpass, picked, windowed_parts, windowed_torque
+from jointid.records.signals.filtering import Filtering, decimate, lowpass, thin_channel, window_parts, window_torque
 from jointid.simulation.drive_side import (
     LOAD_STATE,
     PARTS,
@@ -108,14 +108,14 @@ class DriveSideProblem(RecordProblem):
         late, by_lag = values[LOG_DELAY.name] / self.sample_time, np.zeros((self.measured.size, 1))
         if lag > 0 and not self.leads:
             cells, moved = behind_lag(cells, self.motion.step, lag)
-            by_lag = windowed_parts(moved, PARTS, late)
-        seen = windowed_parts(cells, PARTS, late)
-        by_delay = windowed_parts(cells[:, :1], PARTS, late, 1) / self.sample_time
+            by_lag = window_parts(moved, PARTS, late)
+        seen = window_parts(cells, PARTS, late)
+        by_delay = window_parts(cells[:, :1], PARTS, late, 1) / self.sample_time
         if self.leads and lag > 0:
-            seen -= lag / self.sample_time * windowed_parts(cells, PARTS, late, 1)
+            seen -= lag / self.sample_time * window_parts(cells, PARTS, late, 1)
         if self.leads:  # the rate of a signal is what its delay takes from it
             by_lag = -by_delay
-            by_delay = by_delay - lag / self.sample_time**2 * windowed_parts(cells[:, :1], PARTS, late, 2)
+            by_delay = by_delay - lag / self.sample_time**2 * window_parts(cells[:, :1], PARTS, late, 2)
         columns = dict(zip(inner, seen[:, 1:].T, strict=True))
         columns |= {LOG_DELAY.name: by_delay[:, 0], CURRENT_LAG.name: by_lag[:, 0]}
         slopes = [columns[name] for name in names]
@@ -169,7 +169,7 @@ def motion_problem(
     motion = _from_rest(prescribed_motion(smooth, sample_time))
     given = {p.name: p for p in surroundings}
     around = tuple(given.get(p.name, p) for p in (LOG_DELAY, CURRENT_LAG))
-    measured = windowed_torque(replace(torque, values=torque.values[:size]))
+    measured = window_torque(replace(torque, values=torque.values[:size]))
     return DriveSideProblem(
         (*parameters, *_load_state(closing.joint, motion), *around),
         measured,
@@ -202,7 +202,7 @@ def torque_and_position(
     require_free(parameters)
     torque, position = motor_torque(record), record.motor_position
     assert position is not None
-    position = picked(position, torque.sample_time)
+    position = thin_channel(position, torque.sample_time)
     if position.timing is not Timing.SAMPLED or abs(position.sample_time / torque.sample_time - 1.0) > 1e-9:
         raise RecordError(
             f"{method} needs a sampled motor_position at the torque's rate; this one is {position.timing.value} every "

@@ -17,7 +17,7 @@ from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, LOG_D
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
 from jointid.records.record import Channel, Record
-from jointid.records.signals import Filtering, decimate, derivative, lowpass
+from jointid.records.signals.filtering import Filtering, decimate, differentiate, lowpass
 from jointid.simulation.open_loop import OpenLoop, simulate_open_loop
 
 _DRIFT = 0.03  # of the cut-off: positions slower than that are drift
@@ -146,7 +146,7 @@ def _first_state(position: FloatArray, filtering: Filtering, period: float) -> t
     could take any Coulomb force for a constant one, so the velocity stays within what the record shows.
     """
     assert filtering.position_cutoff is not None
-    speed = derivative(lowpass(position, filtering.position_cutoff, period), period)
+    speed = differentiate(lowpass(position, filtering.position_cutoff, period), period)
     fastest = float(np.max(np.abs(speed)))
     first = replace(INITIAL_STATE[1], start=float(speed[0]), lower=-fastest, upper=fastest)
     resting = abs(float(speed[0])) < _REST * float(np.sqrt(np.mean(speed**2)))

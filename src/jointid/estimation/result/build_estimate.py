@@ -10,8 +10,17 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
-from jointid.estimation.result.estimate import Estimate, fingerprint, poor_fit, relative_error
-from jointid.estimation.result.estimated import EstimatedParameter
+from jointid.estimation.result.estimate import (
+    Checks,
+    Data,
+    Estimate,
+    Fit,
+    Settings,
+    fingerprint,
+    poor_fit,
+    relative_error,
+)
+from jointid.estimation.result.params import EstimatedParameter, Params
 from jointid.records.record import Record
 from jointid.simulation.closed_loop import Simulation
 from jointid.solvers.bounds import Bounds
@@ -80,36 +89,43 @@ def answer(
         bounds_verdict(_touched(problem, x)),
     )
     return Estimate(
-        method="didim",
-        variant="DIDIM",
-        joint=joint,
-        loop=problem.loop_at(x),
-        parameters=rows,
-        channels=(*problem.loop.channels, *(("injected",) if record.injected is not None else ())),
-        record=record.name,
-        sample_time=problem.experiment.sample_time,
-        torque_unit=record.torque.unit,
-        measured=problem.measured,
-        predicted=run.torque,
-        borders=borders,
-        relative_error=relative_error(problem.measured, run.torque, borders),
-        filtered_error=left,
-        rows=error.size,
-        conditioning=None,
-        initial=initial_of(values),
-        filtering=problem.filtering,
-        trace=(),
-        simulations=0,
-        stop=end[0],
-        converged=end[1],
-        intervals=f"from the output sensitivities, {known.sentences[0]}",
-        warnings=_warnings(problem, run, known, end[1], left),
-        fingerprint=fingerprint(record.torque.values),
-        delay=values.get("delay", problem.experiment.law.delay),
-        correlation=known.covariance.correlation,
-        verdicts=verdicts,
-        known=told,
-        residuals=report,
+        params=Params(
+            rows,
+            tuple(p.name for p in problem.free),
+            known.covariance.correlation,
+            f"from the output sensitivities, {known.sentences[0]}",
+        ),
+        fit=Fit(
+            measured=problem.measured,
+            predicted=run.torque,
+            borders=borders,
+            relative_error=relative_error(problem.measured, run.torque, borders),
+            filtered_error=left,
+            rows=error.size,
+            conditioning=None,
+            initial=initial_of(values),
+            trace=(),
+            simulations=0,
+            stop=end[0],
+            converged=end[1],
+            residuals=report,
+        ),
+        checks=Checks(warnings=_warnings(problem, run, known, end[1], left), verdicts=verdicts, known=told),
+        data=Data(
+            channels=(*problem.loop.channels, *(("injected",) if record.injected is not None else ())),
+            record=record.name,
+            sample_time=problem.experiment.sample_time,
+            torque_unit=record.torque.unit,
+            fingerprint=fingerprint(record.torque.values),
+        ),
+        settings=Settings(
+            method="didim",
+            variant="DIDIM",
+            joint=joint,
+            loop=problem.loop_at(x),
+            filtering=problem.filtering,
+            delay=values.get("delay", problem.experiment.law.delay),
+        ),
     )
 
 

@@ -1,29 +1,31 @@
-"""The answer of an identification: complete, frozen, ready to print."""
+"""The estimate: what `identify` returns, complete and frozen, in five named parts."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.text import aligned
-from jointid.estimation.result.estimated import EstimatedParameter, OnBothSides, known_on_other_side
-from jointid.estimation.result.table_rows import bound_line, known_line, parameter_row, shown
+from jointid.estimation.result.params import EstimatedParameter, Params
+from jointid.estimation.result.record_fit import RecordFit, Windows
+from jointid.estimation.several_records.heterogeneity import Agreement
+from jointid.estimation.streaming.drift import DriftTest
 from jointid.models.disturbances import Effect
 from jointid.models.joints import Joint
-from jointid.models.transmission import transmission_lines
-from jointid.records.signals import Filtering
-from jointid.records.time_base.uniformity import Resampled, resampled_lines
+from jointid.models.refer import OtherSide, other_side
+from jointid.records.signals.filtering import Filtering
+from jointid.records.time_base.uniformity import Resampled
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.regression import Conditioning
 from jointid.uncertainty.endogeneity_test import ChiSquareTest
-from jointid.uncertainty.identifiability import Identifiability, Known
+from jointid.uncertainty.identifiability import Identifiability
+from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.residual_tests import ResidualReport
 from jointid.uncertainty.verdict import StiffnessBound, Verdict
 
@@ -59,10 +61,10 @@ class Iteration:
 
 @dataclass(frozen=True, slots=True)
 class IdentifiedJoint:
-    """What of an estimate is needed to predict a torque: it can be read back from a file.
+    """The part of an estimate that predicts a torque; it can be read back from a file.
 
     Attributes:
-        method: "didim" or "idim".
+        method: "didim", "idim", "drive_side" or "open_loop".
         joint: the model.
         loop: the closed loop, for DIDIM.
         values: every parameter of the joint, and of its effects, by name.
@@ -71,7 +73,7 @@ class IdentifiedJoint:
         record: name of the record it was identified from.
         fingerprint: of that record's torque, see `fingerprint`.
         controller: fingerprint of the loop's controller, for DIDIM; see `law_fingerprint`.
-        effects: what the torque holds beside the joint's own model; `values` has their parameters too.
+        effects: torques beside the joint's own model; `values` has their parameters too.
     """
 
     method: MethodName
@@ -87,180 +89,215 @@ class IdentifiedJoint:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Estimate(OnBothSides):
-    """What an identification found, and how.
+class Fit:
+    """How well the model reproduces the torque, and what it took to find out.
 
     Attributes:
-        method: "didim" or "idim"; variant: how it was run, in words.
-        joint: the model. loop: the closed loop, when the method simulated one.
-        parameters: in the order of the model, then what surrounds it.
-        channels: of the record, that were read.
-        record: its name.
-        sample_time: of the torque, seconds.
-        torque_unit: of the torque: N, N m, A or V.
-        measured, predicted: (samples,) raw torque, and what the model says it should have been.
-        borders: samples left out at each end of the error below.
+        measured, predicted: (samples,) raw torque, and that of the model; of several records one after the other; empty
+            for a log that is too long for memory.
+        borders: samples left out at each end of the raw error.
         relative_error: ``||measured - predicted|| / ||measured||`` of the raw torque, borders left out; a ratio.
         filtered_error: the same of the filtered and decimated torque: what was minimised.
         rows: filtered samples that were fitted.
-        conditioning: of the regressor, for a linear regression.
-        initial: the motor's state at the first sample, for a simulation.
-        filtering: as used, defaults filled in.
-        trace: every iteration.
-        simulations: that were run, all of them, those for derivatives and deviations included.
-        stop: why it ended, in a sentence; converged: whether that is a good end.
-        intervals: what the standard deviations are, in a sentence.
-        warnings: what the reader must know, one sentence each.
-        fingerprint: of the record's torque, so that it is known again.
-        delay: seconds from the logged torque to the torque that acts, as declared, or as found where it was free.
-        correlation: of the errors of the free parameters, in their order: all of them, or the joint's, which come
-            first; empty where it is not known.
-        tests: of what the method takes for granted.
-        verdicts: on the solver, the fit, what remains, and what the record tells, one question each.
-        known: which parameters and combinations the record tells, and how well.
-        residuals: what the model leaves of the torque.
-        resampled: how the record's samples were brought to a uniform clock, None where they were logged so.
-        bounds: how soft the spring may be where its stiffness is refused, by the load's share of the inertia.
-        effects: what the torque holds beside the joint's own model; their parameters follow the joint's.
         compared: "torque", or "position" where an open loop is compared by it: then measured, predicted and the errors
             are of the motor position, without its drift.
+        residuals: tests of the filtered error: whiteness, repetition with the motion.
+        conditioning: of the regressor, for a linear regression.
+        initial: the motor's state at the first sample, for a simulation.
+        trace: every iteration.
+        simulations: that were run, all of them, those for derivatives and deviations included.
+        passes: over the whole of a long log.
+        at_limit: share of the controller's periods at its limit, in a long log.
+        stop: why the search ended, in a sentence; converged: whether that is a good end.
+        interrupted: True if the last pass over a long log was: the estimate is of its beginning.
     """
 
-    method: MethodName
-    variant: str
-    joint: Joint
-    loop: ClosedLoop | None
-    parameters: tuple[EstimatedParameter, ...]
-    channels: tuple[str, ...]
-    record: str
-    sample_time: float
-    torque_unit: str
     measured: FloatArray
     predicted: FloatArray
     borders: tuple[int, int]
     relative_error: float
     filtered_error: float
     rows: int
-    conditioning: Conditioning | None
-    initial: Initial | None
-    filtering: Filtering
-    trace: tuple[Iteration, ...]
     simulations: int
     stop: str
     converged: bool
-    intervals: str
-    warnings: tuple[str, ...] = field(default=())
-    fingerprint: str = ""
-    delay: float = 0.0
-    correlation: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
-    tests: tuple[ChiSquareTest, ...] = ()
+    compared: Literal["torque", "position"] = "torque"
+    residuals: ResidualReport | None = None
+    conditioning: Conditioning | None = None
+    initial: Initial | None = None
+    trace: tuple[Iteration, ...] = ()
+    passes: int = 0
+    at_limit: float = 0.0
+    interrupted: bool = False
+
+    @property
+    def iterations(self) -> int:
+        """Steps that were taken."""
+        return max(len(self.trace) - 1, 0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Checks:
+    """What speaks for the estimate and what against it.
+
+    Attributes:
+        verdicts: on the solver, the fit, the residual, identifiability, bounds, stiffness; one question each.
+        known: which parameters and combinations the record determines, and how well.
+        tests: of the method's assumptions.
+        bounds: lower bounds of a refused stiffness, by the load's share of the inertia.
+        repeatable: the part of the residual that repeats with the motion, in a long log.
+        agreement: whether several records, each by itself, agree.
+        drift: whether the segments of a long log agree.
+        warnings: one sentence each.
+    """
+
     verdicts: tuple[Verdict, ...] = ()
     known: Identifiability | None = None
-    residuals: ResidualReport | None = None
+    tests: tuple[ChiSquareTest, ...] = ()
     bounds: tuple[StiffnessBound, ...] = ()
-    resampled: Resampled | None = None
-    effects: tuple[Effect, ...] = ()
-    compared: Literal["torque", "position"] = "torque"
+    repeatable: Repeatable | None = None
+    agreement: Agreement | None = None
+    drift: DriftTest | None = None
+    warnings: tuple[str, ...] = ()
 
-    def total(self, names: Sequence[str]) -> tuple[float, float]:
-        """Return a sum of parameters, by name or symbol, and its standard deviation, with their correlation."""
-        free = [p.name for p in self.parameters if p.free]
-        found = [self[name] for name in names]
-        uncertain = [p for p in found if p.std is not None]
-        std = np.array([p.std for p in uncertain], dtype=np.float64)
-        chosen = [free.index(p.name) for p in uncertain]
-        known = max(chosen, default=0) < len(self.correlation)
-        together = self.correlation[np.ix_(chosen, chosen)] if known else np.eye(len(chosen))
-        total = sum(self.values[p.name] for p in found)
-        return total, float(np.sqrt(max(float(std @ together @ std), 0.0)))
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Data:
+    """The record, or records, that were identified from.
+
+    Attributes:
+        record: its name; of several, all names.
+        channels: that were read.
+        sample_time: of the torque, seconds.
+        torque_unit: of the torque: N, N m, A or V.
+        fingerprint: of the torque, see `fingerprint`.
+        resampled: how the samples were brought to a uniform clock, None where they were logged so.
+        records: each of several records by itself; empty for one record.
+        windows: how a long log was cut; None for a record.
+    """
+
+    record: str
+    channels: tuple[str, ...]
+    sample_time: float
+    torque_unit: str
+    fingerprint: str = ""
+    resampled: Resampled | None = None
+    records: tuple[RecordFit, ...] = ()
+    windows: Windows | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settings:
+    """The model and the method, defaults filled in.
+
+    Attributes:
+        method: "didim", "idim", "drive_side" or "open_loop"; variant: how it was run, in words.
+        joint: the model. loop: the closed loop, when the method simulated one.
+        filtering: as used.
+        delay: seconds from the logged torque to the torque that acts, as declared, or as found where it was free.
+        effects: torques beside the joint's own model; their parameters follow the joint's.
+        weighting: of the rows of several records, in words.
+    """
+
+    method: MethodName
+    variant: str
+    joint: Joint
+    loop: ClosedLoop | None
+    filtering: Filtering
+    delay: float = 0.0
+    effects: tuple[Effect, ...] = ()
+    weighting: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """The result of an identification.
+
+    Attributes:
+        params: the parameters with their standard errors and correlation.
+        fit: measured and predicted torque, errors, residual, and how the search went.
+        checks: verdicts, identifiable combinations, tests, bounds, warnings.
+        data: the record or records.
+        settings: the model and the method, defaults filled in.
+
+    Example:
+        >>> import jointid as ji
+        >>> loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(kp=100.0, kv=2000.0))
+        >>> reference = ji.trapezoids(speeds=(0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
+        >>> truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+        >>> estimate = ji.identify(ji.simulated_record(loop, reference, truth, sample_time=1e-3), loop)
+        >>> round(estimate.params["inertia"].value, 6), estimate.success
+        (30.0, True)
+    """
+
+    params: Params
+    fit: Fit
+    checks: Checks
+    data: Data
+    settings: Settings
+
+    @property
+    def success(self) -> bool:
+        """True if the search converged and no verdict speaks against the estimate."""
+        return self.fit.converged and all(v.good is not False for v in self.checks.verdicts)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the errors of the free parameters, in the order of `params.names`."""
+        return self.params.covariance
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The parameters of joint and effects by name, fixed ones included; a refused one is missing."""
+        return {p.name: p.value for p in self.params if p.of_joint and p.value is not None}
+
+    def __getitem__(self, name: str) -> EstimatedParameter:
+        """Return a parameter by its name or symbol; ``name@2`` is the second record's own."""
+        return self.params[name]
+
+    @property
+    def other(self) -> OtherSide | None:
+        """The other side of the transmission; None without one."""
+        return other_side(self.settings.joint.transmission, self.data.torque_unit)
+
+    @property
+    def other_side(self) -> tuple[EstimatedParameter, ...]:
+        """The parameters on the other side of the transmission, in the same order; none without one."""
+        return self.params.on(self.other)
 
     @property
     def identified(self) -> IdentifiedJoint:
-        """What of it is needed to predict a torque.
+        """The part that predicts a torque, of another record, say.
 
         Raises:
             MethodError: a value is refused, without which no torque can be predicted.
         """
-        refused = [p.name for p in self.parameters if p.of_joint and p.value is None]
+        refused = [p.name for p in self.params if p.of_joint and p.value is None]
         if refused:
             raise MethodError(
                 f"{', '.join(refused)} cannot be told from this record, so this estimate predicts no torque; identify "
                 "the joint as rigid."
             )
-        law = "" if self.loop is None else law_fingerprint(self.loop)
-        found, filtering = self.values, self.filtering
+        settings, data = self.settings, self.data
+        law = "" if settings.loop is None else law_fingerprint(settings.loop)
         return IdentifiedJoint(
-            self.method, self.joint, self.loop, found, filtering, self.delay, self.record, self.fingerprint, law,
-            self.effects,
+            settings.method, settings.joint, settings.loop, self.values, settings.filtering, settings.delay,
+            data.record, data.fingerprint, law, settings.effects,
         )  # fmt: skip
 
-    @property
-    def values(self) -> dict[str, float]:
-        """The parameters of joint and effects by name, fixed ones included; a refused one is missing."""
-        return {p.name: p.value for p in self.parameters if p.of_joint and p.value is not None}
+    def amended(self, **parts: Mapping[str, Any]) -> Estimate:
+        """Return the estimate with some entries of its parts exchanged: ``amended(checks={"warnings": ()})``."""
+        return replace(self, **{name: replace(getattr(self, name), **entries) for name, entries in parts.items()})
 
-    @property
-    def iterations(self) -> int:
-        """How many steps were taken."""
-        return max(len(self.trace) - 1, 0)
+    def summary(self) -> str:
+        """Return the estimate as text: table, combinations, errors, verdicts and warnings."""
+        from jointid.estimation.result.summary import summarise
 
-    def __getitem__(self, name: str) -> EstimatedParameter:
-        """Return a parameter by its name or symbol."""
-        for parameter in self.parameters:
-            if name in (parameter.name, parameter.symbol):
-                return parameter
-        raise KeyError(name)
+        return summarise(self)
 
     def __str__(self) -> str:
-        """Return the table, with method, residual and warnings."""
-        left_out = f"{self.borders[0]} + {self.borders[1]} samples at the ends left out"
-        lines = [
-            f"{self.joint.model.capitalize()} joint, {self.variant}, of {self.record}",
-            f"read: {', '.join(self.channels)}",
-            *resampled_lines(self.resampled),
-            *transmission_lines(self.joint.transmission),
-            "",
-            self._table(),
-            "",
-            f"{self.compared} error".ljust(13) + f" {100 * self.relative_error:.4f} % raw ({left_out}), "
-            f"{100 * self.filtered_error:.4f} % filtered ({self.rows} rows)",
-        ]
-        if self.conditioning is not None:
-            c = self.conditioning
-            lines.append(
-                f"conditioning  {c.raw:.6g} raw, {c.normalised:.4g} normalised, {c.scaled:.4g} scaled by the parameters"
-            )
-        if self.simulations:
-            lines.append(f"effort        {self.iterations} iterations, {self.simulations} simulations")
-        lines += [f"stopped       {self.stop}", f"intervals     {self.intervals}"]
-        if self.known is not None and self.known.physical:
-            lines += ["", "known together", *self._known_together(self.known.physical)]
-        if self.bounds:
-            lines += ["", "K12 is at least, by the load's share of the inertia (95 %, lightly damped mode)"]
-            lines += [bound_line(bound, self["stiffness"].unit, self.other) for bound in self.bounds]
-        if self.verdicts:
-            lines += ["", "verdicts", *map(str, self.verdicts), ""]
-        lines += [f"test          {test.name}: {test.sentence}" for test in self.tests]
-        lines += [f"warning       {warning}" for warning in self.warnings]
-        return "\n".join(lines)
-
-    def _table(self) -> str:
-        """Return the table of the parameters; with a transmission, beside what they are on its other side."""
-        header, right = (
-            ("symbol", "parameter", "value", "2 sigma", "sigma %", "unit"),
-            (False, False, *[True] * 3, False),
-        )
-        rows = [parameter_row(p) for p in self.parameters]
-        if self.other is None:
-            return aligned(header, rows, right)
-        there = [(shown(p), p.unit) for p in self.other_side]
-        wider = [(*row, *cells) for row, cells in zip(rows, there, strict=True)]
-        return aligned((*header, f"{self.other.side} side", "unit"), wider, (*right, True, False))
-
-    def _known_together(self, physical: Sequence[Known]) -> list[str]:
-        """Return a line for each combination."""
-        there = known_on_other_side(physical, self.other) or (None,) * len(physical)
-        return [known_line(known, other, self.other) for known, other in zip(physical, there, strict=True)]
+        """Return the summary."""
+        return self.summary()
 
 
 def fingerprint(torque: FloatArray) -> str:

@@ -18,16 +18,14 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.search.exploration import crossover
+from jointid.models.joints import split_by_mode
 from jointid.models.parameters import Parameter, Quantity
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.solvers.bounds import Bounds
 from jointid.solvers.solve import solve
 from jointid.solvers.trust_region import TrustRegion
 from jointid.uncertainty.covariance import robust, white
 from jointid.uncertainty.verdict import StiffnessBound
-
-DAMPING = 0.02
-"""Ratio, of the mode whose stiffness is bounded."""
 
 _BAND = 0.15  # of the sampling frequency, in which a bound is looked for: modes above the fitted band show there
 _SOFTEST, _STIFFEST = 0.5, 6.0  # modes that are tried, times the crossover of the loop and the fitted band
@@ -67,9 +65,7 @@ class _AtMode:
 
     def _inertial(self, whole: float) -> dict[str, float]:
         """Return what is proportional to the whole inertia."""
-        reduced, rate = self.share * (1 - self.share) * whole, 2 * math.pi * self.mode
-        inertias = {"motor_inertia": (1 - self.share) * whole, "load_inertia": self.share * whole}
-        return inertias | {"stiffness": reduced * rate**2, "damping": 2 * DAMPING * reduced * rate}
+        return split_by_mode(whole, self.share, self.mode)
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the residual, (rows,)."""

@@ -17,7 +17,6 @@ Otherwise the record says only how soft the spring may be, for each of some shar
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -26,10 +25,10 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.progress import Progress
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.result.stiffness_bounds import DAMPING, bounded
+from jointid.estimation.result.stiffness_bounds import bounded
 from jointid.estimation.search.exploration import FASTEST, frequency_of
 from jointid.estimation.search.history import History, least_squares
-from jointid.models.joints import FlexibleJoint
+from jointid.models.joints import FlexibleJoint, split_by_mode
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.uncertainty.combination import ByCompliance, Combination
@@ -194,9 +193,7 @@ def _split(problem: ClosedLoopProblem, rigid: Mapping[str, float], share: float,
     values = {p.name: rigid.get(p.name, 0.0) for p in problem.parameters}
     values |= {f"motor_{name}": value for name, value in rigid.items() if f"motor_{name}" in values}
     whole = rigid["inertia"]
-    reduced, rate = share * (1 - share) * whole, 2 * math.pi * frequency
-    values |= {"motor_inertia": (1 - share) * whole, "load_inertia": share * whole}
-    return values | {"stiffness": reduced * rate**2, "damping": 2 * DAMPING * reduced * rate}
+    return values | split_by_mode(whole, share, frequency)
 
 
 def _springs(problem: ClosedLoopProblem, rigid: Mapping[str, float], error: FloatArray) -> list[FloatArray]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from jointid.common.text import number
-from jointid.estimation.result.estimated import EstimatedParameter
+from jointid.estimation.result.params import EstimatedParameter
 from jointid.models.refer import OtherSide
 from jointid.uncertainty.identifiability import Known
 from jointid.uncertainty.verdict import StiffnessBound
@@ -23,11 +23,11 @@ def shown(p: EstimatedParameter) -> str:
 def parameter_row(p: EstimatedParameter) -> tuple[str, ...]:
     """Return symbol, words, value, two deviations, one in percent, and unit."""
     words = p.name.replace("_", " ")
-    if p.value is None or p.std is None or not p.free:
+    if p.value is None or p.stderr is None or not p.free:
         return p.symbol, words, shown(p), "fixed" if p.value is not None and not p.free else "-", "-", p.unit
-    percent = 100 * p.std / abs(p.value) if p.value else math.inf
+    percent = 100 * p.stderr / abs(p.value) if p.value else math.inf
     relative = f"{percent:.2f}" if percent < _LOST else "-"
-    return p.symbol, words, number(p.value), number(2 * p.std, 2), relative, p.unit
+    return p.symbol, words, number(p.value), number(2 * p.stderr, 2), relative, p.unit
 
 
 def known_line(known: Known, there: Known | None, side: OtherSide | None) -> str:

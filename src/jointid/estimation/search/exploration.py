@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from jointid.models.controllers import SampledLaw
 from jointid.models.joints import FlexibleJoint, frequencies
 from jointid.models.parameters import Quantity
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.loop_input import ClosedLoop
 
@@ -79,7 +78,7 @@ def rigid_estimate(record: Record, loop: ClosedLoop, cutoff: float | None, progr
     slow = _RIGID_BELOW * crossover(law, found.values["inertia"])
     if cutoff is None and slow < 0.7 * edge:
         first, found = found, identified(slow)
-        found = replace(found, simulations=first.simulations + found.simulations)
+        found = found.amended(fit={"simulations": first.fit.simulations + found.fit.simulations})
     return found
 
 

@@ -18,7 +18,7 @@ from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.search.exploration import FASTEST, WIDE, explored, frequencies_to_try, frequency_of, started
 from jointid.estimation.search.history import History, Solved, least_squares
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.solvers.problem import Counted
 from jointid.solvers.solution import Solution
 from jointid.solvers.solve import Solver, solve

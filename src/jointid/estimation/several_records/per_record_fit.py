@@ -107,9 +107,9 @@ def starts(estimates: Sequence[Estimate]) -> list[dict[str, float]]:
     Raises:
         MethodError: a parameter is refused by all of them.
     """
-    every = [{p.name: p.value for p in e.parameters if p.value is not None} for e in estimates]
+    every = [{p.name: p.value for p in e.params if p.value is not None} for e in estimates]
     anywhere = {name: value for each in reversed(every) for name, value in each.items()}
-    lost = [p.name for p in estimates[0].parameters if p.name not in anywhere]
+    lost = [p.name for p in estimates[0].params if p.name not in anywhere]
     if lost:
         raise MethodError(
             f"No record by itself tells {', '.join(lost)}, so nothing is known to start from; "

@@ -11,9 +11,18 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_o
 from jointid.estimation.problems.nuisance_parameters import INITIAL
 from jointid.estimation.problems.several_records import at_rows
 from jointid.estimation.problems.sum import SumProblem
-from jointid.estimation.result.estimate import fingerprint, poor_fit, relative_error
-from jointid.estimation.result.estimated import EstimatedParameter
-from jointid.estimation.several_records.common_estimate import CommonEstimate, RecordShare
+from jointid.estimation.result.estimate import (
+    Checks,
+    Data,
+    Estimate,
+    Fit,
+    Settings,
+    fingerprint,
+    poor_fit,
+    relative_error,
+)
+from jointid.estimation.result.params import EstimatedParameter, Params
+from jointid.estimation.result.record_fit import RecordFit
 from jointid.estimation.several_records.heterogeneity import Agreement, Alone, agreement
 from jointid.estimation.several_records.per_record_fit import BySelf
 from jointid.estimation.several_records.record_layout import Arrangement
@@ -37,7 +46,7 @@ def concluded(
     alone: Sequence[BySelf],
     simulations: int,
     weighting: str,
-) -> CommonEstimate:
+) -> Estimate:
     """Return the answer.
 
     Args:
@@ -52,20 +61,32 @@ def concluded(
     ended = _Ended(records, arranged, criterion, end, alone)
     judged, compared = ended.judged(), ended.agreement()
     covariance = _widened(judged.covariance, ended.names, compared)
-    return CommonEstimate(
-        joint=arranged.joint,
-        torque_unit=arranged.torque_unit,
-        parameters=ended.shared(covariance),
-        records=tuple(ended.share(k, covariance) for k in range(len(records))),
-        names=ended.names,
-        correlation=covariance.correlation,
-        agreement=compared,
-        simulations=simulations + (end.evaluations + 2) * len(records),
-        stop=end.message,
-        converged=end.converged,
-        weighting=weighting,
-        intervals=f"from the output sensitivities, {judged.sentences[0]}; no record's rows correlated with another's",
-        warnings=ended.warnings(judged, compared, covariance),
+    shares = tuple(ended.share(k) for k in range(len(records)))
+    return Estimate(
+        params=Params(
+            ended.shared(covariance),
+            ended.names,
+            covariance.correlation,
+            f"from the output sensitivities, {judged.sentences[0]}; no record's rows correlated with another's",
+            tuple(ended.own(k, covariance) for k in range(len(records))),
+        ),
+        fit=ended.fit(shares, simulations),
+        checks=Checks(agreement=compared, warnings=ended.warnings(judged, compared, covariance)),
+        data=Data(
+            record=", ".join(record.name for record in records),
+            channels=tuple(dict.fromkeys(name for share in shares for name in share.channels)),
+            sample_time=shares[0].sample_time,
+            torque_unit=arranged.torque_unit,
+            records=shares,
+        ),
+        settings=Settings(
+            method="didim",
+            variant="DIDIM by least squares",
+            joint=arranged.joint,
+            loop=arranged.loops[0],
+            filtering=shares[0].filtering,
+            weighting=weighting,
+        ),
     )
 
 
@@ -124,7 +145,9 @@ class _Ended:
             free = [p.name for p in one.problem.free]
             kept = [i for i, name in enumerate(free) if name in units and inside[i] and name in self.sharing(k)]
             # Where a torque is reproduced to rounding, records differ by rounding, which no deviation knows.
-            std = np.array([max(rows[free[i]].std or 0.0, _ROUNDING * abs(rows[free[i]].value or 0.0)) for i in kept])
+            std = np.array(
+                [max(rows[free[i]].stderr or 0.0, _ROUNDING * abs(rows[free[i]].value or 0.0)) for i in kept]
+            )
             correlation = one.uncertainty.covariance.correlation[np.ix_(kept, kept)]
             values = {free[i]: rows[free[i]].value or 0.0 for i in kept}
             each.append(Alone(values, Covariance(std, correlation, one.uncertainty.covariance.bandwidth)))
@@ -157,8 +180,32 @@ class _Ended:
                 found.append(self._row(p, value, None))
         return tuple(found)
 
-    def share(self, number: int, covariance: Covariance) -> RecordShare:
-        """Return what is a record's own, and how well the common model explains it."""
+    def own(self, number: int, covariance: Covariance) -> tuple[EstimatedParameter, ...]:
+        """Return the parameters that are a record's own."""
+        return tuple(self._estimated(int(i), covariance) for i in self.criterion.places[number] if "@" in self.names[i])
+
+    def fit(self, shares: Sequence[RecordFit], simulations: int) -> Fit:
+        """Return how well the common model reproduces the torque of all records."""
+        errors, sizes = [], []
+        for k, problem in enumerate(self.criterion.problems):
+            errors.append(problem.filtered(problem.measured - shares[k].predicted))
+            sizes.append(problem.filtered(problem.measured))
+        measured, predicted = (np.concatenate([getattr(s, of) for s in shares]) for of in ("measured", "predicted"))
+        borders = shares[0].filtering.borders
+        return Fit(
+            measured=measured,
+            predicted=predicted,
+            borders=borders,
+            relative_error=relative_error(measured, predicted, borders),
+            filtered_error=float(np.linalg.norm(np.concatenate(errors)) / np.linalg.norm(np.concatenate(sizes))),
+            rows=sum(share.rows for share in shares),
+            simulations=simulations + (self.end.evaluations + 2) * len(shares),
+            stop=self.end.message,
+            converged=self.end.converged,
+        )
+
+    def share(self, number: int) -> RecordFit:
+        """Return what a record says by itself, and how well the common model explains it."""
         problem, record, one = self.criterion.problems[number], self.records[number], self.alone[number]
         x = self.criterion.of_member(self.end.x, number)
         values, predicted, size = (
@@ -167,16 +214,13 @@ class _Ended:
             np.linalg.norm(problem.filtered(problem.measured)),
         )
         assert record.torque is not None
-        return RecordShare(
+        return RecordFit(
             name=record.name,
             fingerprint=fingerprint(record.torque.values),
             resampled=record.resampled,
             loop=problem.loop,
             channels=(*problem.loop.channels, *(("injected",) if record.injected is not None else ())),
             added_inertia=sum(self.arranged.added[number].values()),
-            parameters=tuple(
-                self._estimated(int(i), covariance) for i in self.criterion.places[number] if "@" in self.names[i]
-            ),
             alone=self.by_itself(number),
             values={p.name: values[p.name] for p in self.arranged.joint.parameters},
             initial=initial_of(values),

@@ -1,9 +1,9 @@
-"""Does the joint stay what it is? Each stretch of a long record by itself, and whether they agree.
+"""Does the joint stay what it is? Each segment of a long record by itself, and whether they agree.
 
-A stretch is a number of windows that follow each other. What it says alone is one Gauss-Newton step from what all of
+A segment is a number of windows that follow each other. What it says alone is one Gauss-Newton step from what all of
 them say, which is near. Its deviations come from how its windows differ, in units of what a window of it tells: so
-measured, windows scatter alike in all stretches, and from all of them together that is known well enough to test by
-(from its own twenty windows for four parameters, one steady joint in four would be called drifting). That the stretches
+measured, windows scatter alike in all segments, and from all of them together that is known well enough to test by
+(from its own twenty windows for four parameters, one steady joint in four would be called drifting). That the segments
 agree is tested as for records of their own (`together.scatter`), and a straight line through them tells how fast what
 they say changes: a gear that warms up, a bearing that runs dry.
 """
@@ -18,75 +18,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.several_records.heterogeneity import Agreement, Alone, agreement
+from jointid.estimation.several_records.heterogeneity import Alone, agreement
+from jointid.estimation.streaming.drift import DriftTest, Segment, Trend
 from jointid.estimation.streaming.window import Window
 from jointid.models.parameters import Parameter
 from jointid.solvers.bounds import Bounds
 from jointid.uncertainty.covariance import covariance_of
 from jointid.uncertainty.jackknife import scale_of, step_of, total
 
-_MOST = 24  # stretches
-_WINDOWS = 3  # in a stretch at least, for each parameter
-_SINGULAR = 1e-12  # of the largest: a direction that a stretch does not tell
+_MOST = 24  # segments
+_WINDOWS = 3  # in a segment at least, for each parameter
+_SINGULAR = 1e-12  # of the largest: a direction that a segment does not tell
 _TOLD = 1.0 - 1e-6  # of a parameter that lies in the directions that it tells
 _HOUR = 3600.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Stretch:
-    """What a part of a long record says by itself.
-
-    Attributes:
-        begin, end: seconds from the first sample of the record.
-        windows: in it.
-        values: of the free parameters, by name, but for those that it does not tell, as friction backwards in hours
-            that only go forwards; std: their standard deviations.
-        filtered_error: what the joint of the whole record leaves of its filtered torque; a ratio.
-    """
-
-    begin: float
-    end: float
-    windows: int
-    values: Mapping[str, float]
-    std: Mapping[str, float]
-    filtered_error: float
-
-
-@dataclass(frozen=True, slots=True)
-class Trend:
-    """The straight line through what the stretches say of a parameter.
-
-    Attributes:
-        name: of the parameter. per_hour: its change, in its unit. std: of that.
-    """
-
-    name: str
-    per_hour: float
-    std: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Drift:
-    """Whether a long record tells one joint from beginning to end.
-
-    Attributes:
-        stretches: in the order of time; none where the record is too short for two.
-        agreement: whether they agree; None without them.
-        trends: of the parameters that two stretches tell, in their order.
-    """
-
-    stretches: tuple[Stretch, ...]
-    agreement: Agreement | None
-    trends: tuple[Trend, ...]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the parameters that change by more than their intervals allow."""
-        return () if self.agreement is None else tuple(p.name for p in self.agreement.parameters if p.differs)
-
-
-def drift(windows: Sequence[Window], x: FloatArray, free: Sequence[Parameter], units: Mapping[str, str]) -> Drift:
-    """Return what the stretches of a record say, and whether they agree.
+def drift(windows: Sequence[Window], x: FloatArray, free: Sequence[Parameter], units: Mapping[str, str]) -> DriftTest:
+    """Return what the segments of a record say, and whether they agree.
 
     Args:
         windows: in the order of time, at x.
@@ -96,12 +44,12 @@ def drift(windows: Sequence[Window], x: FloatArray, free: Sequence[Parameter], u
     """
     count = min(_MOST, len(windows) // (_WINDOWS * len(free)))
     if count < 2:
-        return Drift((), None, ())
+        return DriftTest((), None, ())
     names = [p.name for p in free]
     parts = [[windows[i] for i in part] for part in np.array_split(np.arange(len(windows)), count)]
     fits = [_Fit.of(part, x) for part in parts]
     scatter = _pooled(fits, [len(part) for part in parts])
-    stretches, alone = [], []
+    segments, alone = [], []
     for part, fit in zip(parts, fits, strict=True):
         own = np.flatnonzero(fit.told)
         covariance = covariance_of((fit.back @ scatter @ fit.back.T)[np.ix_(own, own)], 0)
@@ -109,18 +57,18 @@ def drift(windows: Sequence[Window], x: FloatArray, free: Sequence[Parameter], u
         values = {names[i]: float(fit.values[i]) for i in own}
         std = dict(zip(values, map(float, covariance.std), strict=True))
         error = math.sqrt(sums.square / sums.size) if sums.size > 0 else 0.0
-        stretches.append(Stretch(part[0].begin, part[-1].end, len(part), values, std, error))
+        segments.append(Segment(part[0].begin, part[-1].end, len(part), values, std, error))
         alone.append(Alone(values, covariance))
     judged = agreement(alone, {name: units[name] for name in names})
-    trends = tuple(_trend(scatter.name, stretches) for scatter in judged.parameters)
-    return Drift(tuple(stretches), judged, trends)
+    trends = tuple(_trend(scatter.name, segments) for scatter in judged.parameters)
+    return DriftTest(tuple(segments), judged, trends)
 
 
 def _pooled(fits: Sequence[_Fit], windows: Sequence[int]) -> FloatArray:
-    """Return how the windows of all stretches scatter, (free, free), in units of what a window tells.
+    """Return how the windows of all segments scatter, (free, free), in units of what a window tells.
 
     Args:
-        fits: of the stretches.
+        fits: of the segments.
         windows: of each.
     """
     free, count = fits[0].values.size, sum(windows)
@@ -135,7 +83,7 @@ def _pooled(fits: Sequence[_Fit], windows: Sequence[int]) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """One stretch, fitted.
+    """One segment, fitted.
 
     Attributes:
         values: (free,) where its windows agree.
@@ -167,9 +115,9 @@ class _Fit:
         return cls(x + step, back, (len(windows) - 1) * scores.T @ scores, told)
 
 
-def _trend(name: str, stretches: Sequence[Stretch]) -> Trend:
-    """Return the weighted least-squares line through the stretches that tell a parameter."""
-    telling = [s for s in stretches if name in s.values]
+def _trend(name: str, segments: Sequence[Segment]) -> Trend:
+    """Return the weighted least-squares line through the segments that tell a parameter."""
+    telling = [s for s in segments if name in s.values]
     hours = np.array([0.5 * (s.begin + s.end) for s in telling]) / _HOUR
     values, std = np.array([s.values[name] for s in telling]), np.array([s.std[name] for s in telling])
     weights = 1.0 / np.maximum(std, np.finfo(float).tiny) ** 2

@@ -18,7 +18,7 @@ from jointid.common.progress import Progress
 from jointid.estimation.streaming.position_bins import Place, Places
 from jointid.estimation.streaming.window import Model, NotSimulatedError, Window, looked_at, moves
 from jointid.models.parameters import Parameter
-from jointid.records.chunks import LongRecord
+from jointid.records.reading.chunks import LongRecord
 from jointid.solvers.bounds import Bounds
 from jointid.uncertainty.jackknife import Sums, step_of, total
 
@@ -117,7 +117,7 @@ class Passes:
         places: dict[int, Place] = {}
         still = 0
         try:
-            for piece in self.source.pieces(self.length, 2 * self.model.settling, every):
+            for piece in self.source.chunks(self.length, 2 * self.model.settling, every):
                 if not moves(piece.record):
                     still += 1
                     continue

@@ -23,9 +23,9 @@ from jointid.estimation.search.starts import beginning_position
 from jointid.estimation.streaming.position_bins import Place, Places
 from jointid.models.controllers import REFERENCE
 from jointid.models.parameters import Parameter
-from jointid.records.chunks import Piece
+from jointid.records.reading.chunks import Chunk
 from jointid.records.record import Record
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.uncertainty.jackknife import Sums
@@ -132,7 +132,7 @@ def motion(problem: ClosedLoopProblem) -> tuple[FloatArray, FloatArray]:
 
 
 def looked_at(
-    piece: Piece, model: Model, values: Mapping[str, float], places: Places
+    piece: Chunk, model: Model, values: Mapping[str, float], places: Places
 ) -> tuple[Window, dict[int, Place]] | None:
     """Return what a window says, and what it says at each place, by its number; None where nothing of it counts.
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from jointid.models.controllers.block_diagram import LONGEST_DELAY
 from jointid.models.controllers.controller_parameters import number, numbers_of, with_numbers
 from jointid.models.controllers.filters import (
+    FILTERS,
     DigitalFilter,
     Filter,
     FirstOrder,
@@ -16,8 +17,9 @@ from jointid.models.controllers.filters import (
     SecondOrder,
     as_filter,
 )
-from jointid.models.controllers.laws import PD, PID, Cascade, begun_later
-from jointid.models.controllers.running import Ran, invert, respond, run
+from jointid.models.controllers.laws import PD, PID, Cascade, shift_start
+from jointid.models.controllers.registry import LAWS
+from jointid.models.controllers.running import LawRun, invert, respond, run
 from jointid.models.controllers.sampled import (
     CONSTANT,
     DIRECTION,
@@ -31,13 +33,14 @@ from jointid.models.controllers.sampled import (
     referred,
     scaled,
 )
-from jointid.models.controllers.servo_base import Controller, Drawn, Interpolation, Timed
+from jointid.models.controllers.servo_base import Controller, DiagramController, Interpolation, ServoController
 from jointid.models.controllers.state_space import StateSpaceController
 
 __all__ = [
-    "CONSTANT", "DIRECTION", "INJECTED", "INPUTS", "LIMIT", "LONGEST_DELAY", "PD", "PID", "POSITION", "REFERENCE",
-    "REFERENCE_VELOCITY",
-    "Cascade", "Controller", "DigitalFilter", "Drawn", "Filter", "FirstOrder", "Interpolation", "MovingAverage",
-    "Notch", "Ran", "SampledLaw", "SecondOrder", "StateSpaceController", "Timed", "as_filter", "begun_later", "invert",
-    "number", "numbers_of", "referred", "respond", "run", "scaled", "with_numbers",
+    "CONSTANT", "DIRECTION", "FILTERS", "INJECTED", "INPUTS", "LAWS", "LIMIT", "LONGEST_DELAY", "PD", "PID",
+    "POSITION", "REFERENCE", "REFERENCE_VELOCITY",
+    "Cascade", "Controller", "DiagramController", "DigitalFilter", "Filter", "FirstOrder", "Interpolation",
+    "LawRun", "MovingAverage", "Notch", "SampledLaw", "SecondOrder", "ServoController", "StateSpaceController",
+    "as_filter", "invert", "number", "numbers_of", "referred", "respond", "run", "scaled", "shift_start",
+    "with_numbers",
 ]  # fmt: skip

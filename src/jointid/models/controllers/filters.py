@@ -3,31 +3,33 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
 from jointid.common.errors import MethodError
+from jointid.common.settings import check_settings, declare, documented, setting
 
 Coefficients: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
 """Numerator and denominator in powers of 1/z."""
 
 
 class Filter(Protocol):
-    """What a law asks of a filter."""
+    """The interface of a filter."""
 
     def coefficients(self, period: float) -> Coefficients:
         """Return ``b0, b1, ...`` and ``a0, a1, ...`` at a period."""
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class DigitalFilter:
     """``H(z) = (b0 + b1 z^-1 + ...) / (a0 + a1 z^-1 + ...)``; the default passes everything."""
 
-    numerator: tuple[float, ...] = (1.0,)
-    denominator: tuple[float, ...] = (1.0,)
+    numerator: tuple[float, ...] = setting((1.0,), "b0, b1, ... in powers of 1/z")
+    denominator: tuple[float, ...] = setting((1.0,), "a0, a1, ... in powers of 1/z; without it 1")
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "numerator", tuple(float(b) for b in self.numerator))
@@ -44,21 +46,22 @@ class DigitalFilter:
         return self.numerator, self.denominator
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class MovingAverage:
     """The mean of the last `samples` values: ``H(z) = (1 + z^-1 + ... + z^-(n-1)) / n``."""
 
-    samples: int
+    samples: int = field(metadata=declare("samples of which the mean is taken", at_least=1, at_most=1000))
 
     def __post_init__(self) -> None:
-        if isinstance(self.samples, bool) or not isinstance(self.samples, int) or not 1 <= self.samples <= 1000:
-            raise MethodError(f"A moving average takes 1 to 1000 samples, a whole number; received {self.samples}.")
+        check_settings(self)
 
     def coefficients(self, period: float) -> Coefficients:
         """Return the weights, all alike."""
         return (1.0 / self.samples,) * self.samples, (1.0,)
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class FirstOrder:
     """A low-pass of first order: ``y[k] = p y[k-1] + (1 - p) x[k]``, ``p = exp(-T / time_constant)``.
@@ -66,11 +69,10 @@ class FirstOrder:
     The pole is that of ``1 / (1 + time_constant s)``, sampled. A time constant of 0 passes everything.
     """
 
-    time_constant: float
+    time_constant: float = field(metadata=declare("time constant of its pole", unit="s", at_least=0))
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.time_constant) and self.time_constant >= 0):
-            raise MethodError(f"A filter's time constant is 0 s or more; received {self.time_constant}.")
+        check_settings(self)
 
     def coefficients(self, period: float) -> Coefficients:
         """Return the filter at a period."""
@@ -78,6 +80,7 @@ class FirstOrder:
         return (1.0 - pole,), (1.0, -pole)
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class SecondOrder:
     """A filter of second order, as drives parametrise it: a low-pass, or with a numerator of its own any biquad.
@@ -88,27 +91,19 @@ class SecondOrder:
 
     brought to the period by the bilinear rule, which is exact at the denominator's frequency (and the numerator's, each
     at its own). Without a numerator its polynomial is 1.
-
-    Attributes:
-        frequency: wd / 2 pi, Hz, below half the sampling frequency.
-        damping: dd, positive.
-        numerator_frequency: wn / 2 pi, Hz; None for a low-pass.
-        numerator_damping: dn.
     """
 
-    frequency: float
-    damping: float = math.sqrt(0.5)
-    numerator_frequency: float | None = None
-    numerator_damping: float = 0.0
+    frequency: float = field(
+        metadata=declare("frequency wd / 2 pi of its poles, below half the sampling frequency", unit="Hz", above=0)
+    )
+    damping: float = setting(math.sqrt(0.5), "damping dd of its poles; without it 0.7071, as Butterworth's", above=0)
+    numerator_frequency: float | None = setting(
+        None, "frequency wn / 2 pi of its zeros; without it a low-pass", unit="Hz", above=0
+    )
+    numerator_damping: float = setting(0.0, "damping dn of its zeros; without it 0", above=-1)
 
     def __post_init__(self) -> None:
-        numbers = (self.frequency, self.damping, self.numerator_frequency or 1.0, 1.0 + self.numerator_damping)
-        if not all(math.isfinite(number) and number > 0 for number in numbers):
-            raise MethodError(
-                "A filter of second order has positive frequencies and damping, and a numerator's damping above -1; "
-                f"received {self.frequency} Hz, {self.damping}, {self.numerator_frequency} Hz and "
-                f"{self.numerator_damping}."
-            )
+        check_settings(self)
 
     def coefficients(self, period: float) -> Coefficients:
         """Return the filter at a period.
@@ -123,28 +118,19 @@ class SecondOrder:
         return tuple(map(float, above / below[0])), tuple(map(float, below / below[0]))
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class Notch:
-    """A band-stop: ``H(s) = (s^2 + depth b s + w^2) / (s^2 + b s + w^2)``, b = 2 pi bandwidth, by the bilinear rule.
+    """A band-stop: ``H(s) = (s^2 + depth b s + w^2) / (s^2 + b s + w^2)``, b = 2 pi bandwidth, by the bilinear rule."""
 
-    Attributes:
-        frequency: w / 2 pi, Hz: the centre, exact in the sampled filter.
-        bandwidth: Hz between the points where a notch of depth 0 passes 71 %.
-        depth: what is left at the centre, as a share; 0 stops it completely.
-    """
-
-    frequency: float
-    bandwidth: float
-    depth: float = 0.0
+    frequency: float = field(metadata=declare("centre w / 2 pi, below half the sampling frequency", unit="Hz", above=0))
+    bandwidth: float = field(
+        metadata=declare("width, between the points where a notch of depth 0 passes 71 %", unit="Hz", above=0)
+    )
+    depth: float = setting(0.0, "what is left at its centre, as a share; without it 0", at_least=0)
 
     def __post_init__(self) -> None:
-        if not all(map(math.isfinite, (self.frequency, self.bandwidth, self.depth))) or not (
-            self.frequency > 0 and self.bandwidth > 0 and self.depth >= 0
-        ):
-            raise MethodError(
-                "A notch has a positive frequency and bandwidth, and a depth of 0 or more; received "
-                f"{self.frequency} Hz, {self.bandwidth} Hz, {self.depth}."
-            )
+        check_settings(self)
 
     def coefficients(self, period: float) -> Coefficients:
         """Return the filter at a period.
@@ -172,3 +158,13 @@ def _polynomial(frequency: float, damping: float, period: float) -> np.ndarray[t
 def as_filter(value: Filter | Sequence[float]) -> Filter:
     """Return a filter; a bare sequence is its numerator."""
     return DigitalFilter(tuple(value)) if isinstance(value, Sequence) else value
+
+
+FILTERS: Mapping[str, type[Any]] = {
+    "digital": DigitalFilter,
+    "moving_average": MovingAverage,
+    "first_order": FirstOrder,
+    "second_order": SecondOrder,
+    "notch": Notch,
+}
+"""The filters there are, by the word for their kind."""

@@ -8,67 +8,74 @@ delay that may be a fraction of a period. With v the filtered backward differenc
     PID       u = kp e + ki I + kd (dr/dt - v),  I the sum of T e
     PD        the same without I
 
-All sums are those of earlier periods, all differences backward ones. What is around all of them is in `drawn`.
+All sums are those of earlier periods, all differences backward ones. What is around all of them is in `diagram`.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias
 
 from jointid.common.errors import MethodError
-from jointid.models.controllers.block_diagram import Diagram, Signal
+from jointid.common.settings import Setting, declare, documented, setting
+from jointid.models.controllers.block_diagram import BlockSignal, Diagram
 from jointid.models.controllers.sampled import POSITION, REFERENCE_VELOCITY, SampledLaw
-from jointid.models.controllers.servo_base import Controller, Drawn
+from jointid.models.controllers.servo_base import Controller, DiagramController
 
 _WHOLE = 1e-6  # how near to a whole number of periods a slower loop's must be
 _DRIFT = 1e-2  # of a period: how far clocks may drift apart before an instant is taken for the next one
 _SLOWEST = 64  # periods in a cycle at most
 
 
+AntiWindup: TypeAlias = Literal["hold", "track", "none"]
+
+_ANTI_WINDUP = (
+    "what becomes of the integral at the limit: it stops where it would push further; loses what was cut off; runs on"
+)
+
+
+def _gain(help: str, unit: str) -> Mapping[str, Setting]:  # noqa: A002
+    """Return the declaration of a gain of the loop, which no sign turns round."""
+    remedy = "turn the torque or the positions round, with sign = -1 on their channels"
+    return declare(help, unit=unit, at_least=0, negative=remedy)
+
+
+@documented
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Cascade(Drawn):
-    """A position loop around a velocity loop: P-P, or P-PI where `ki` is not 0 (the module's equations).
+class Cascade(DiagramController):
+    """A position loop around a velocity loop: P-P, or P-PI where `ki` is not 0 (the module's equations)."""
 
-    Attributes:
-        kp: position gain in 1/s.
-        kv: velocity gain in controller units per m/s (rad/s).
-        ki: integral gain of the velocity loop in 1/s, the inverse of its integral time; 0 for a proportional one.
-        anti_windup: what becomes of the integral while the torque is at its limit: "hold" stops it where it would push
-            further, "track" takes from it what the limit cut off, "none" lets it run.
-        velocity_feedforward: share of the reference's velocity that is added to the velocity command.
-        velocity_feedforward_delay: seconds by which it sees the reference later.
-        reference_velocity: of the feed-forward: "difference" of the reference, or a "channel" of its own.
-        velocity_limit: of the velocity command, m/s (rad/s).
-        position_period: of the position loop, a multiple of `period`; the same when None.
-        position_offset: seconds from the first sample of the record's file to the position loop's next evaluation,
-            which is at the controller's instant there, or at the next one.
-        velocity_filter, torque_filters, filters_at, ..., gain, limit, period, delay, ...: see `Drawn` and `Timed`.
-    """
-
-    kp: float
-    kv: float
-    ki: float = 0.0
-    anti_windup: Literal["hold", "track", "none"] = "hold"
-    velocity_feedforward: float = 0.0
-    velocity_feedforward_delay: float = 0.0
-    reference_velocity: Literal["difference", "channel"] = "difference"
-    velocity_limit: float = math.inf
-    position_period: float | None = None
-    position_offset: float = 0.0
-
-    def __post_init__(self) -> None:
-        shares = {
-            "velocity_feedforward": self.velocity_feedforward,
-            "velocity_feedforward_delay": self.velocity_feedforward_delay,
-            "position_offset": self.position_offset,
-        }
-        self._check(kp=self.kp, kv=self.kv, ki=self.ki, **shares)
-        if not self.velocity_limit > 0:
-            raise MethodError(f"A velocity limit is positive; received {self.velocity_limit}.")
-        _one_of("anti_windup", self.anti_windup, ("hold", "track", "none"))
-        _one_of("reference_velocity", self.reference_velocity, ("difference", "channel"))
+    kp: float = field(metadata=_gain("position gain", "1/s"))
+    kv: float = field(metadata=_gain("velocity gain", "controller units per m/s or rad/s"))
+    ki: float = field(
+        default=0.0, metadata=_gain("integral gain of the velocity loop, the inverse of its integral time", "1/s")
+    )
+    anti_windup: AntiWindup = setting("hold", _ANTI_WINDUP)
+    velocity_feedforward: float = setting(
+        0.0, "share of the reference's velocity that is added to the velocity command", at_least=0
+    )
+    velocity_feedforward_delay: float = setting(0.0, "by which this sees the reference later", unit="s", at_least=0)
+    reference_velocity: Literal["difference", "channel"] = setting(
+        "difference", "whether that velocity is the reference's difference, or a channel of its own"
+    )
+    velocity_limit: float = setting(
+        math.inf, "limit of the velocity command, both ways", unit="m/s or rad/s", above=0, infinite=True
+    )
+    position_period: float | None = setting(
+        None,
+        "period of the position loop, a multiple of the controller's up to 64 times; without it the same",
+        unit="s",
+        above=0,
+    )
+    position_offset: float = setting(
+        0.0,
+        "from the first sample of the record's file, whatever update_time leaves out of it, to the position loop's "
+        "next evaluation; the controller's next instant counts",
+        unit="s",
+        at_least=0,
+    )
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -77,23 +84,23 @@ class Cascade(Drawn):
 
     def law(self, sample_time: float) -> SampledLaw:
         """Return the state-space form."""
-        drawn = self._diagram(self.period or sample_time)
-        position = drawn.input(POSITION)
-        command = drawn.held((self._reference(drawn) - position) * self.kp + self._fed(drawn))
+        diagram = self._diagram(self.period or sample_time)
+        position = diagram.input(POSITION)
+        command = diagram.held((self._reference(diagram) - position) * self.kp + self._fed(diagram))
         if self.velocity_limit < math.inf:
-            command, _ = drawn.limited(command, self.velocity_limit)
-        slip = command - self._velocity(drawn, position)
+            command, _ = diagram.limited(command, self.velocity_limit)
+        slip = command - self._velocity(diagram, position)
         controlled = slip * self.kv
         if self.ki:
-            state, integral = drawn.state()
+            state, integral = diagram.state()
             controlled = controlled + integral * (self.kv * self.ki)
-        output, limit = self._torque(drawn, controlled)
+        output, limit = self._torque(diagram, controlled)
         if self.ki:
-            into = slip * drawn.period
+            into = slip * diagram.period
             if self.limit < math.inf:
-                into = _unwound(drawn, into, limit, self.anti_windup, self.kv * self.ki * self.gain)
-            drawn.follow(state, integral + into)
-        return self._lowered(drawn, output, limit)
+                into = _with_anti_windup(diagram, into, limit, self.anti_windup, self.kv * self.ki * self.gain)
+            diagram.follow(state, integral + into)
+        return self._lower(diagram, output, limit)
 
     def _diagram(self, period: float) -> Diagram:
         phases = (self.position_period or period) / period
@@ -106,37 +113,30 @@ class Cascade(Drawn):
         first = math.ceil(self.position_offset / period - _DRIFT)
         return Diagram(period, round(phases), first % round(phases))
 
-    def _fed(self, drawn: Diagram) -> Signal:
+    def _fed(self, diagram: Diagram) -> BlockSignal:
         if not self.velocity_feedforward:
-            return Signal({})
+            return BlockSignal({})
         if self.reference_velocity == "channel":
             late = self.reference_delay + self.velocity_feedforward_delay
-            return drawn.delayed(drawn.input(REFERENCE_VELOCITY), late) * self.velocity_feedforward
-        reference = drawn.delayed(self._reference(drawn), self.velocity_feedforward_delay)
-        return drawn.difference(reference, slow=True) * self.velocity_feedforward
+            return diagram.delayed(diagram.input(REFERENCE_VELOCITY), late) * self.velocity_feedforward
+        reference = diagram.delayed(self._reference(diagram), self.velocity_feedforward_delay)
+        return diagram.difference(reference, slow=True) * self.velocity_feedforward
 
 
+@documented
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PD(Drawn):
+class PD(DiagramController):
     """``u = kp (reference - position) + kd (reference velocity - velocity)`` (the module's equations).
 
     The reference's velocity is the same filtered difference, of the reference, or the record's own channel, or none
     (damping on the position only).
-
-    Attributes:
-        kp: controller units per m (rad).
-        kd: controller units per m/s (rad/s).
-        reference_velocity: "difference", "channel" or "none".
-        velocity_filter, torque_filters, filters_at, ..., gain, limit, period, delay, ...: see `Drawn` and `Timed`.
     """
 
-    kp: float
-    kd: float
-    reference_velocity: Literal["difference", "channel", "none"] = "difference"
-
-    def __post_init__(self) -> None:
-        self._check(kp=self.kp, kd=self.kd)
-        _one_of("reference_velocity", self.reference_velocity, ("difference", "channel", "none"))
+    kp: float = field(metadata=_gain("position gain", "controller units per m or rad"))
+    kd: float = field(metadata=_gain("velocity gain", "controller units per m/s or rad/s"))
+    reference_velocity: Literal["difference", "channel", "none"] = setting(
+        "difference", "whether the reference's velocity is its difference, a channel of its own, or not used"
+    )
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -145,57 +145,46 @@ class PD(Drawn):
 
     def law(self, sample_time: float) -> SampledLaw:
         """Return the state-space form."""
-        drawn = Diagram(self.period or sample_time)
-        _, controlled = self._controlled(drawn)
-        output, limit = self._torque(drawn, controlled)
-        return self._lowered(drawn, output, limit)
+        diagram = Diagram(self.period or sample_time)
+        _, controlled = self._controlled(diagram)
+        output, limit = self._torque(diagram, controlled)
+        return self._lower(diagram, output, limit)
 
-    def _controlled(self, drawn: Diagram) -> tuple[Signal, Signal]:
+    def _controlled(self, diagram: Diagram) -> tuple[BlockSignal, BlockSignal]:
         """Return the position error and the output, without an integral."""
-        reference, position = self._reference(drawn), drawn.input(POSITION)
+        reference, position = self._reference(diagram), diagram.input(POSITION)
         error = reference - position
         if self.reference_velocity == "difference":
-            return error, error * self.kp + self._velocity(drawn, error) * self.kd
-        controlled = error * self.kp - self._velocity(drawn, position) * self.kd
+            return error, error * self.kp + self._velocity(diagram, error) * self.kd
+        controlled = error * self.kp - self._velocity(diagram, position) * self.kd
         if self.reference_velocity == "channel":
-            velocity = drawn.delayed(drawn.input(REFERENCE_VELOCITY), self.reference_delay)
+            velocity = diagram.delayed(diagram.input(REFERENCE_VELOCITY), self.reference_delay)
             controlled = controlled + velocity * self.kd
         return error, controlled
 
 
+@documented
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PID(PD):
-    """``u = kp e + ki (sum of T e) + kd (reference velocity - velocity)`` (the module's equations).
+    """``u = kp e + ki (sum of T e) + kd (reference velocity - velocity)`` (the module's equations)."""
 
-    Attributes:
-        ki: controller units per m s (rad s).
-        anti_windup: see `Cascade`.
-        kp, kd, reference_velocity: see `PD`.
-        velocity_filter, torque_filters, filters_at, ..., gain, limit, period, delay, ...: see `Drawn` and `Timed`.
-    """
-
-    ki: float
-    anti_windup: Literal["hold", "track", "none"] = "hold"
-
-    def __post_init__(self) -> None:
-        PD.__post_init__(self)
-        self._check(ki=self.ki)
-        _one_of("anti_windup", self.anti_windup, ("hold", "track", "none"))
+    ki: float = field(metadata=_gain("integral gain", "controller units per m s or rad s"))
+    anti_windup: AntiWindup = setting("hold", _ANTI_WINDUP)
 
     def law(self, sample_time: float) -> SampledLaw:
         """Return the state-space form."""
-        drawn = Diagram(self.period or sample_time)
-        error, controlled = self._controlled(drawn)
-        state, integral = drawn.state()
-        output, limit = self._torque(drawn, controlled + integral * self.ki)
-        into = error * drawn.period
+        diagram = Diagram(self.period or sample_time)
+        error, controlled = self._controlled(diagram)
+        state, integral = diagram.state()
+        output, limit = self._torque(diagram, controlled + integral * self.ki)
+        into = error * diagram.period
         if self.limit < math.inf and self.ki:
-            into = _unwound(drawn, into, limit, self.anti_windup, self.ki * self.gain)
-        drawn.follow(state, integral + into)
-        return self._lowered(drawn, output, limit)
+            into = _with_anti_windup(diagram, into, limit, self.anti_windup, self.ki * self.gain)
+        diagram.follow(state, integral + into)
+        return self._lower(diagram, output, limit)
 
 
-def begun_later(controller: Controller, seconds: float) -> Controller:
+def shift_start(controller: Controller, seconds: float) -> Controller:
     """Return a controller as it is for a log that begins so many seconds later: a slower loop in it keeps its instants.
 
     Only a `Cascade` with a position loop of its own has any. Negative: for a log that begins earlier.
@@ -208,15 +197,9 @@ def begun_later(controller: Controller, seconds: float) -> Controller:
     return replace(controller, position_offset=0.0 if rounding else float(f"{offset:.12g}"))
 
 
-def _unwound(drawn: Diagram, into: Signal, limit: int, anti_windup: str, weight: float) -> Signal:
-    """Return what is added to an integral in a period, with its anti-windup; `weight` takes the integral to torque."""
+def _with_anti_windup(diagram: Diagram, into: BlockSignal, limit: int, anti_windup: str, weight: float) -> BlockSignal:
+    """Return an integral's increment in a period, with its anti-windup; `weight` takes the integral to torque."""
     if anti_windup == "hold":
-        return drawn.gated(into, limit)
+        return diagram.gated(into, limit)
     # An integral of no weight has no share in what was cut off.
-    return into + drawn.excess(limit) * (1.0 / weight) if anti_windup == "track" and weight else into
-
-
-def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
-        expected = ", ".join(f'"{one}"' for one in known)
-        raise MethodError(f'A controller\'s {name} is one of {expected}; got "{value}".')
+    return into + diagram.excess(limit) * (1.0 / weight) if anti_windup == "track" and weight else into

@@ -13,8 +13,8 @@ from jointid.models.controllers.sampled import LIMIT, POSITION, SampledLaw
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ran:
-    """What a law did, period by period.
+class LawRun:
+    """A run of a law, period by period.
 
     Attributes:
         raw: (periods, elements) before limits and gates. excess: (periods, elements) what these took away or added.
@@ -27,8 +27,8 @@ class Ran:
     tapped: FloatArray
 
 
-def run(law: SampledLaw, inputs: FloatArray, state: FloatArray) -> Ran:
-    """Return what the law does with these inputs, within its limits.
+def run(law: SampledLaw, inputs: FloatArray, state: FloatArray) -> LawRun:
+    """Run the law on these inputs, within its limits.
 
     Args:
         law: the law.
@@ -38,7 +38,7 @@ def run(law: SampledLaw, inputs: FloatArray, state: FloatArray) -> Ran:
     excess = np.zeros((len(inputs), law.limits.size))
     raw = _respond(law, inputs, state, excess, True)
     values = raw + excess
-    return Ran(raw, excess, values[:, law.output], values[:, law.tap])
+    return LawRun(raw, excess, values[:, law.output], values[:, law.tap])
 
 
 def respond(law: SampledLaw, inputs: FloatArray, state: FloatArray, excess: FloatArray | None = None) -> FloatArray:

@@ -1,4 +1,4 @@
-"""What every controller becomes: a sampled linear law with limits inside, evaluated once per period.
+"""The common form of every controller: a sampled linear law with limits inside, evaluated once per period.
 
 Period k is in phase p = k mod `phases` of a cycle, one phase for a law whose parts all run at one rate. With the inputs
 named below, the states z, and elements i = 1, 2, ... in the order in which they are evaluated::
@@ -29,7 +29,7 @@ the limit, and the motor position."""
 INPUTS = POSITION + 1
 
 LIMIT = -1
-"""What stands for a limit where a gate has the place of its limit."""
+"""Placeholder of a limit, for a gate."""
 
 _SINGULAR = 1e13  # a condition number
 
@@ -174,7 +174,7 @@ class SampledLaw:
         return float(np.max(np.abs(self.D[:, self.output, POSITION])))
 
     def split(self) -> tuple[SampledLaw, SampledLaw]:
-        """Return what the motion moves, and what is known before it: two laws, the second of them without limits.
+        """Split the law into the part that depends on the motion and the part known before it, which has no limits.
 
         The first keeps the states that position, limits and gates move. The second has the rest, with the first's
         elements as its own, and after them one for each of the first's states: what goes into it in a period.
@@ -203,7 +203,7 @@ class SampledLaw:
 
     @property
     def integrates(self) -> bool:
-        """Whether a state that the motion moves keeps what it has."""
+        """True if a state that depends on the motion keeps its value."""
         return bool(np.any(self._integrators() & self.fed_back()))
 
     def fed_back(self) -> NDArray[np.bool_]:

@@ -18,11 +18,11 @@ from jointid.models.controllers.sampled import (
     SampledLaw,
     referred,
 )
-from jointid.models.controllers.servo_base import Timed
+from jointid.models.controllers.servo_base import ServoController
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StateSpaceController(Timed):
+class StateSpaceController(ServoController):
     """Any discrete linear law with a limit, in controller units.
 
     It is::
@@ -33,7 +33,7 @@ class StateSpaceController(Timed):
         A: (nz, nz). C: (nz,).
         B: name of an input to its column (nz,); inputs are "reference", "reference_velocity", "position", "excess".
         D: name of an input to its direct gain; "position" feeds back negatively, so its gain is usually < 0.
-        gain, limit, period, delay, interpolation, ratio: see `Timed`.
+        gain, limit, period, delay, interpolation, ratio: see `ServoController`.
     """
 
     A: ArrayLike
@@ -42,7 +42,7 @@ class StateSpaceController(Timed):
     D: dict[str, float]
 
     def __post_init__(self) -> None:
-        self._check()
+        ServoController.__post_init__(self)
         order = np.size(self.C)
         shapes = {"A": np.shape(self.A), **{f"B.{name}": np.shape(column) for name, column in self.B.items()}}
         wrong = [

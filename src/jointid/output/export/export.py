@@ -9,8 +9,6 @@ from typing import Any, ClassVar, Protocol, TypeAlias
 
 from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.several_records.common_estimate import CommonEstimate
-from jointid.estimation.streaming.long_estimate import LongEstimate
 from jointid.models.joints import Joint
 from jointid.models.transmission import SIDES, Side
 from jointid.output.export.joint_model import JointModel, joint_model
@@ -20,10 +18,10 @@ from jointid.output.export.mjcf import Mjcf
 from jointid.output.export.modelica import Modelica
 from jointid.output.export.state_space import StateSpace, linear_part
 from jointid.output.export.urdf import Urdf
-from jointid.output.json import estimate_answer, long_answer, together_answer
+from jointid.output.json import estimate_answer
 from jointid.output.json.reading import read_answer
 
-Known: TypeAlias = Estimate | CommonEstimate | LongEstimate | JointModel
+Known: TypeAlias = Estimate | Estimate | Estimate | JointModel
 """What can be exported: any answer that says what a joint is."""
 
 
@@ -96,7 +94,7 @@ def export(estimate: Known, exporter: str | Exporter, *, side: Side | None = Non
     """Return an estimate in another tool's language.
 
     Args:
-        estimate: what `identify`, `identify_together` or `identify_long` found, or what `read_estimated` read.
+        estimate: what `identify` returned, or what `read_estimated` read.
         exporter: the name of a language, or one with its settings: `Mjcf(timestep=1e-4)`.
         side: of a transmission, "motor" or "load", whose numbers are written; without it the load's for URDF and MJCF,
             whose joints are those of a robot's links, and else the side that was identified.
@@ -191,12 +189,8 @@ def _model(estimate: Known, name: str | None) -> JointModel:
             return estimate if name is None else replace(estimate, name=name)
         case Estimate():
             answer = estimate_answer(estimate)
-        case CommonEstimate():
-            answer = together_answer(estimate)
-        case LongEstimate():
-            answer = long_answer(estimate)
         case _:
             raise MethodError(
                 f"What is exported is an estimate, of one record or of several; received {type(estimate).__name__}."
             )
-    return joint_model(answer, estimate.joint, name)
+    return joint_model(answer, estimate.settings.joint, name)

@@ -12,15 +12,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from jointid.common.errors import MethodError, RecordError
-from jointid.estimation.result.estimated import EstimatedParameter, on_other_side
+from jointid.estimation.result.params import EstimatedParameter, on_other_side
 from jointid.models.friction import Directions
 from jointid.models.gravity import Gravity
 from jointid.models.joints import Joint
 from jointid.models.parameters import POSITION_UNIT, TORQUE_UNIT, Kind
 from jointid.models.refer import OtherSide
 from jointid.models.transmission import Side
-from jointid.output.json.estimates import ESTIMATE_SCHEMA, TOGETHER_SCHEMA
-from jointid.output.json.long import LONG_SCHEMA
+from jointid.output.json.estimates import ESTIMATE_SCHEMA, LONG_SCHEMA, TOGETHER_SCHEMA
 from jointid.output.json.parts import Json, gravity_answer, transmission_answer
 
 SCHEMAS = (ESTIMATE_SCHEMA, TOGETHER_SCHEMA, LONG_SCHEMA)
@@ -256,8 +255,13 @@ def joint_model(answer: Json, joint: Joint, name: str | None = None, source: str
 
 
 def _read(answer: Json, joint: Joint, name: str) -> JointModel:
-    friction = "symmetric" if joint.friction.symmetric else "asymmetric"
-    declared = (joint.model, joint.kind, friction, gravity_answer(joint), transmission_answer(joint.transmission))
+    declared = (
+        joint.model,
+        joint.kind,
+        joint.friction.name,
+        gravity_answer(joint),
+        transmission_answer(joint.transmission),
+    )
     told = tuple(answer[key] for key in ("model", "kind", "friction", "gravity", "transmission"))
     if answer["schema"] not in SCHEMAS or told != declared:
         raise ValueError

@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 from jointid.common.errors import JointFileError, MethodError
 from jointid.config import JointFile, dumps, loads, with_parameters, with_paths
 from jointid.config.serialise import parameter_table
-from jointid.estimation.result.estimated import EstimatedParameter
+from jointid.estimation.result.params import EstimatedParameter
 from jointid.models.parameters import Parameter
 from jointid.models.transmission import Side
 from jointid.output.export.joint_model import JointModel

@@ -11,7 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
-from jointid.estimation.result.estimated import EstimatedParameter
+from jointid.estimation.result.params import EstimatedParameter
+from jointid.models.friction import DIRECTIONS, PARTS
 from jointid.models.transmission import Side
 from jointid.output.export.joint_model import JointModel
 from jointid.output.export.naming import identifier, number
@@ -125,10 +126,11 @@ def _released(model: JointModel, mass: str, prefix: str) -> str:
 
 
 def _friction(model: JointModel, prefix: str) -> tuple[tuple[str, str], tuple[str, str]]:
-    """Return the names of viscous and Coulomb friction, forwards and backwards."""
-    words = ("", "") if model.joint.friction.symmetric else ("_forwards", "_backwards")
-    forwards, backwards = ((f"{prefix}viscous{word}", f"{prefix}coulomb{word}") for word in words)
-    return forwards, backwards
+    """Return the names of viscous and Coulomb friction, forwards and backwards; "0" where the law has none."""
+    law = model.joint.friction
+    named = [[law.named(part, direction) for part in PARTS] for direction in DIRECTIONS]
+    forwards, backwards = (tuple("0" if name is None else f"{prefix}{name}" for name in names) for names in named)
+    return (forwards[0], forwards[1]), (backwards[0], backwards[1])
 
 
 def _push(model: JointModel, mass: str) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from jointid import __version__
 from jointid.common import text
-from jointid.estimation.result.estimated import EstimatedParameter
+from jointid.estimation.result.params import EstimatedParameter
 from jointid.output.export.joint_model import JointModel, Origin
 from jointid.output.export.naming import one_line
 
@@ -36,7 +36,7 @@ def interval(p: EstimatedParameter) -> str:
         return f"refused: the record does not tell it{bound}"
     if not p.free:
         return f"{text.number(p.value)} {p.unit} (kept fixed)"
-    known = "no interval" if p.std is None else f"+- {text.number(2 * p.std, 2)}, 2 sigma"
+    known = "no interval" if p.stderr is None else f"+- {text.number(2 * p.stderr, 2)}, 2 sigma"
     return f"{text.number(p.value)} {p.unit} ({known}{'' if p.identifiable else '; not told by the record'})"
 
 

@@ -23,7 +23,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.extras import extra
 from jointid.common.text import number
-from jointid.models.linear import OUTPUTS, drive_matrices, sampled
+from jointid.models.linear import OUTPUTS, discretise, drive_matrices
 from jointid.models.parameters import Quantity, unit_of
 from jointid.output.export.joint_model import JointModel
 from jointid.output.export.provenance import effects_left_out, friction_shift, uneven_viscous
@@ -71,7 +71,7 @@ class StateSpace:
                 f"A continuous state space is sampled with a positive period and a delay from 0 to {_MOST} of them; "
                 f"received {period} s and {delay} s" + (", and it is sampled already." if self.period else ".")
             )
-        made = sampled(self.A, self.B[:, 0], period, delay)
+        made = discretise(self.A, self.B[:, 0], period, delay)
         order, waiting = len(self.A), made.waiting
         A, B = np.zeros((order + waiting, order + waiting)), np.zeros((order + waiting, 1))
         A[:order, :order] = made.transition

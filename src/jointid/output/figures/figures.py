@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -28,17 +28,18 @@ def torque_figure(answer: Estimate | Validation) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    unit = answer.torque_unit
+    shown = _shown(answer)
+    measured, predicted, unit = shown.measured, shown.predicted, shown.torque_unit
     quantity = torque_word(unit) + _side(answer)
-    word = "simulated" if answer.method == "didim" else "inverse model"
-    time = np.asarray(np.arange(answer.measured.size) * answer.sample_time, dtype=np.float64)
+    word = "simulated" if shown.method == "didim" else "inverse model"
+    time = np.asarray(np.arange(measured.size) * shown.sample_time, dtype=np.float64)
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
     FigureCanvasAgg(figure)
     whole, zoom = figure.subplots(2, 1)
-    _lines(whole, time, answer.measured, answer.predicted, word)
+    _lines(whole, time, measured, predicted, word)
     whole.set_title(_title(answer), fontsize=10, loc="left")
-    low, high = liveliest(answer.measured)
-    _lines(zoom, time[low:high], answer.measured[low:high], answer.predicted[low:high], None)
+    low, high = liveliest(measured)
+    _lines(zoom, time[low:high], measured[low:high], predicted[low:high], None)
     whole.axvspan(time[low], time[high - 1], color="0.85", zorder=0)
     zoom.set_title("zoom on the shaded part", fontsize=9, loc="left")
     for axes in (whole, zoom):
@@ -123,12 +124,32 @@ def liveliest(torque: FloatArray) -> tuple[int, int]:
 
 def _side(answer: Estimate | Validation) -> str:
     """Return on which side of a transmission an answer is."""
-    gear = answer.joint.transmission if isinstance(answer, Estimate) else answer.transmission
+    gear = answer.settings.joint.transmission if isinstance(answer, Estimate) else answer.transmission
     return "" if gear is None else f", {gear.side} side"
 
 
-def _title(answer: Estimate | Validation) -> str:
-    error = f"error {100 * answer.relative_error:.2f} % of the raw torque"
+class _Shown(NamedTuple):
+    """The entries of an estimate or a validation that the figure of its torque shows."""
+
+    measured: FloatArray
+    predicted: FloatArray
+    sample_time: float
+    torque_unit: str
+    method: str
+    relative_error: float
+
+
+def _shown(answer: Estimate | Validation) -> _Shown:
     if isinstance(answer, Estimate):
-        return f"{answer.record}: {answer.joint.model} joint by {answer.method.upper()}, {error}"
+        fit, data = answer.fit, answer.data
+        method = answer.settings.method
+        return _Shown(fit.measured, fit.predicted, data.sample_time, data.torque_unit, method, fit.relative_error)
+    v = answer
+    return _Shown(v.measured, v.predicted, v.sample_time, v.torque_unit, v.method, v.relative_error)
+
+
+def _title(answer: Estimate | Validation) -> str:
+    error = f"error {100 * _shown(answer).relative_error:.2f} % of the raw torque"
+    if isinstance(answer, Estimate):
+        return f"{answer.data.record}: {answer.settings.joint.model} joint by {answer.settings.method.upper()}, {error}"
     return f"{answer.record}: {answer.test} test of the joint identified from {answer.identified_from}, {error}"

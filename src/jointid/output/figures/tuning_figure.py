@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jointid.output.figures.charts import LOAD, MEASURED, SIMULATED
-from jointid.tuning.tuned import Band, LoopMargins, Tuned
+from jointid.tuning.tuned import LoopMargins, ResponseBand, Tuned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,12 +54,12 @@ def tuning_figure(tuned: Tuned) -> Figure:
     return figure
 
 
-def _size(axes: Axes, band: Band, color: str, label: str | None) -> None:
+def _size(axes: Axes, band: ResponseBand, color: str, label: str | None) -> None:
     axes.fill_between(band.hertz, band.size[0], band.size[1], color=color, alpha=0.3, linewidth=0)
     axes.loglog(band.hertz, np.abs(band.nominal), color=color, linewidth=0.9, label=label)
 
 
-def _phase(axes: Axes, band: Band, color: str) -> None:
+def _phase(axes: Axes, band: ResponseBand, color: str) -> None:
     low, high = (np.degrees(one) for one in band.phase)
     axes.fill_between(band.hertz, low, high, color=color, alpha=0.3, linewidth=0)
     phase = np.unwrap(np.angle(band.nominal))

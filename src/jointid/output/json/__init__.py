@@ -15,10 +15,9 @@ from jointid.output.json.assessments import (
     revealing_answer,
     validation_answer,
 )
-from jointid.output.json.estimates import ESTIMATE_SCHEMA, TOGETHER_SCHEMA, estimate_answer, together_answer
+from jointid.output.json.estimates import ESTIMATE_SCHEMA, LONG_SCHEMA, TOGETHER_SCHEMA, estimate_answer
 from jointid.output.json.inspected import INSPECTION_SCHEMA, inspection_answer
 from jointid.output.json.learned import LEARNED_SCHEMA, learned_answer
-from jointid.output.json.long import LONG_SCHEMA, long_answer
 from jointid.output.json.reading import read_answer, read_friction, read_identified
 from jointid.output.json.reported import DRIFT_SCHEMA, drift_answer, read_report
 from jointid.output.json.reports import REPORT_SCHEMA, report_answer
@@ -49,7 +48,6 @@ __all__ = [
     "estimate_answer",
     "inspection_answer",
     "learned_answer",
-    "long_answer",
     "loop_answer",
     "read_answer",
     "read_friction",
@@ -58,7 +56,6 @@ __all__ = [
     "report_answer",
     "revealing_answer",
     "simulation_answer",
-    "together_answer",
     "tuning_answer",
     "validation_answer",
     "write",

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 
 from jointid.estimation.result.estimate import Estimate, Iteration, law_fingerprint
-from jointid.estimation.result.estimated import bounds_on_other_side, known_on_other_side
-from jointid.estimation.several_records.common_estimate import CommonEstimate, RecordShare
+from jointid.estimation.result.params import EstimatedParameter, bounds_on_other_side, known_on_other_side
+from jointid.estimation.result.record_fit import RecordFit
+from jointid.estimation.result.summary import describe_drift
+from jointid.estimation.streaming.drift import DriftTest
 from jointid.output.json.parts import (
     Json,
     effect_answer,
@@ -24,65 +27,77 @@ from jointid.uncertainty.verdict import StiffnessBound
 
 ESTIMATE_SCHEMA = "jointid.estimate/1"
 TOGETHER_SCHEMA = "jointid.together/1"
+LONG_SCHEMA = "jointid.long/1"
 
 
 def estimate_answer(estimate: Estimate) -> Json:
-    """Return an estimate as it is written to JSON; percentages are of the measured torque's norm."""
-    conditioning = estimate.conditioning
+    """Return an estimate as it is written to JSON: of one record, of several, or of a long log.
+
+    Percentages are of the measured torque's norm.
+    """
+    if estimate.data.records:
+        return _of_several(estimate)
+    return _of_record(estimate) if estimate.data.windows is None else _of_log(estimate)
+
+
+def _of_record(estimate: Estimate) -> Json:
+    conditioning = estimate.fit.conditioning
     return {
         "schema": ESTIMATE_SCHEMA,
-        "method": estimate.method,
-        "variant": estimate.variant,
-        "model": estimate.joint.model,
-        "kind": estimate.joint.kind,
-        "friction": "symmetric" if estimate.joint.friction.symmetric else "asymmetric",
-        "gravity": gravity_answer(estimate.joint),
-        "transmission": transmission_answer(estimate.joint.transmission),
+        "method": estimate.settings.method,
+        "variant": estimate.settings.variant,
+        "model": estimate.settings.joint.model,
+        "kind": estimate.settings.joint.kind,
+        "friction": estimate.settings.joint.friction.name,
+        "gravity": gravity_answer(estimate.settings.joint),
+        "transmission": transmission_answer(estimate.settings.joint.transmission),
         "record": {
-            "name": estimate.record,
-            "samples": int(estimate.measured.size),
-            "sample_time": estimate.sample_time,
-            "torque_unit": estimate.torque_unit,
-            "torque_sha256": estimate.fingerprint,
-            "resampled": resampled_answer(estimate.resampled),
+            "name": estimate.data.record,
+            "samples": int(estimate.fit.measured.size),
+            "sample_time": estimate.data.sample_time,
+            "torque_unit": estimate.data.torque_unit,
+            "torque_sha256": estimate.data.fingerprint,
+            "resampled": resampled_answer(estimate.data.resampled),
         },
-        "channels": list(estimate.channels),
-        "parameters": {p.name: parameter_answer(p) for p in estimate.parameters},
+        "channels": list(estimate.data.channels),
+        "parameters": {p.name: parameter_answer(p) for p in estimate.params},
         "other_side": _other_side(estimate),
-        "relative_error_percent": 100 * estimate.relative_error,
-        "filtered_error_percent": 100 * estimate.filtered_error,
-        "compared": estimate.compared,
-        "samples_left_out": list(estimate.borders),
-        "rows": estimate.rows,
+        "relative_error_percent": 100 * estimate.fit.relative_error,
+        "filtered_error_percent": 100 * estimate.fit.filtered_error,
+        "compared": estimate.fit.compared,
+        "samples_left_out": list(estimate.fit.borders),
+        "rows": estimate.fit.rows,
         "condition_numbers": None
         if conditioning is None
         else {"raw": conditioning.raw, "normalised": conditioning.normalised, "scaled": conditioning.scaled},
-        "filtering": filtering_answer(estimate.filtering),
-        "delay": estimate.delay,
-        "controller_sha256": None if estimate.loop is None else law_fingerprint(estimate.loop),
-        "iterations": estimate.iterations,
-        "simulations": estimate.simulations,
-        "converged": estimate.converged,
-        "stop": estimate.stop,
-        "intervals": estimate.intervals,
-        "trace": [_iteration(line) for line in estimate.trace],
-        "tests": [asdict(test) for test in estimate.tests],
-        "effects": [effect_answer(effect) for effect in estimate.effects],
-        "warnings": list(estimate.warnings),
-        "verdicts": [{"subject": v.subject, "good": v.good, "said": v.said} for v in estimate.verdicts],
-        "combinations": None if estimate.known is None else combinations_answer(estimate.known),
-        "residuals": None if estimate.residuals is None else _residuals(estimate.residuals),
-        "stiffness_bounds": [_bound(bound) for bound in estimate.bounds],
+        "filtering": filtering_answer(estimate.settings.filtering),
+        "delay": estimate.settings.delay,
+        "controller_sha256": None if estimate.settings.loop is None else law_fingerprint(estimate.settings.loop),
+        "iterations": estimate.fit.iterations,
+        "simulations": estimate.fit.simulations,
+        "converged": estimate.fit.converged,
+        "stop": estimate.fit.stop,
+        "intervals": estimate.params.basis,
+        "trace": [_iteration(line) for line in estimate.fit.trace],
+        "tests": [asdict(test) for test in estimate.checks.tests],
+        "effects": [effect_answer(effect) for effect in estimate.settings.effects],
+        "warnings": list(estimate.checks.warnings),
+        "verdicts": [{"subject": v.subject, "good": v.good, "said": v.said} for v in estimate.checks.verdicts],
+        "combinations": None if estimate.checks.known is None else combinations_answer(estimate.checks.known),
+        "residuals": None if estimate.fit.residuals is None else _residuals(estimate.fit.residuals),
+        "stiffness_bounds": [_bound(bound) for bound in estimate.checks.bounds],
     }
 
 
 def _other_side(estimate: Estimate) -> Json | None:
     """Return what an estimate says of the other side of its transmission."""
-    answer = other_side_answer(estimate.parameters, estimate.other)
+    answer = other_side_answer(estimate.params, estimate.other)
     if answer is None:
         return None
-    physical = () if estimate.known is None else known_on_other_side(estimate.known.physical, estimate.other)
-    bounds = [_bound(bound) for bound in bounds_on_other_side(estimate.bounds, estimate.other)]
+    physical = (
+        () if estimate.checks.known is None else known_on_other_side(estimate.checks.known.physical, estimate.other)
+    )
+    bounds = [_bound(bound) for bound in bounds_on_other_side(estimate.checks.bounds, estimate.other)]
     return answer | {"combinations": [_combination(one) for one in physical], "stiffness_bounds": bounds}
 
 
@@ -144,20 +159,23 @@ def _iteration(line: Iteration) -> Json:
     }
 
 
-def together_answer(estimate: CommonEstimate) -> Json:
+def _of_several(estimate: Estimate) -> Json:
     """Return what several records say together as it is written to JSON."""
-    agreement = estimate.agreement
+    agreement = estimate.checks.agreement
+    assert agreement is not None
     return {
         "schema": TOGETHER_SCHEMA,
-        "model": estimate.joint.model,
-        "kind": estimate.joint.kind,
-        "friction": "symmetric" if estimate.joint.friction.symmetric else "asymmetric",
-        "gravity": gravity_answer(estimate.joint),
-        "torque_unit": estimate.torque_unit,
-        "transmission": transmission_answer(estimate.joint.transmission),
-        "parameters": {p.name: parameter_answer(p) for p in estimate.parameters},
-        "other_side": other_side_answer(estimate.parameters, estimate.other),
-        "records": [_share(record) for record in estimate.records],
+        "model": estimate.settings.joint.model,
+        "kind": estimate.settings.joint.kind,
+        "friction": estimate.settings.joint.friction.name,
+        "gravity": gravity_answer(estimate.settings.joint),
+        "torque_unit": estimate.data.torque_unit,
+        "transmission": transmission_answer(estimate.settings.joint.transmission),
+        "parameters": {p.name: parameter_answer(p) for p in estimate.params},
+        "other_side": other_side_answer(estimate.params, estimate.other),
+        "records": [
+            _share(record, own) for record, own in zip(estimate.data.records, estimate.params.own, strict=True)
+        ],
         "agreement": {
             "sentence": str(agreement),
             "differs": agreement.differs,
@@ -176,18 +194,18 @@ def together_answer(estimate: CommonEstimate) -> Json:
                 for p in agreement.parameters
             },
         },
-        "free": list(estimate.names),
-        "correlation": [[float(value) for value in row] for row in estimate.correlation],
-        "simulations": estimate.simulations,
-        "converged": estimate.converged,
-        "stop": estimate.stop,
-        "weighting": estimate.weighting,
-        "intervals": estimate.intervals,
-        "warnings": list(estimate.warnings),
+        "free": list(estimate.params.names),
+        "correlation": [[float(value) for value in row] for row in estimate.params.correlation],
+        "simulations": estimate.fit.simulations,
+        "converged": estimate.fit.converged,
+        "stop": estimate.fit.stop,
+        "weighting": estimate.settings.weighting,
+        "intervals": estimate.params.basis,
+        "warnings": list(estimate.checks.warnings),
     }
 
 
-def _share(record: RecordShare) -> Json:
+def _share(record: RecordFit, own: Sequence[EstimatedParameter]) -> Json:
     return {
         "name": record.name,
         "samples": int(record.measured.size),
@@ -196,7 +214,7 @@ def _share(record: RecordShare) -> Json:
         "resampled": resampled_answer(record.resampled),
         "channels": list(record.channels),
         "added_inertia": record.added_inertia,
-        "parameters": {p.name: parameter_answer(p) for p in record.parameters},
+        "parameters": {p.name: parameter_answer(p) for p in own},
         "alone": {p.name: parameter_answer(p) for p in record.alone},
         "values": dict(record.values),
         "initial": initial_answer(record.initial),
@@ -211,4 +229,82 @@ def _share(record: RecordShare) -> Json:
         "relative_error_percent": 100 * record.relative_error,
         "filtered_error_percent": 100 * record.filtered_error,
         "filtered_error_alone_percent": 100 * record.alone_error,
+    }
+
+
+def _of_log(estimate: Estimate) -> Json:
+    """Return what a long record says as it is written to JSON; percentages are of the measured torque's norm."""
+    checks, windows = estimate.checks, estimate.data.windows
+    assert checks.known is not None and checks.repeatable is not None and checks.drift is not None
+    assert windows is not None and estimate.settings.loop is not None
+    return {
+        "schema": LONG_SCHEMA,
+        "model": estimate.settings.joint.model,
+        "kind": estimate.settings.joint.kind,
+        "friction": estimate.settings.joint.friction.name,
+        "gravity": gravity_answer(estimate.settings.joint),
+        "transmission": transmission_answer(estimate.settings.joint.transmission),
+        "record": {
+            "name": estimate.data.record,
+            "sample_time": estimate.data.sample_time,
+            "torque_unit": estimate.data.torque_unit,
+        },
+        "channels": list(estimate.data.channels),
+        "parameters": {p.name: parameter_answer(p) for p in estimate.params},
+        "other_side": other_side_answer(estimate.params, estimate.other),
+        "combinations": combinations_answer(checks.known),
+        "correlation": [[float(value) for value in row] for row in estimate.params.correlation],
+        "repeatable": {
+            "rms": checks.repeatable.rms,
+            "share_percent": 100 * checks.repeatable.share,
+            "p": checks.repeatable.p_value,
+        },
+        "drift": _drift(checks.drift) | {"sentence": describe_drift(checks.drift, estimate.params)},
+        "window": windows.length,
+        "settling": windows.settling,
+        "windows": windows.count,
+        "windows_without_motion": windows.still,
+        "duration": windows.duration,
+        "rows": estimate.fit.rows,
+        "filtered_error_percent": 100 * estimate.fit.filtered_error,
+        "filtering": filtering_answer(estimate.settings.filtering),
+        "at_limit": estimate.fit.at_limit,
+        "controller_sha256": law_fingerprint(estimate.settings.loop),
+        "passes": estimate.fit.passes,
+        "simulations": estimate.fit.simulations,
+        "converged": estimate.fit.converged,
+        "stop": estimate.fit.stop,
+        "interrupted": estimate.fit.interrupted,
+        "intervals": estimate.params.basis,
+        "warnings": list(checks.warnings),
+    }
+
+
+def _drift(drift: DriftTest) -> Json:
+    judged = drift.agreement
+    return {
+        "differs": None if judged is None or judged.p_value is None else judged.differs,
+        "p_value": None if judged is None else judged.p_value,
+        "parameters": {
+            trend.name: {
+                "p_value": judged[trend.name].p_value,
+                "differs": judged[trend.name].differs,
+                "std_between": judged[trend.name].between,
+                "per_hour": trend.per_hour,
+                "per_hour_std": trend.std,
+            }
+            for trend in drift.trends
+            if judged is not None
+        },
+        "stretches": [
+            {
+                "begin": s.begin,
+                "end": s.end,
+                "windows": s.windows,
+                "values": dict(s.values),
+                "std": dict(s.std),
+                "filtered_error_percent": 100 * s.filtered_error,
+            }
+            for s in drift.segments
+        ],
     }

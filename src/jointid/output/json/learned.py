@@ -18,13 +18,13 @@ def learned_answer(learned: LearnedLoop) -> Json:
         "schema": LEARNED_SCHEMA,
         "record": learned.record,
         "resampled": resampled_answer(learned.resampled),
-        "structure": learned.words,
+        "structure": str(learned.structure),
         "law": _law(learned.controller),
         "numbers": [asdict(one) for one in learned.numbers],
         "correlation": learned.correlation.tolist(),
-        "equivalent": list(learned.equivalent),
+        "equivalent": list(learned.equivalent_laws),
         "alternatives": [_alternative(one) for one in learned.alternatives],
-        "sentences": list(learned.sentences),
+        "sentences": [str(one) for one in learned.limitations],
         "residual": {"rms": learned.rms, "percent": 100 * learned.share, "unit": learned.torque_unit},
         "noise": {"torque": learned.torque_noise, "position": learned.position_noise, "heard_up_to_hz": learned.band},
         "table": controller_text(learned.controller, learned.transmission),
@@ -33,7 +33,7 @@ def learned_answer(learned: LearnedLoop) -> Json:
 
 def _alternative(one: Alternative) -> Json:
     return {
-        "structure": one.words,
+        "structure": str(one.structure),
         "law": _law(one.controller),
         "worse": one.worse,
         "apart_percent": 100 * one.apart,

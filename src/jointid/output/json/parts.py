@@ -7,12 +7,12 @@ from dataclasses import asdict
 from typing import Any
 
 from jointid.common.errors import MethodError
-from jointid.estimation.result.estimated import EstimatedParameter, on_other_side
+from jointid.estimation.result.params import EstimatedParameter, on_other_side
 from jointid.models.disturbances import Drift, Effect, PositionHarmonics
 from jointid.models.joints import Joint
 from jointid.models.refer import OtherSide
 from jointid.models.transmission import Transmission
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.records.time_base.uniformity import Resampled
 from jointid.simulation.closed_loop import Initial
 
@@ -26,7 +26,7 @@ def parameter_answer(p: EstimatedParameter) -> Json:
     return {
         "symbol": p.symbol,
         "value": p.value,
-        "std": p.std,
+        "std": p.stderr,
         "unit": p.unit,
         "free": p.free,
         "identifiable": p.identifiable,

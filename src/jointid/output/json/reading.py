@@ -6,15 +6,16 @@ import json
 import math
 import os
 from pathlib import Path
-from typing import Literal, get_args
+from typing import get_args
 
 from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.result.estimate import IdentifiedJoint, MethodName
 from jointid.models.disturbances import effect_parameters
+from jointid.models.friction import FRICTIONS
 from jointid.models.joints import Joint
 from jointid.output.json.estimates import ESTIMATE_SCHEMA
 from jointid.output.json.parts import Json, gravity_answer, read_effect, transmission_answer
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 
 _LARGEST = 2**26  # bytes
@@ -68,18 +69,18 @@ def _geared(transmission: object) -> str:
     return f"a transmission of {ratio} motor per load, on the {side} side"
 
 
-def read_friction(path: str | Path) -> Literal["symmetric", "asymmetric"]:
-    """Return the friction law of an estimate written by `write`.
+def read_friction(path: str | Path) -> str:
+    """Return the name of the friction law of an estimate written by `write`.
 
     Raises:
         RecordError: the file is no estimate.
     """
     friction = read_answer(path).get("friction")
-    if friction not in ("symmetric", "asymmetric"):
+    if not isinstance(friction, str) or friction not in FRICTIONS:
         raise RecordError(
             f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; give the file that identify --json wrote."
         )
-    return "asymmetric" if friction == "asymmetric" else "symmetric"
+    return friction
 
 
 def read_answer(path: str | os.PathLike[str]) -> Json:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from jointid.common.text import interval, number
 from jointid.diagnostics.report_data import Dossier
 from jointid.estimation.result.estimate import Estimate
+from jointid.models.friction import DIRECTIONS, Part
 from jointid.models.joints import frequencies
 
 QUESTIONS = {
@@ -18,7 +19,7 @@ QUESTIONS = {
     "loop": "Are loop and log as declared?",
 }
 _CHANNELS = {"injected": "injected signal"}
-_FRICTIONS = (("viscous", "viscous"), ("coulomb", "Coulomb"))
+_FRICTIONS: tuple[tuple[Part, str], ...] = (("viscous", "viscous"), ("coulomb", "Coulomb"))
 _METHODS = {
     "didim": "DIDIM",
     "idim": "IDIM",
@@ -29,21 +30,22 @@ _METHODS = {
 
 def title(estimate: Estimate, name: str = "") -> str:
     """Return the title of a report."""
-    return f"{name or estimate.record}: {estimate.joint.model} joint, identified by {_METHODS[estimate.method]}"
+    settings = estimate.settings
+    return f"{name or estimate.data.record}: {settings.joint.model} joint, identified by {_METHODS[settings.method]}"
 
 
 def result(given: Dossier) -> tuple[str, ...]:
     """Return the result in sentences, the most important first."""
     estimate = given.estimate
-    channels = _listed([_CHANNELS.get(name, name.replace("_", " ")) for name in estimate.channels])
-    first = f"From {channels} of {estimate.record} alone, "
+    channels = _listed([_CHANNELS.get(name, name.replace("_", " ")) for name in estimate.data.channels])
+    first = f"From {channels} of {estimate.data.record} alone, "
     return (
         f"{first}{_finding(estimate)}",
         *_side(estimate),
         *(
             ()
-            if estimate.converged
-            else (f"The search did not end well, and the values are where it stopped: {estimate.stop}.",)
+            if estimate.fit.converged
+            else (f"The search did not end well, and the values are where it stopped: {estimate.fit.stop}.",)
         ),
         _fit(estimate),
         *_spring(estimate),
@@ -68,17 +70,20 @@ def _finding(estimate: Estimate) -> str:
     return "the stiffness cannot be told: this record does not show the spring, and no number is given for it."
 
 
-def _friction(estimate: Estimate, name: str, words: str) -> str:
+def _friction(estimate: Estimate, part: Part, words: str) -> str:
     """Return one friction of a rigid joint, of each direction where they differ."""
-    if estimate.joint.friction.symmetric:
-        return f"{words} friction {_known(estimate, name)}"
-    ways = [f"{_known(estimate, f'{name}_{way}')} {way}" for way in ("forwards", "backwards")]
-    return f"{words} friction {', '.join(ways)}"
+    law = estimate.settings.joint.friction
+    names = {direction: name for direction in DIRECTIONS if (name := law.named(part, direction)) is not None}
+    if not names:
+        return f"no {words} friction"
+    if not law.depends_on_direction(part):
+        return f"{words} friction {_known(estimate, names['forwards'])}"
+    return f"{words} friction {', '.join(f'{_known(estimate, name)} {way}' for way, name in names.items())}"
 
 
 def _side(estimate: Estimate) -> tuple[str, ...]:
     """Return on which side of a transmission all of it is."""
-    gear = estimate.joint.transmission
+    gear = estimate.settings.joint.transmission
     return () if gear is None else (f"The transmission is {gear}.",)
 
 
@@ -88,22 +93,22 @@ def _known(estimate: Estimate, name: str) -> str:
         return f"{'an inertia' if 'inertia' in name else 'a friction'} that is not told"
     if not p.free:
         return f"{number(p.value)} {p.unit} (kept fixed)"
-    return f"{number(p.value) if p.std is None else interval(p.value, 2 * p.std)} {p.unit}"
+    return f"{number(p.value) if p.stderr is None else interval(p.value, 2 * p.stderr)} {p.unit}"
 
 
 def _fit(estimate: Estimate) -> str:
-    what = "position" if estimate.compared == "position" else "torque"
-    kind = "inverse model's" if estimate.method == "idim" else "simulated"
+    what = "position" if estimate.fit.compared == "position" else "torque"
+    kind = "inverse model's" if estimate.settings.method == "idim" else "simulated"
     return (
-        f"The {kind} {what} errs by {100 * estimate.relative_error:.2f} % of the measured one, and by "
-        f"{100 * estimate.filtered_error:.2f} % after the filter through which both were compared. Numbers after ± "
+        f"The {kind} {what} errs by {100 * estimate.fit.relative_error:.2f} % of the measured one, and by "
+        f"{100 * estimate.fit.filtered_error:.2f} % after the filter through which both were compared. Numbers after ± "
         "are two standard deviations."
     )
 
 
 def _spring(estimate: Estimate) -> tuple[str, ...]:
     """Return how soft a refused spring may be."""
-    known = [b for b in estimate.bounds if b.stiffness is not None and b.frequency is not None]
+    known = [b for b in estimate.checks.bounds if b.stiffness is not None and b.frequency is not None]
     if not known:
         return ()
     unit = estimate["stiffness"].unit
@@ -117,25 +122,26 @@ def _spring(estimate: Estimate) -> tuple[str, ...]:
 
 def _sums(estimate: Estimate) -> tuple[str, ...]:
     """Return what is known only together."""
-    if estimate.known is None:
+    if estimate.checks.known is None:
         return ()
     told = [
         f"{one.combination.formula} = {interval(one.value, 2 * one.std)} {one.combination.unit}"
-        for one in estimate.known.physical
+        for one in estimate.checks.known.physical
         if one.combination.name.startswith("total") and one.verdict == "well"
     ]
     return (f"Known best are the sums of both sides: {'; '.join(told)}.",) if told else ()
 
 
 def _verdicts(estimate: Estimate) -> str:
-    if not estimate.verdicts:
+    if not estimate.checks.verdicts:
         return "No question beyond the fit is answered for this method."
-    bad = [v.subject for v in estimate.verdicts if v.good is False]
-    good = sum(v.good is True for v in estimate.verdicts)
+    bad = [v.subject for v in estimate.checks.verdicts if v.good is False]
+    asked = len(estimate.checks.verdicts)
+    good = sum(v.good is True for v in estimate.checks.verdicts)
     if not bad:
-        return f"Of {len(estimate.verdicts)} questions asked of this answer, {good} are answered well and none badly."
+        return f"Of {asked} questions asked of this answer, {good} are answered well and none badly."
     return (
-        f"Of {len(estimate.verdicts)} questions asked of this answer, {good} are answered well and {len(bad)} not "
+        f"Of {asked} questions asked of this answer, {good} are answered well and {len(bad)} not "
         f"({_listed(bad)}); below, each with its reason."
     )
 

@@ -39,7 +39,7 @@ def spectra_chart(given: Dossier) -> Chart | None:
         return None
     modes = {} if given.response is None else given.response.modes
     marks = _marks(modes, float(found.frequency[-1]))
-    cutoff = given.estimate.filtering.cutoff
+    cutoff = given.estimate.settings.filtering.cutoff
     if cutoff is not None:
         marks += (Mark(cutoff, f"fitted up to {cutoff:.3g} Hz", len(marks), "dotted"),)
     panel = Panel(
@@ -87,7 +87,7 @@ def response_chart(given: Dossier) -> Chart | None:
         phases.append(Line(found.frequency, curve.phase, colour, "", 1.6, "solid"))
     highest = float(found.frequency[-1])
     marks = _marks(found.modes, highest)
-    names, drive = Axes.of(given.estimate), torque_word(given.estimate.torque_unit)
+    names, drive = Axes.of(given.estimate), torque_word(given.estimate.data.torque_unit)
     panels = (
         Panel(
             "", f"velocity per {drive}{names.side} [{found.unit}]", (*sizes, *marks), log_x=True, log_y=True,
@@ -95,7 +95,7 @@ def response_chart(given: Dossier) -> Chart | None:
         ),
         Panel("frequency [Hz]", "phase [°]", tuple(phases), log_x=True, height=200, group="frequency"),
     )  # fmt: skip
-    way = "" if given.estimate.joint.friction.symmetric else " of moving forwards"
+    way = " of moving forwards" if given.estimate.settings.joint.friction.depends_on_direction("viscous") else ""
     caption = (
         f"What the identified joint answers to its motor's torque, viscous friction{way} and no Coulomb friction taken "
         "in; the shaded band is 2 sigma of the estimate."
@@ -113,11 +113,11 @@ def response_chart(given: Dossier) -> Chart | None:
 def correlation_chart(given: Dossier) -> Chart | None:
     """Return the correlations of the estimate's errors; None where they are not known."""
     estimate = given.estimate
-    free = [p for p in estimate.parameters if p.free][: len(estimate.correlation)]
+    free = [p for p in estimate.params if p.free][: len(estimate.params.correlation)]
     own = [i for i, p in enumerate(free) if p.of_joint]
     if len(own) < 2 or any(free[i].value is None for i in own):
         return None
-    values = estimate.correlation[np.ix_(own, own)]
+    values = estimate.params.correlation[np.ix_(own, own)]
     names = tuple(free[i].symbol for i in own)
     apart = np.abs(values - np.diag(np.diag(values)))
     i, j = np.unravel_index(int(np.argmax(apart)), apart.shape)
@@ -151,10 +151,10 @@ def profiles_chart(given: Dossier) -> Chart | None:
 def _profile(one: Profile, estimate: Estimate) -> Panel:
     risen = 2.0 * np.sqrt(np.maximum(one.rise, 0.0) / one.threshold)
     items: list[Item] = [Line(one.points, risen, MEASURED, "", 1.6, dots=True)]
-    known = next((p for p in estimate.parameters if p.symbol == one.formula and p.std), None)
-    std = None if known is None else known.std
-    if one.name == "compliance" and estimate["stiffness"].std:
-        std = (estimate["stiffness"].std or 0.0) * one.estimate**2
+    known = next((p for p in estimate.params if p.symbol == one.formula and p.stderr), None)
+    std = None if known is None else known.stderr
+    if one.name == "compliance" and estimate["stiffness"].stderr:
+        std = (estimate["stiffness"].stderr or 0.0) * one.estimate**2
     if std:
         inside = np.clip(one.points, one.estimate - 3 * std, one.estimate + 3 * std)
         x = np.unique(np.array([inside.min(), one.estimate, inside.max()]))
@@ -165,7 +165,7 @@ def _profile(one: Profile, estimate: Estimate) -> Panel:
 
 def convergence_chart(given: Dossier) -> Chart | None:
     """Return the residual and the parameters over the iterations; None where there are none to show."""
-    trace = given.estimate.trace
+    trace = given.estimate.fit.trace
     if len(trace) < 2:
         return None
     numbers = np.array([line.number for line in trace], dtype=np.float64)
@@ -177,8 +177,8 @@ def convergence_chart(given: Dossier) -> Chart | None:
         )
     ]  # fmt: skip
     last, lines = trace[-1].values, []
-    told = all(p.value is not None for p in given.estimate.parameters)
-    own = {p.name: p.symbol for p in given.estimate.parameters if p.of_joint and p.free} if told else {}
+    told = all(p.value is not None for p in given.estimate.params)
+    own = {p.name: p.symbol for p in given.estimate.params if p.of_joint and p.free} if told else {}
     for (name, symbol), colour in zip(own.items(), OTHERS * 2, strict=False):
         ways = [line.values.get(name, math.nan) for line in trace]
         if last.get(name) and all(map(math.isfinite, ways)):
@@ -186,7 +186,8 @@ def convergence_chart(given: Dossier) -> Chart | None:
     if lines:
         panels.append(Panel("iteration", "parameter over its last value", tuple(lines), height=280))
     caption = (
-        f"How the search went: {given.estimate.iterations} iterations, {given.estimate.simulations} simulations in "
+        f"How the search went: {given.estimate.fit.iterations} iterations, "
+        f"{given.estimate.fit.simulations} simulations in "
         f"all. The residual goes from {number(norms[0], 3)} to {number(norms[-1], 3)}; where it jumps up, another "
         "start begins."
     )
@@ -197,7 +198,7 @@ def convergence_chart(given: Dossier) -> Chart | None:
 
 def bounds_chart(given: Dossier) -> Chart | None:
     """Return how soft a refused spring may be, by the load's share of the inertia; None where it is not refused."""
-    known = [b for b in given.estimate.bounds if b.stiffness is not None and b.frequency is not None]
+    known = [b for b in given.estimate.checks.bounds if b.stiffness is not None and b.frequency is not None]
     if not known:
         return None
     share = np.array([b.share for b in known])

@@ -47,7 +47,9 @@ def _rigid(run: Reproduction) -> list[Block]:
     blocks: list[Block] = [
         Heading("Table 1: the rigid joint"),
         _table(comparison(TABLES[1]), ("value", "2 sigma", "%"), _parameters(run.rigid)),
-        Paragraph(f"{run.rigid.iterations} iterations, {run.rigid.simulations} simulations; {run.rigid.stop}."),
+        Paragraph(
+            f"{run.rigid.fit.iterations} iterations, {run.rigid.fit.simulations} simulations; {run.rigid.fit.stop}."
+        ),
     ]
     return blocks
 
@@ -56,22 +58,23 @@ def _experiment(numbers: tuple[int, int], part: Experiment) -> list[Block]:
     mass = " with 10 kg on the load" if numbers[0] != 2 else ""
     idim, didim = numbers
     simulated = {"simulated": (_percent(part.idim_simulated.filtered_error), "-", "-", "-")}
-    residual = {"residual": (_percent(part.idim.filtered_error), "-", "-", "-")}
-    direct = {"simulated": (_percent(part.didim.filtered_error), "-", "-", "-")}
+    residual = {"residual": (_percent(part.idim.fit.filtered_error), "-", "-", "-")}
+    direct = {"simulated": (_percent(part.didim.fit.filtered_error), "-", "-", "-")}
     by_idim, by_didim = (_beside(_parameters(e), part.axis.truth) for e in (part.idim, part.didim))
     return [
         Heading(f"Table {idim}: IDIM{mass}"),
         _table(comparison(TABLES[idim]), _RUN, by_idim | _below(part.idim) | simulated | residual),
         Paragraph(
-            f"Standard deviations {part.idim.intervals}. Nor is the noise in the measured motions: the disturbance "
+            f"Standard deviations {part.idim.params.basis}. Nor is the noise in the measured motions: the disturbance "
             "acts inside the loop, so IDIM's regressor is correlated with its error, and ZZ1 most of all is off."
         ),
         Heading(f"Table {didim}: DIDIM{mass}"),
         _table(comparison(TABLES[didim]), _RUN, by_didim | _below(part.didim) | direct),
         Paragraph(
-            f"{part.didim.stop}. In all {part.didim.iterations} iterations and {part.didim.simulations} simulations; "
+            f"{part.didim.fit.stop}. In all {part.didim.fit.iterations} iterations and "
+            f"{part.didim.fit.simulations} simulations; "
             "the paper counts 10 in one place and 25 in others. The deviations in this table are "
-            f"{part.didim.intervals}."
+            f"{part.didim.params.basis}."
         ),
         Table(
             ("", "value", "2 sigma", "%", "truth"),
@@ -81,8 +84,8 @@ def _experiment(numbers: tuple[int, int], part: Experiment) -> list[Block]:
             ),
             "The same criterion by least squares, with the deviations of the output sensitivities",
         ),
-        Paragraph(f"{part.best.simulations} simulations; {part.best.stop}."),
-        *(Paragraph(f"{warning[0].upper()}{warning[1:]}.") for warning in part.best.warnings),
+        Paragraph(f"{part.best.fit.simulations} simulations; {part.best.fit.stop}."),
+        *(Paragraph(f"{warning[0].upper()}{warning[1:]}.") for warning in part.best.checks.warnings),
     ]
 
 
@@ -130,7 +133,7 @@ def _validation(run: Reproduction) -> list[Block]:
 
 
 def _excitation(run: Reproduction) -> list[Block]:
-    found = run.first.idim.conditioning
+    found = run.first.idim.fit.conditioning
     assert found is not None
     return [
         Heading("The excitation check"),
@@ -182,10 +185,10 @@ def _table(beside: Comparison, headings: tuple[str, ...], cells: Cells) -> Table
 
 def _parameters(estimate: Estimate) -> dict[str, tuple[str, ...]]:
     found: dict[str, tuple[str, ...]] = {}
-    for p in estimate.parameters:
-        if p.of_joint and p.value is not None and p.std is not None:
-            percent = number(100 * p.std / abs(p.value), 2) if p.value else "-"
-            found[p.name] = (number(p.value, 4), number(2 * p.std, 2), percent)
+    for p in estimate.params:
+        if p.of_joint and p.value is not None and p.stderr is not None:
+            percent = number(100 * p.stderr / abs(p.value), 2) if p.value else "-"
+            found[p.name] = (number(p.value, 4), number(2 * p.stderr, 2), percent)
     return found
 
 

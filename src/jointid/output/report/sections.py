@@ -47,7 +47,7 @@ def blocks(given: Dossier, charts: dict[str, Chart], repetition: Repetition, *, 
 
     return (
         *_result(given, picture),
-        *_section("Position" if given.estimate.compared == "position" else _TITLES["torque"], picture("torque")),
+        *_section("Position" if given.estimate.fit.compared == "position" else _TITLES["torque"], picture("torque")),
         *_section(_TITLES["residual"], picture("residual"), tables.bands_table(given.estimate)),
         *_section(_TITLES["spectra"], picture("spectra"), tables.modes_table(given)),
         *_section(_TITLES["response"], picture("response")),
@@ -66,8 +66,10 @@ def _result(given: Dossier, picture: object) -> list[Block]:
     first, *others = result(given)
     found: list[Block] = [Heading("Result"), Paragraph(first, lead=True), *map(Paragraph, others)]
     found.append(Heading("Verdicts"))
-    if estimate.verdicts:
-        asked = tuple((QUESTIONS.get(v.subject, v.subject.capitalize()), v.good, v.said) for v in estimate.verdicts)
+    if estimate.checks.verdicts:
+        asked = tuple(
+            (QUESTIONS.get(v.subject, v.subject.capitalize()), v.good, v.said) for v in estimate.checks.verdicts
+        )
         found.append(Verdicts(asked))
     else:
         found.append(
@@ -75,10 +77,10 @@ def _result(given: Dossier, picture: object) -> list[Block]:
                 "This method is asked no such questions: what is known of its answer is in warnings and intervals."
             )
         )
-    if estimate.tests:
-        found.append(Listing(tuple(f"{test.name}: {test.sentence}" for test in estimate.tests)))
-    if estimate.warnings:
-        found += [Heading("Warnings", 3), Listing(tuple(_sentence(warning) for warning in estimate.warnings))]
+    if estimate.checks.tests:
+        found.append(Listing(tuple(f"{test.name}: {test.sentence}" for test in estimate.checks.tests)))
+    if estimate.checks.warnings:
+        found += [Heading("Warnings", 3), Listing(tuple(_sentence(warning) for warning in estimate.checks.warnings))]
     found += [Heading("Parameters"), tables.parameters_table(estimate)]
     found += [table for table in (tables.sums_table(estimate),) if table is not None]
     bounds = tables.bounds_table(estimate)
@@ -112,7 +114,7 @@ def _tests(given: Dossier) -> list[Block]:
 def _repeated(given: Dossier, repetition: Repetition) -> list[Block]:
     estimate = given.estimate
     found: list[Block] = [Heading("Settings and data"), tables.settings(estimate), tables.channels_table(given)]
-    hashes = [("Torque, SHA-256 of its samples", estimate.fingerprint), *repetition.facts]
+    hashes = [("Torque, SHA-256 of its samples", estimate.data.fingerprint), *repetition.facts]
     found += [Heading("To do it again", 3), Facts(tuple(hashes))]
     if repetition.command:
         found.append(Code(repetition.command, "The command, with joint file and record beside each other:"))
@@ -124,7 +126,7 @@ def _repeated(given: Dossier, repetition: Repetition) -> list[Block]:
 def _absent(given: Dossier, name: str) -> str:
     """Return why a part is not there."""
     estimate = given.estimate
-    refused = any(p.value is None for p in estimate.parameters)
+    refused = any(p.value is None for p in estimate.params)
     why = given.absent.get(name)
     if why is None:
         why = {

@@ -51,13 +51,13 @@ class Axes:
     @classmethod
     def of(cls, estimate: Estimate) -> Axes:
         """Return the names of an estimate's signals."""
-        length = POSITION_UNIT[estimate.joint.kind]
-        predicted = "inverse model" if estimate.method == "idim" else "simulated"
-        gear = estimate.joint.transmission
+        length = POSITION_UNIT[estimate.settings.joint.kind]
+        predicted = "inverse model" if estimate.settings.method == "idim" else "simulated"
+        gear = estimate.settings.joint.transmission
         side = "" if gear is None else f", {gear.side} side"
-        if estimate.compared == "position":
+        if estimate.fit.compared == "position":
             return cls("position", length, length, predicted, side)
-        return cls(torque_word(estimate.torque_unit), estimate.torque_unit, length, predicted, side)
+        return cls(torque_word(estimate.data.torque_unit), estimate.data.torque_unit, length, predicted, side)
 
     @property
     def label(self) -> str:
@@ -69,17 +69,17 @@ def torque_chart(given: Dossier) -> Chart:
     """Return measured and simulated torque, their difference, and the motion, over one time axis."""
     estimate, motion = given.estimate, given.motion
     names = Axes.of(estimate)
-    time = np.asarray(np.arange(estimate.measured.size) * estimate.sample_time, dtype=np.float64)
-    error = estimate.measured - estimate.predicted
-    t, measured, predicted, remains = thinned(time, estimate.measured, estimate.predicted, error, most=_SAMPLES)
-    low, high = liveliest(estimate.measured)
+    time = np.asarray(np.arange(estimate.fit.measured.size) * estimate.data.sample_time, dtype=np.float64)
+    error = estimate.fit.measured - estimate.fit.predicted
+    t, measured, predicted, remains = thinned(time, estimate.fit.measured, estimate.fit.predicted, error, most=_SAMPLES)
+    low, high = liveliest(estimate.fit.measured)
     near = time[low:high]
     panels = [
         Panel(
             "", names.label,
             (
-                Line(near, estimate.measured[low:high], MEASURED, "measured", 1.6),
-                Line(near, estimate.predicted[low:high], SIMULATED, names.predicted, 1.6),
+                Line(near, estimate.fit.measured[low:high], MEASURED, "measured", 1.6),
+                Line(near, estimate.fit.predicted[low:high], SIMULATED, names.predicted, 1.6),
             ),
             f"its liveliest part, {near[0]:.1f} to {near[-1]:.1f} s", height=260,
         ),
@@ -105,7 +105,7 @@ def torque_chart(given: Dossier) -> Chart:
     panels[-1] = Panel("time [s]", last.y_label, last.items, height=last.height + 25, group="time")
     caption = (
         f"Measured and {names.predicted} {names.quantity} lie on each other where the model is right; below them their "
-        f"difference, {100 * estimate.relative_error:.2f} % of the measured, on a scale of its own"
+        f"difference, {100 * estimate.fit.relative_error:.2f} % of the measured, on a scale of its own"
         + ("" if motion is None else f", and the {given.seen} velocity of the motor")
         + ". On a screen, zooming one of the last panels zooms the others."
         + _kept(t.size, time.size)
@@ -125,8 +125,8 @@ def residual_chart(given: Dossier) -> Chart | None:
     if motion is None:
         return None
     names = Axes.of(estimate)
-    inside = slice(estimate.borders[0], estimate.measured.size - estimate.borders[1])
-    error = (estimate.measured - estimate.predicted)[inside]
+    inside = slice(estimate.fit.borders[0], estimate.fit.measured.size - estimate.fit.borders[1])
+    error = (estimate.fit.measured - estimate.fit.predicted)[inside]
     velocity, position = motion.velocity[inside], motion.position[inside]
     forwards = velocity > 0.02 * float(np.max(np.abs(velocity), initial=0.0))
     backwards = velocity < -0.02 * float(np.max(np.abs(velocity), initial=0.0))

@@ -6,7 +6,7 @@ from jointid.common.text import number
 from jointid.diagnostics.report_data import Dossier
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.estimated import known_on_other_side
+from jointid.estimation.result.params import known_on_other_side
 from jointid.estimation.result.table_rows import parameter_row, shown
 from jointid.output.report.document import Facts, Table
 
@@ -14,24 +14,24 @@ from jointid.output.report.document import Facts, Table
 def parameters_table(estimate: Estimate) -> Table:
     """Return every parameter with its interval, and with a transmission what it is on the other side."""
     header: tuple[str, ...] = ("symbol", "parameter", "value", "± 2 sigma", "sigma %", "unit")
-    rows = [parameter_row(p) for p in estimate.parameters]
+    rows = [parameter_row(p) for p in estimate.params]
     if estimate.other is not None:
         header = (*header, f"on the {estimate.other.side} side", "unit")
         rows = [(*row, shown(p), p.unit) for row, p in zip(rows, estimate.other_side, strict=True)]
-    gear = estimate.joint.transmission
+    gear = estimate.settings.joint.transmission
     side = "" if gear is None else f", on the {gear.side} side"
     return Table(header, tuple(rows), f"The parameters{side}", words=(0, 1, 5, 7))
 
 
 def sums_table(estimate: Estimate) -> Table | None:
     """Return what is known of several parameters together; None where nothing is."""
-    if estimate.known is None or not (estimate.known.physical or estimate.known.directions):
+    if estimate.checks.known is None or not (estimate.checks.known.physical or estimate.checks.known.directions):
         return None
-    physical = estimate.known.physical
+    physical = estimate.checks.known.physical
     there = known_on_other_side(physical, estimate.other)
     rows: list[tuple[str, ...]] = [
         (one.combination.formula, number(one.value), number(2 * one.std, 2), one.combination.unit, one.verdict)
-        for one in (*physical, *estimate.known.directions)
+        for one in (*physical, *estimate.checks.known.directions)
     ]
     header: tuple[str, ...] = ("combination", "value", "± 2 sigma", "unit", "known")
     if estimate.other is not None:
@@ -44,14 +44,14 @@ def sums_table(estimate: Estimate) -> Table | None:
 
 def bounds_table(estimate: Estimate) -> Table | None:
     """Return how soft a refused spring may be; None where it is not refused."""
-    if not estimate.bounds:
+    if not estimate.checks.bounds:
         return None
     unit = estimate["stiffness"].unit
     rows = tuple(
         (f"{b.share:.2f}", "not bounded", "-")
         if b.stiffness is None or b.frequency is None
         else (f"{b.share:.2f}", f"{number(b.stiffness, 2)}", f"{b.frequency:.0f}")
-        for b in estimate.bounds
+        for b in estimate.checks.bounds
     )
     return Table(
         ("load's share of the inertia", f"stiffness at least [{unit}]", "free-free mode at least [Hz]"), rows,
@@ -61,7 +61,7 @@ def bounds_table(estimate: Estimate) -> Table | None:
 
 def bands_table(estimate: Estimate) -> Table | None:
     """Return what remains in each band of frequencies; None where it was not looked at."""
-    if estimate.residuals is None:
+    if estimate.fit.residuals is None:
         return None
     rows = tuple(
         (
@@ -69,7 +69,7 @@ def bands_table(estimate: Estimate) -> Table | None:
             "-" if band.error is None else f"{100 * band.error:.2f}",
             f"{100 * band.share:.1f}",
         )
-        for band in estimate.residuals.bands
+        for band in estimate.fit.residuals.bands
     )
     return Table(("band [Hz]", "error [% of the torque there]", "share of the residual [%]"), rows, "Where it remains")
 
@@ -146,7 +146,7 @@ def channels_table(given: Dossier) -> Table:
     rows = tuple(
         (
             one.name.replace("_", " "),
-            "read" if one.name in given.estimate.channels else "not read",
+            "read" if one.name in given.estimate.data.channels else "not read",
             one.source or "-",
             one.timing,
             one.unit,
@@ -161,21 +161,21 @@ def channels_table(given: Dossier) -> Table:
 
 def settings(estimate: Estimate) -> Facts:
     """Return how it was identified."""
-    f = estimate.filtering
-    borders = f"{estimate.borders[0]} samples at the start, {estimate.borders[1]} at the end"
+    f, joint = estimate.settings.filtering, estimate.settings.joint
+    borders = f"{estimate.fit.borders[0]} samples at the start, {estimate.fit.borders[1]} at the end"
     position = "none" if f.position_cutoff is None else f"{f.position_cutoff:g} Hz"
     pairs = [
-        ("Method", estimate.variant),
+        ("Method", estimate.settings.variant),
         (
             "Model",
-            f"{estimate.joint.model}, {'symmetric' if estimate.joint.friction.symmetric else 'asymmetric'} friction",
+            f"{joint.model}, {joint.friction.name} friction",
         ),
         ("Left out of the raw error", borders),
         ("Filter", f"{f.cutoff:g} Hz, one sample in {f.decimation}; positions {position}; timing {f.timing}"),
-        ("Rows fitted", str(estimate.rows)),
-        ("Delay of the torque", f"{1e3 * estimate.delay:.4g} ms"),
-        ("Effort", f"{estimate.iterations} iterations, {estimate.simulations} simulations"),
-        ("Stopped", estimate.stop),
-        ("Intervals", estimate.intervals),
+        ("Rows fitted", str(estimate.fit.rows)),
+        ("Delay of the torque", f"{1e3 * estimate.settings.delay:.4g} ms"),
+        ("Effort", f"{estimate.fit.iterations} iterations, {estimate.fit.simulations} simulations"),
+        ("Stopped", estimate.fit.stop),
+        ("Intervals", estimate.params.basis),
     ]
     return Facts(tuple(pairs))

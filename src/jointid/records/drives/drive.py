@@ -11,73 +11,68 @@ from dataclasses import dataclass, replace
 
 from jointid.common import units
 from jointid.common.errors import RecordError
-from jointid.records.drives.profiles import Profile, profile_named
+from jointid.common.settings import check_settings, documented, setting
+from jointid.records.drives.profiles import Profile, load_profile, profile_names
 
 _AGREES = 0.05  # of a rated torque: nameplates are rounded, and peak and rms ampere differ by 41 %
 
 _TORQUE = {"prismatic": "N", "revolute": "N m"}
 _POSITION = {"prismatic": "m", "revolute": "rad"}
-_NUMBERS = (
-    "rated_torque", "rated_current", "torque_constant", "counts_per_turn", "counts_per_metre", "load_counts_per_turn",
-    "load_counts_per_metre",
-)  # fmt: skip
 _COUNTS = {"prismatic": "counts_per_metre", "revolute": "counts_per_turn"}
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What is known of a drive: whose traces they are, and the numbers behind its units.
-
-    Attributes:
-        profile: name of the profile that finds the channels in a trace, see `jointid.records.drives.profiles`.
-        axis: which axis, counted from 1, where a trace has several.
-        rated_torque: N m or N, what the torque is given as a share of.
-        rated_current: A, likewise, where the torque constant is known and the rated torque is not.
-        torque_constant: N m/A or N/A; a torque in A is then read in N m or N.
-        counts_per_turn: of the encoder, where it turns.
-        counts_per_metre: of the encoder, where it moves straight.
-        load_counts_per_turn, load_counts_per_metre: of the load's encoder, where that is another one.
+    """Profile of a drive's traces, and the drive parameters behind its units.
 
     Raises:
         RecordError: there is no such profile, a number is not positive and finite, the axis is not a whole number from
             1 on, or the rated torque is not rated current x torque constant where all three are given.
     """
 
-    profile: str | None = None
-    axis: int | None = None
-    rated_torque: float | None = None
-    rated_current: float | None = None
-    torque_constant: float | None = None
-    counts_per_turn: float | None = None
-    counts_per_metre: float | None = None
-    load_counts_per_turn: float | None = None
-    load_counts_per_metre: float | None = None
+    profile: str | None = setting(
+        None,
+        "whose names, units, timing and tap the channels have that the file does not declare; what it declares wins",
+        accept=load_profile,
+        choices=profile_names(),
+    )
+    axis: int | None = setting(
+        None, "which axis, where a trace has several and the profile's names number them", at_least=1
+    )
+    rated_torque: float | None = setting(
+        None, "what per mille and per cent of a torque are a share of", unit="N or N m", above=0
+    )
+    rated_current: float | None = setting(
+        None, "the same as a current, in place of it, beside the torque constant", unit="A", above=0
+    )
+    torque_constant: float | None = setting(None, "takes a torque in A to N m or N", unit="N/A or N m/A", above=0)
+    counts_per_turn: float | None = setting(None, "of a revolute joint's encoder", unit="counts", above=0)
+    counts_per_metre: float | None = setting(None, "of a prismatic joint's encoder", unit="counts", above=0)
+    load_counts_per_turn: float | None = setting(
+        None,
+        "of the load's encoder, load_position, where it is another one; behind a gear it is needed, because the "
+        "other is the motor's",
+        unit="counts",
+        above=0,
+    )
+    load_counts_per_metre: float | None = setting(None, "the same of one that moves straight", unit="counts", above=0)
 
     def __post_init__(self) -> None:
-        faults = [
-            f"The drive's {name} is a positive number; got {value:g}: correct it."
-            for name in _NUMBERS
-            if (value := getattr(self, name)) is not None and not (math.isfinite(value) and value > 0)
-        ]
-        if self.axis is not None and (not isinstance(self.axis, int) or self.axis < 1):
-            faults.append(f"The drive's axis is a whole number from 1 on; got {self.axis}.")
-        if not faults and self.rated_torque is not None and self._from_current is not None:
+        check_settings(self, RecordError)
+        if self.rated_torque is not None and self._from_current is not None:
             ratio = self._from_current / self.rated_torque
             if abs(ratio - 1) > _AGREES:
-                faults.append(
+                raise RecordError(
                     f"The drive's rated_torque is {self.rated_torque:g}, and rated_current x torque_constant "
                     f"{self._from_current:g}, {ratio:.3g} times as much (peak and rms ampere differ by 1.41); correct "
                     "one, or leave rated_current out."
                 )
-        if faults:
-            raise RecordError(faults)
-        if self.profile is not None:
-            profile_named(self.profile)  # refuses a name that there is not
 
     @property
     def traces(self) -> Profile | None:
         """The profile, None without one."""
-        return None if self.profile is None else profile_named(self.profile)
+        return None if self.profile is None else load_profile(self.profile)
 
     @property
     def _from_current(self) -> float | None:
@@ -85,14 +80,14 @@ class Drive:
             return None
         return self.rated_current * self.torque_constant
 
-    def resolved(self, unit: units.Unit, kind: str, *, of_load: bool = False, geared: bool = False) -> units.Unit:
+    def resolve_unit(self, unit: units.Unit, kind: str, *, of_load: bool = False, geared: bool = False) -> units.Unit:
         """Return a unit with its factor to SI; one that is no drive's own as it is.
 
         Args:
             unit: of a channel.
             kind: of the side on which the channel is measured.
-            of_load: whether it is measured by the load's own encoder.
-            geared: whether that moves like the motor's, but by another amount: its counts are then no guide.
+            of_load: True if it is measured by the load's own encoder.
+            geared: True if the load moves by another amount than the motor, whose counts then do not apply.
 
         Raises:
             UnitError: a number is missing; the message is the end of a sentence that begins with what has the unit.

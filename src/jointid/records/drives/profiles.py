@@ -27,7 +27,7 @@ _BRACKETS = re.compile(r"\s*[\[(][^\[\]()]*[\])]\s*$")
 
 
 @dataclass(frozen=True, slots=True)
-class Signal:
+class TraceSignal:
     """One signal of a drive that a channel can be.
 
     Attributes:
@@ -45,7 +45,7 @@ class Signal:
     tap: Tap | None = None
     axes: tuple[int, ...] | None = None
 
-    def called(self, axis: int | None) -> Iterator[str]:
+    def names_on(self, axis: int | None) -> Iterator[str]:
         """Yield the names it can have on that axis."""
         if self.axes is not None and axis not in self.axes:
             return
@@ -55,7 +55,7 @@ class Signal:
             elif "{" not in name:
                 yield name
 
-    def filled(self, column: Column, known: tuple[str, ...]) -> Column:
+    def fill(self, column: Column, known: tuple[str, ...]) -> Column:
         """Return a column with what it does not say itself."""
         unit = column.unit
         if unit is None and column.gain == 1.0 and column.stated_unit(known) is None:  # a gain leads to another unit
@@ -65,7 +65,7 @@ class Signal:
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """What is known of the traces of one kind of drive.
+    """Signal names, units and sides in the traces of one kind of drive.
 
     Attributes:
         name: that a joint file gives.
@@ -84,13 +84,15 @@ class Profile:
     assumed: tuple[str, ...]
     rated_torque: str
     counts: str
-    channels: Mapping[str, tuple[Signal, ...]]
+    channels: Mapping[str, tuple[TraceSignal, ...]]
     time: tuple[str, ...] = ()
 
-    def signals(self, channel: str, column: str, axis: int | None) -> list[Signal]:
+    def signals(self, channel: str, column: str, axis: int | None) -> list[TraceSignal]:
         """Return the signals of a channel that a column of that name can be."""
-        spoken = _spoken(column)
-        return [s for s in self.channels.get(channel, ()) if any(_words(name) in spoken for name in s.called(axis))]
+        spoken = _name_words(column)
+        return [
+            s for s in self.channels.get(channel, ()) if any(_split_words(name) in spoken for name in s.names_on(axis))
+        ]
 
     def side(self, channel: str, column: str, axis: int | None) -> Side | None:
         """Return the side of a transmission on which a channel is measured, by its column or before that is known."""
@@ -114,20 +116,20 @@ class Profile:
             signals = tuple(self.signals(channel, declared.column, axis))
         elif tap is not None:
             signals = tuple(s for s in signals if (s.tap or Tap.COMMAND) is tap) or signals
-        named = [(signal, name) for signal in signals for name in signal.called(axis)]
+        named = [(signal, name) for signal in signals for name in signal.names_on(axis)]
         if not named:
             return declared if declared is not None and declared.column else None
         signal, name = named[0]
         column = declared if declared is not None else Column(optional=True)
-        return signal.filled(replace(column, column=column.column or name), known_units(channel, kind))
+        return signal.fill(replace(column, column=column.column or name), known_units(channel, kind))
 
     def time_column(self, columns: Iterable[str]) -> str | None:
         """Return the time column, where the profile has a name for it and a trace this one column."""
-        wanted = [_words(name) for name in self.time]
-        found = [column for column in columns if any(words in wanted for words in _spoken(column))]
+        wanted = [_split_words(name) for name in self.time]
+        found = [column for column in columns if any(words in wanted for words in _name_words(column))]
         return found[0] if len(found) == 1 else None
 
-    def found(
+    def find_columns(
         self,
         declared: Mapping[str, Column],
         columns: Iterable[str],
@@ -150,17 +152,17 @@ class Profile:
             if column is None or not column.column:
                 names = [name for name in columns if self.signals(channel, name, axis)]
                 if len(names) > 1:
-                    faults.append(_doubt(source, channel, names, self.name))
+                    faults.append(_ambiguity_fault(source, channel, names, self.name))
                 elif column is not None and not column.optional and not names:
-                    faults.append(self._missing(source, channel, axis))
+                    faults.append(self._missing_fault(source, channel, axis))
                 if len(names) != 1:
                     continue
                 column = replace(column or Column(optional=True), column=names[0])
             signals = self.signals(channel, column.column, axis)
-            made[channel] = signals[0].filled(column, known) if signals else column
-        return made, faults if made or faults else [self._nothing(source, columns, axis)]
+            made[channel] = signals[0].fill(column, known) if signals else column
+        return made, faults if made or faults else [self._no_column_fault(source, columns, axis)]
 
-    def _nothing(self, source: str, columns: tuple[str, ...], axis: int | None) -> str:
+    def _no_column_fault(self, source: str, columns: tuple[str, ...], axis: int | None) -> str:
         listed = ", ".join(f'"{name}"' for name in columns[:_LISTED]) + (", ..." if len(columns) > _LISTED else "")
         numbered = any("{" in name for signals in self.channels.values() for s in signals for name in s.names)
         without, remedy = "", "another profile"
@@ -171,25 +173,25 @@ class Profile:
             "name the columns."
         )
 
-    def _missing(self, source: str, channel: str, axis: int | None) -> str:
+    def _missing_fault(self, source: str, channel: str, axis: int | None) -> str:
         signals = self.channels.get(channel, ())
         if axis is None and any("{" in name for signal in signals for name in signal.names):
             return (
                 f'{source} has no {channel} that profile "{self.name}" knows without the number of the axis; give the '
                 f"drive's axis, or the {channel}'s column."
             )
-        names = ", ".join(f'"{next(signal.called(axis), signal.names[0])}"' for signal in signals) or "none"
+        names = ", ".join(f'"{next(signal.names_on(axis), signal.names[0])}"' for signal in signals) or "none"
         return f'{source} has no column that profile "{self.name}" knows as {channel} ({names}); give its column.'
 
 
 @cache
 def profile_names() -> tuple[str, ...]:
     """Return the names of all profiles, sorted."""
-    return tuple(sorted(entry.name.removesuffix(".toml") for entry in _folder() if entry.name.endswith(".toml")))
+    return tuple(sorted(entry.name.removesuffix(".toml") for entry in _profile_files() if entry.name.endswith(".toml")))
 
 
 @cache
-def profile_named(name: str) -> Profile:
+def load_profile(name: str) -> Profile:
     """Return the profile of that name.
 
     Raises:
@@ -197,19 +199,19 @@ def profile_named(name: str) -> Profile:
     """
     if name not in profile_names():
         raise RecordError(f'No drive profile is called "{name}"; there are {", ".join(profile_names())}.')
-    (entry,) = (entry for entry in _folder() if entry.name == f"{name}.toml")
+    (entry,) = (entry for entry in _profile_files() if entry.name == f"{name}.toml")
     raw = tomllib.loads(entry.read_text(encoding="utf-8"))
-    channels = {channel: tuple(map(_signal, signals)) for channel, signals in raw.pop("channels").items()}
+    channels = {channel: tuple(map(_parse_signal, signals)) for channel, signals in raw.pop("channels").items()}
     lists: dict[str, Any] = {key: tuple(raw.pop(key)) for key in ("sources", "assumed", "time") if key in raw}
     return Profile(name=name, channels=channels, **lists, **raw)
 
 
-def _folder() -> Iterator[Traversable]:
+def _profile_files() -> Iterator[Traversable]:
     return files("jointid.records.drives").iterdir()
 
 
-def _signal(raw: dict[str, Any]) -> Signal:
-    return Signal(
+def _parse_signal(raw: dict[str, Any]) -> TraceSignal:
+    return TraceSignal(
         names=tuple(raw["names"]),
         unit=raw.get("unit"),
         side=raw.get("side"),
@@ -219,17 +221,17 @@ def _signal(raw: dict[str, Any]) -> Signal:
     )
 
 
-def _words(name: str) -> tuple[str, ...]:
+def _split_words(name: str) -> tuple[str, ...]:
     return tuple(_WORD.findall(_HUMP.sub(" ", name).casefold()))
 
 
-def _spoken(column: str) -> set[tuple[str, ...]]:
+def _name_words(column: str) -> set[tuple[str, ...]]:
     """Return the words of a column's name, with and without what stands before a dot and in brackets at its end."""
     whole = {column, _BRACKETS.sub("", column)}
-    return {_words(name[at:]) for name in whole for at in (0, *(m.end() for m in re.finditer(r"\.", name)))}
+    return {_split_words(name[at:]) for name in whole for at in (0, *(m.end() for m in re.finditer(r"\.", name)))}
 
 
-def _doubt(source: str, channel: str, names: list[str], profile: str) -> str:
+def _ambiguity_fault(source: str, channel: str, names: list[str], profile: str) -> str:
     quoted = " and ".join(f'"{name}"' for name in names)
     return (
         f'{source} has {quoted}, and profile "{profile}" knows each as {channel}; name the one that is meant as the '
@@ -237,7 +239,7 @@ def _doubt(source: str, channel: str, names: list[str], profile: str) -> str:
     )
 
 
-def side_of(channel: str, column: Column | None, profile: Profile | None, axis: int | None) -> Side:
+def find_side(channel: str, column: Column | None, profile: Profile | None, axis: int | None) -> Side:
     """Return the side of a transmission on which a channel is: as declared, by the profile, or the usual one."""
     if column is not None and column.side is not None:
         return column.side

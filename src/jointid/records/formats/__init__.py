@@ -15,7 +15,7 @@ from jointid.records.formats.matlab import Matlab
 from jointid.records.formats.npy import Npy
 from jointid.records.formats.parquet import Parquet
 from jointid.records.formats.rosbag import RosBag
-from jointid.records.formats.table import Block, Format, Holds, Streamed, Table, WholeError
+from jointid.records.formats.table import Block, Format, Holds, NotStreamedError, Streamed, Table
 from jointid.records.formats.tdms import Tdms
 
 __all__ = [
@@ -64,7 +64,7 @@ def read_table(path: str | os.PathLike[str], **options: object) -> Table:
     """
     path = Path(path)
     reader = format_of(path, **options)
-    with _reading(path):
+    with _explain_failure(path):
         return reader.read(path)
 
 
@@ -83,8 +83,8 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
     reader = format_of(path, **options)
     if not isinstance(reader, Streamed):
         streamed = ", ".join(entry.name for entry in FORMATS if isinstance(entry, Streamed))
-        raise WholeError(f"{reader.name} cannot be read in pieces; convert {path.name} to one of {streamed}.")
-    with _reading(path):
+        raise NotStreamedError(f"{reader.name} cannot be read in pieces; convert {path.name} to one of {streamed}.")
+    with _explain_failure(path):
         yield from reader.blocks(path, rows)
 
 
@@ -104,7 +104,7 @@ def read_tables(path: str | os.PathLike[str], rows: int, **options: object) -> I
         is_short_text = isinstance(format_of(path), Csv) and Path(path).is_file() and Path(path).stat().st_size < _LONG
         blocks = iter(()) if is_short_text else read_blocks(path, rows, **options)
         first = next(blocks, None)
-    except WholeError:
+    except NotStreamedError:
         first = None
     if first is None:  # a short text, a file that can only be read whole, or one without columns
         yield read_table(path, **options)
@@ -114,7 +114,7 @@ def read_tables(path: str | os.PathLike[str], rows: int, **options: object) -> I
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[None]:
+def _explain_failure(path: Path) -> Iterator[None]:
     """Say in a sentence why a file cannot be read."""
     if "\0" in str(path):
         raise RecordError(f"{path} is no path: it holds a zero byte; correct it.")

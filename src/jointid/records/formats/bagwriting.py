@@ -1,4 +1,4 @@
-"""From a table to a ROS 2 bag, by the library: joint states where the names are those of joint states."""
+"""Write a table as a ROS 2 bag: joint states where the columns are named like them, single numbers elsewhere."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from jointid.common.errors import RecordError
 from jointid.common.extras import extra
-from jointid.records.formats.messages import float64
+from jointid.records.formats.messages import encode_float64
 from jointid.records.formats.table import Table
 
 _JOINT = re.compile(r"(/.+)/([^/]+)/(position|velocity|effort)")
@@ -35,7 +35,7 @@ class _Joints(NamedTuple):
     columns: dict[tuple[str, str], str]
 
 
-def write(path: Path, table: Table) -> None:
+def write_bag(path: Path, table: Table) -> None:
     """Write a bag: a folder, or one file by its suffix.
 
     Columns "/topic/joint/position", "velocity" and "effort" beside a "/topic/time" of whole nanoseconds, which may be
@@ -48,9 +48,9 @@ def write(path: Path, table: Table) -> None:
     rosbag2 = extra("rosbags.rosbag2", "logs", "Writing ROS 2 bags")
     typesys = extra("rosbags.typesys", "logs", "Writing ROS 2 bags")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    joints = list(_joints(table))
+    joints = list(_find_joint_states(table))
     taken = {name for group in joints for name in (*group.columns.values(), f"{group.topic}/time")}
-    clocks = _own_clocks(table, taken)
+    clocks = _find_clocks(table, taken)
     storage = rosbag2.StoragePlugin.SQLITE3 if path.suffix.lower() == ".db3" else rosbag2.StoragePlugin.MCAP
 
     def fill(folder: Path) -> None:
@@ -62,14 +62,16 @@ def write(path: Path, table: Table) -> None:
                     continue
                 link = writer.add_connection(name, "std_msgs/msg/Float64", typestore=store)
                 clock = table.columns.get(clocks.get(name, ""))
-                stamps = _nanoseconds(clock) if clock is not None else None
-                for stamp, value in zip(_common(table, values.size) if stamps is None else stamps, values, strict=True):
-                    writer.write(link, int(stamp), float64(value))
+                stamps = _to_nanoseconds(clock) if clock is not None else None
+                for stamp, value in zip(
+                    _common_stamps(table, values.size) if stamps is None else stamps, values, strict=True
+                ):
+                    writer.write(link, int(stamp), encode_float64(value))
 
-    _placed(path, fill)
+    _place_file(path, fill)
 
 
-def _placed(path: Path, fill: Callable[[Path], None]) -> None:
+def _place_file(path: Path, fill: Callable[[Path], None]) -> None:
     """Make a bag's folder, or only the file in it where the path has a suffix."""
     if not path.suffix:
         if path.exists():
@@ -82,7 +84,7 @@ def _placed(path: Path, fill: Callable[[Path], None]) -> None:
         shutil.move(made, path)
 
 
-def _joints(table: Table) -> Iterator[_Joints]:
+def _find_joint_states(table: Table) -> Iterator[_Joints]:
     """Yield the topics of joint states, whose columns are as long as their clock."""
     topics: dict[str, dict[tuple[str, str], str]] = {}
     for name in table.columns:
@@ -91,19 +93,19 @@ def _joints(table: Table) -> Iterator[_Joints]:
     for topic, columns in topics.items():
         clock = table.columns.get(f"{topic}/time")
         alike = clock is not None and all(table.columns[name].size == clock.size for name in columns.values())
-        stamps = _nanoseconds(clock) if clock is not None and alike else None
+        stamps = _to_nanoseconds(clock) if clock is not None and alike else None
         if stamps is not None and not any(np.isnan(table.columns[name]).all() for name in columns.values()):
             yield _Joints(topic, stamps, columns)
 
 
-def _own_clocks(table: Table, taken: set[str]) -> dict[str, str]:
+def _find_clocks(table: Table, taken: set[str]) -> dict[str, str]:
     """Return the name of its clock for every column that has one."""
     clocks = {}
     for name, values in table.columns.items():
         clock = f"{name}/time"
         if name in taken or clock not in table.columns:
             continue
-        if table.columns[clock].size != values.size or _nanoseconds(table.columns[clock]) is None:
+        if table.columns[clock].size != values.size or _to_nanoseconds(table.columns[clock]) is None:
             raise RecordError(
                 f'The column "{clock}" cannot be the clock of "{name}" in a ROS 2 bag, which counts whole nanoseconds '
                 "for every number; rename it."
@@ -112,7 +114,7 @@ def _own_clocks(table: Table, taken: set[str]) -> dict[str, str]:
     return clocks
 
 
-def _nanoseconds(clock: np.ndarray[Any, Any]) -> Stamps | None:
+def _to_nanoseconds(clock: np.ndarray[Any, Any]) -> Stamps | None:
     """Return instants in whole nanoseconds, None if they differ from that by more than rounding."""
     if not (np.isfinite(clock).all() and clock.min() >= 0 and clock.max() < _NINE_YEARS):
         return None
@@ -120,7 +122,7 @@ def _nanoseconds(clock: np.ndarray[Any, Any]) -> Stamps | None:
     return stamps if np.allclose(stamps / 1e9, clock, rtol=_ROUNDING, atol=0.0) else None
 
 
-def _common(table: Table, size: int) -> Stamps:
+def _common_stamps(table: Table, size: int) -> Stamps:
     """Return the table's time in whole nanoseconds, rounded; without one so many nanoseconds after the other."""
     for name, values in table.columns.items():
         is_clock = name.partition(" ")[0].lower() in _CLOCKS and values.size == size

@@ -23,9 +23,9 @@ from jointid.common.errors import RecordError
 from jointid.common.text import short
 from jointid.common.units import UnitError, unit
 from jointid.records.formats.dialect import BLANKS, Dialect, Fit, is_number, sniff
-from jointid.records.formats.scope import scope_of, scope_table
-from jointid.records.formats.table import Holds, Table, WholeError
-from jointid.records.formats.textfile import Line, TextFile, is_comment, read_lines, stream_lines, text_of
+from jointid.records.formats.scope import find_scope, read_scope
+from jointid.records.formats.table import Holds, NotStreamedError, Table
+from jointid.records.formats.textfile import Line, TextFile, build_text, is_comment, read_lines, stream_lines
 
 WIDEST = 100_000
 """Columns that are read: no drive logs so many, and each is an array of its own."""
@@ -43,13 +43,13 @@ _DELIMITER = re.compile(r"[^\w\r\n\".+-]")  # anything but a part of a number, o
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How the rows of a file are written.
+    """Layout of the rows of a file.
 
     Attributes:
         dialect: of the rows.
         names: of the columns.
         start: the first row among the lines that are neither empty nor comments.
-        closed: whether every row ends with the delimiter, behind which there is no column.
+        closed: True if every row ends with the delimiter, behind which there is no column.
     """
 
     dialect: Dialect
@@ -69,7 +69,7 @@ class Lines:
 
     @property
     def rows(self) -> int:
-        """How many there are."""
+        """Count of rows."""
         return len(self.lines)
 
     def table(self, rows: int | None = None) -> Table:
@@ -77,7 +77,7 @@ class Lines:
         dialect, lines = self.layout.dialect, self.lines[:rows]
         if self.layout.closed:
             lines = [Line(i, row.rstrip(BLANKS).removesuffix(dialect.delimiter)) for i, row in lines]
-        values = _values(self.file, lines, dialect, self.layout.names, self.last)
+        values = _parse_values(self.file, lines, dialect, self.layout.names, self.last)
         return Table(dict(zip(self.layout.names, values.T, strict=True)), source=self.file)
 
 
@@ -93,7 +93,7 @@ class Csv:
     Attributes:
         delimiter: one character, " " for any run of blanks; None finds it.
         decimal: "." or ","; None finds it.
-        header: whether the line above the first row holds names; None takes it as names if it has one cell
+        header: True if the line above the first row holds names; None takes it as names if it has one cell
             per column and none of them is a number.
 
     Raises:
@@ -122,7 +122,7 @@ class Csv:
         try:
             long = (
                 path.stat().st_size > _LONG
-                and scope_of(text_of(path.name, list(islice(stream_lines(path), 200)))) is None
+                and find_scope(build_text(path.name, list(islice(stream_lines(path), 200)))) is None
             )
             return self._long_table(path) if long else self._table(read_lines(path))
         except csv.Error as error:
@@ -149,16 +149,16 @@ class Csv:
             )
         cells = ([repr(value).replace(".", point) for value in values.tolist()] for values in table.columns.values())
         rows = map(mark.join, zip(*cells, strict=True))
-        path.write_text("\n".join([*_header(table, mark), *rows, ""]), encoding="utf-8", newline="\n")
+        path.write_text("\n".join([*_write_header(table, mark), *rows, ""]), encoding="utf-8", newline="\n")
 
     def blocks(self, path: Path, rows: int) -> Iterator[Lines]:
         """Yield so many rows after so many; how they are written is told by the file's first lines."""
         try:
             lines = stream_lines(path)
             head = list(islice(lines, _BEGINNING))
-            text = text_of(path.name, head)
-            if scope_of(text) is not None:
-                raise WholeError(
+            text = build_text(path.name, head)
+            if find_scope(text) is not None:
+                raise NotStreamedError(
                     f"{path.name} is an export of TwinCAT Scope, whose rows are no instants: it cannot be read in "
                     "pieces; convert it to NPY."
                 )
@@ -172,15 +172,15 @@ class Csv:
             yield Lines(path.name, layout, block, not following)
             block = following
 
-    def allowed(self, name: str, others: Collection[str] = ()) -> str:
-        """Return a name in one line that is no number; see `Format.allowed`."""
+    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
+        """Return a name in one line that is no number; see `Format.legal_name`."""
         plain = "".join(c if c.isprintable() else "_" for c in name).strip() or "column"
         return f"column {plain}" if is_number(plain) and not name.isdecimal() else plain
 
     def _table(self, text: TextFile) -> Table:
-        scope = None if self.header is False else scope_of(text)
+        scope = None if self.header is False else find_scope(text)
         if scope is not None:
-            return scope_table(text, scope, self.decimal)
+            return read_scope(text, scope, self.decimal)
         layout = self._layout(text)
         return Lines(text.name, layout, text.lines[layout.start :]).table()
 
@@ -267,14 +267,14 @@ class Csv:
             comma = fit.dialect.delimiter == "," and 2 * len(names) == fit.width
             advice = "export it with a decimal point or with semicolons" if comma else "mend it"
             raise RecordError(
-                f"{text.name}: line {above.number} has {_count(len(names), 'name')} for "
-                f"{_count(fit.width, 'column')}; {advice}, or give header = false to call the columns by "
+                f"{text.name}: line {above.number} has {_format_count(len(names), 'name')} for "
+                f"{_format_count(fit.width, 'column')}; {advice}, or give header = false to call the columns by "
                 "their numbers."
             )
-        return _with_units(fit.dialect.split(text.lines[start - 2].text), names) if start > 1 else names
+        return _add_units(fit.dialect.split(text.lines[start - 2].text), names) if start > 1 else names
 
 
-def _with_units(over: list[str], names: list[str]) -> list[str]:
+def _add_units(over: list[str], names: list[str]) -> list[str]:
     """Return `names`; if they are units and the line over them holds the names, those with their units."""
     units = [match[1] or match[2] if (match := _BRACKETED.fullmatch(cell)) else cell for cell in names]
     bare = [cell for cell in names if cell not in _NO_UNIT and not _BRACKETED.fullmatch(cell)]
@@ -293,7 +293,7 @@ def _is_unit(text: str) -> bool:
     return True
 
 
-def _values(file: str, rows: Sequence[Line], dialect: Dialect, names: Sequence[str], ends: bool) -> FloatArray:
+def _parse_values(file: str, rows: Sequence[Line], dialect: Dialect, names: Sequence[str], ends: bool) -> FloatArray:
     """Return the numbers of the rows, shape (rows, columns); the file may end with them."""
     plain = [row.text for row in rows]
     if dialect.decimal == ",":  # a point is then a thousands separator, and no number
@@ -302,10 +302,10 @@ def _values(file: str, rows: Sequence[Line], dialect: Dialect, names: Sequence[s
         mark = None if dialect.delimiter == BLANKS else dialect.delimiter
         return np.loadtxt(plain, dtype=np.float64, delimiter=mark, comments=None, ndmin=2)
     except ValueError:  # quotes, an empty cell or a fault: only the slow way can tell
-        return np.array([_row(file, row, ends and row is rows[-1], dialect, names) for row in rows])
+        return np.array([_parse_row(file, row, ends and row is rows[-1], dialect, names) for row in rows])
 
 
-def _row(file: str, line: Line, last: bool, dialect: Dialect, names: Sequence[str]) -> list[float]:
+def _parse_row(file: str, line: Line, last: bool, dialect: Dialect, names: Sequence[str]) -> list[float]:
     """Return the numbers of one row, or raise the sentence that names its fault."""
     try:
         cells = dialect.split(line.text)
@@ -317,7 +317,8 @@ def _row(file: str, line: Line, last: bool, dialect: Dialect, names: Sequence[st
         place = f"line {line.number}, the last," if last else f"line {line.number}"
         remedy = "the file was cut off or ends in a remark; delete that line" if last else "mend or delete that line"
         raise RecordError(
-            f"{file}: {place} has {_count(len(cells), 'cell')} for {_count(len(names), 'column')}; {remedy}."
+            f"{file}: {place} has {_format_count(len(cells), 'cell')} for {_format_count(len(names), 'column')}; "
+            f"{remedy}."
         )
     values = []
     for name, cell in zip(names, cells, strict=True):
@@ -331,7 +332,7 @@ def _row(file: str, line: Line, last: bool, dialect: Dialect, names: Sequence[st
     return values
 
 
-def _header(table: Table, delimiter: str) -> list[str]:
+def _write_header(table: Table, delimiter: str) -> list[str]:
     """Return the line of names: one line, or none where every column is called by its number."""
     names = ["" if name == str(i) else name for i, name in enumerate(table.columns, start=1)]
     if not any(names):
@@ -355,5 +356,5 @@ def _header(table: Table, delimiter: str) -> list[str]:
     return [line]
 
 
-def _count(number: int, noun: str) -> str:
+def _format_count(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"

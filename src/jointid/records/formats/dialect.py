@@ -1,4 +1,4 @@
-"""How delimited text is written: which delimiter, which decimal mark; found from the lines themselves."""
+"""Find the delimiter and the decimal mark of delimited text from its lines."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _NUMBERS = {
 
 
 def is_number(cell: str) -> bool:
-    """Return whether a cell is one number, with a decimal point or comma, NaN and infinity included."""
+    """True if a cell is one number, with a decimal point or comma, NaN and infinity included."""
     return any(pattern.fullmatch(cell) for pattern in _NUMBERS.values())
 
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """How a line becomes cells, and a cell a number.
+    """Delimiter and decimal mark of a text.
 
     Attributes:
         delimiter: one character; `BLANKS` is any run of blanks.
@@ -62,7 +62,7 @@ class Dialect:
         return float(cell.replace(self.decimal, "."))
 
     def width(self, line: str) -> int:
-        """Return how many cells a row of numbers has; 0 for a line that is no such row."""
+        """Return the count of cells in a row of numbers; 0 for a line that is no such row."""
         if self.delimiter == self.decimal and '"' not in line:
             return 0  # only quotes keep a decimal comma and a delimiting comma apart
         cells = self.split(line)
@@ -72,7 +72,7 @@ class Dialect:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """How well a dialect reads a sample of lines: `rows` rows of numbers of the commonest `width`."""
+    """Rows of numbers that a dialect finds in a sample of lines, and their commonest width."""
 
     dialect: Dialect
     rows: int

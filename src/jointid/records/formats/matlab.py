@@ -11,8 +11,8 @@ from typing import Any, ClassVar, Literal
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.records.formats import h5, matlab73
-from jointid.records.formats.matfile import arrays
-from jointid.records.formats.table import Holds, Table, WholeError
+from jointid.records.formats.matfile import read_arrays
+from jointid.records.formats.table import Holds, NotStreamedError, Table
 
 _NAME = re.compile(r"[A-Za-z]\w{0,62}", re.ASCII)
 _LONGEST = 63
@@ -50,9 +50,9 @@ class Matlab:
         """Read every numeric variable of the file; see `Format.read`."""
         if _is_hdf5(path):
             return matlab73.read(path)
-        found = _arrays(path)
+        found = _read_arrays(path)
         scalars = {name: float(array.item()) for name, array in found if array.size == 1}
-        columns = dict(column for name, array in found if array.size > 1 for column in _columns(name, array))
+        columns = dict(column for name, array in found if array.size > 1 for column in _split_columns(name, array))
         if not (columns or scalars):
             raise RecordError(f"{path.name} holds no array of real numbers; save the signals as numeric variables.")
         return Table(columns, scalars, path.name)
@@ -63,12 +63,12 @@ class Matlab:
         refused = [n for n in variables if not _NAME.fullmatch(n) or _KEYWORD.fullmatch(n)]
         if refused:
             raise RecordError(
-                f"{_quoted(refused)} cannot name a MATLAB variable (a letter, then letters, digits and _, at "
+                f"{_quote(refused)} cannot name a MATLAB variable (a letter, then letters, digits and _, at "
                 "most 63 in all, no keyword); rename the columns, or write a .csv file."
             )
         twice = [n for n in table.scalars if n in table.columns]
         if twice:
-            raise RecordError(f"{_quoted(twice)} names a column and a scalar; a MAT file holds one variable per name.")
+            raise RecordError(f"{_quote(twice)} names a column and a scalar; a MAT file holds one variable per name.")
         if self.version == "7.3":
             matlab73.write(path, table)
             return
@@ -80,30 +80,30 @@ class Matlab:
     def blocks(self, path: Path, rows: int) -> Iterator[h5.Rows]:
         """Yield so many rows after so many, of version 7.3."""
         if not _is_hdf5(path):
-            raise WholeError(
+            raise NotStreamedError(
                 f"{path.name} is a MAT file of version 7 or older, which cannot be read in pieces; save it with -v7.3 "
                 "in MATLAB, or convert it."
             )
         yield from matlab73.blocks(path, rows)
 
-    def allowed(self, name: str, others: Collection[str] = ()) -> str:
-        """Return a name as that of a variable; see `Format.allowed`."""
+    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
+        """Return a name as that of a variable; see `Format.legal_name`."""
         plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "column"
         plain = plain if plain[0].isalpha() and not _KEYWORD.fullmatch(plain) else f"x{plain}"
         return name if _NAME.fullmatch(name) and not _KEYWORD.fullmatch(name) else plain[:_LONGEST]
 
 
 def _is_hdf5(path: Path) -> bool:
-    """Return whether a file is of version 7.3."""
+    """True if a file is of version 7.3."""
     with path.open("rb") as file:
         head = file.read(matlab73.HEADER + len(h5.SIGNATURE))
     return any(head.startswith(h5.SIGNATURE, offset) for offset in (0, matlab73.HEADER))
 
 
-def _arrays(path: Path) -> list[tuple[str, FloatArray]]:
+def _read_arrays(path: Path) -> list[tuple[str, FloatArray]]:
     """Return every matrix of real numbers and its path; any damage is one `RecordError`."""
     try:
-        return list(arrays(path.read_bytes()))
+        return list(read_arrays(path.read_bytes()))
     except (ValueError, RecursionError, MemoryError) as error:
         raise RecordError(
             f"{path.name} cannot be read as a MAT file: it is damaged, cut off or of another format; "
@@ -111,7 +111,7 @@ def _arrays(path: Path) -> list[tuple[str, FloatArray]]:
         ) from error
 
 
-def _columns(name: str, array: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+def _split_columns(name: str, array: FloatArray) -> Iterator[tuple[str, FloatArray]]:
     """Yield a vector as one column, a matrix as one column per signal."""
     if 1 in array.shape:
         yield name, array.ravel()
@@ -121,5 +121,5 @@ def _columns(name: str, array: FloatArray) -> Iterator[tuple[str, FloatArray]]:
         yield f"{name}[{index}]", column
 
 
-def _quoted(names: list[str]) -> str:
+def _quote(names: list[str]) -> str:
     return ", ".join(f'"{name}"' for name in names)

@@ -30,52 +30,54 @@ _DEEPEST = 64  # structures within structures
 
 
 def scan(file: h5.Member) -> h5.Contents:
-    """Return what a file holds: "name", "structure.field", "structures[0].field"."""
+    """List the contents of a file: "name", "structure.field", "structures[0].field"."""
     contents = h5.Contents()
     seen = [0]
-    for name, member in h5.members(file, contents, "", seen):
+    for name, member in h5.list_members(file, contents, "", seen):
         if not name.startswith("#"):
-            _variable(file, name, member, contents, seen, 0)
+            _note_variable(file, name, member, contents, seen, 0)
     return contents
 
 
-def _variable(file: h5.Member, path: str, member: h5.Member, contents: h5.Contents, seen: list[int], deep: int) -> None:
+def _note_variable(
+    file: h5.Member, path: str, member: h5.Member, contents: h5.Contents, seen: list[int], deep: int
+) -> None:
     """Note a variable, or all that is in a structure."""
     h5py = extra("h5py", "logs", "Reading MAT files of version 7.3")
-    kind = _class(member)
+    kind = _matlab_class(member)
     if isinstance(member, h5py.Group):
         if "MATLAB_sparse" in member.attrs or deep >= _DEEPEST:
             return
-        for name, field in h5.members(member, contents, f"{path}.", seen):
+        for name, field in h5.list_members(member, contents, f"{path}.", seen):
             if _is_array_of_structures(field):
-                _elements(file, path, name, field, contents, seen, deep)
+                _note_elements(file, path, name, field, contents, seen, deep)
             else:
-                _variable(file, f"{path}.{name}", field, contents, seen, deep + 1)
+                _note_variable(file, f"{path}.{name}", field, contents, seen, deep + 1)
     elif isinstance(member, h5py.Dataset) and kind in _NUMERIC and "MATLAB_empty" not in member.attrs:
         contents.take(member, path, matlab=True)
 
 
 def _is_array_of_structures(field: h5.Member) -> bool:
-    """Return whether a field of a structure holds a reference for every element; a cell does, and says so."""
+    """True if a field of a structure holds a reference for every element, and is no cell."""
     h5py = extra("h5py", "logs", "Reading MAT files of version 7.3")
     is_references = isinstance(field, h5py.Dataset) and h5py.check_ref_dtype(field.dtype) is h5py.Reference
-    return is_references and _class(field) != "cell"
+    return is_references and _matlab_class(field) != "cell"
 
 
-def _elements(
+def _note_elements(
     file: h5.Member, path: str, name: str, field: h5.Member, contents: h5.Contents, seen: list[int], deep: int
 ) -> None:
     """Note one field of an array of structures."""
-    if field.size > _ELEMENTS or h5.apart(field) is not None or deep >= _DEEPEST:
+    if field.size > _ELEMENTS or h5.refusal_reason(field) is not None or deep >= _DEEPEST:
         contents.passed[f"{path}.{name}"] = f"an array of {field.size} structures"
         return
     for index, reference in enumerate(field[()].ravel(order="C")):
         h5.count_member(field, seen)
         if reference:
-            _variable(file, f"{path}[{index}].{name}", file[reference], contents, seen, deep + 1)
+            _note_variable(file, f"{path}[{index}].{name}", file[reference], contents, seen, deep + 1)
 
 
-def _class(member: h5.Member) -> str:
+def _matlab_class(member: h5.Member) -> str:
     """Return the class of a variable, "" without one."""
     key = "MATLAB_class"
     if key not in member.attrs or member.attrs.get_id(key).dtype.kind != "S":  # MATLAB's have a fixed length

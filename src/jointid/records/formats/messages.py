@@ -1,14 +1,12 @@
-"""ROS 2 messages: their definitions as text, and their bytes (CDR) read by them.
+"""Decode ROS 2 messages (CDR) by their definitions.
 
 The library that reads bags makes Python code of the definitions in a file and runs it; here they are only looked up.
 Every length is checked against the bytes there are, and a message against a budget, whatever its definition says.
-(Definitions: the ROS 2 interface format. Bytes: CDR, version 1, of the Object Management Group, aligned from the end of
-the four bytes that head them.)
+(CDR: version 1, of the Object Management Group, aligned from the end of the four bytes that head a message.)
 """
 
 from __future__ import annotations
 
-import re
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -17,12 +15,10 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 _NUMBERS = {
-    "bool": "u1", "byte": "u1", "char": "u1", "uint8": "u1", "int8": "i1", "uint16": "u2", "int16": "i2",
+    "bool": "u1", "byte": "u1", "octet": "u1", "char": "u1", "uint8": "u1", "int8": "i1", "uint16": "u2", "int16": "i2",
     "uint32": "u4", "int32": "i4", "uint64": "u8", "int64": "i8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
-_FIELD = re.compile(r"([\w/]+)(?:<=\d+)?(\[(?:<=)?\d*\])?\s+([A-Za-z]\w*)\b(?!\s*=)")
-_SEPARATOR = re.compile(r"^={20,}\s*$", re.MULTILINE)
-_TIME = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
+_TIME = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _NAMING = ("name", "names", "joint_names", "interface_names")
 _OF_ITS_OWN = ("data", "values")  # fields that go by the name of what holds them
 _BUDGET = 20_000  # values and parts of one message
@@ -33,7 +29,7 @@ Value: TypeAlias = Any
 """A number, an array, a list of texts, a message (a dictionary) or a list of them; None for text."""
 
 
-class PassedOverError(ValueError):
+class SkippedTopicError(ValueError):
     """A message that is sound and whose numbers are no columns; the text says why."""
 
 
@@ -50,7 +46,7 @@ Definition: TypeAlias = tuple[Field, ...]
 
 @dataclass(frozen=True, slots=True)
 class Types:
-    """The definitions of message types by their names, "package/Type"."""
+    """The definitions of message types by their names, "package/msg/Type"."""
 
     known: Mapping[str, Definition]
 
@@ -64,48 +60,7 @@ class Types:
         """
         if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
             raise ValueError("the message is not plain CDR")
-        return _Decoder(self.known, data[4:], "<" if data[1] else ">").message(short(name), 0)
-
-
-def short(name: str) -> str:
-    """Return the name of a type as "package/Type"."""
-    parts = name.split("/")
-    return f"{parts[0]}/{parts[-1]}"
-
-
-def types_of(name: str, text: str) -> Types:
-    """Return the type of a name, and those it needs, from the text of its definition.
-
-    Args:
-        name: of the type that comes first in the text.
-        text: definitions with a line of "=" and one of "MSG: package/Type" between them; may be empty.
-    """
-    known = dict(_STANDARD)
-    first, *others = _SEPARATOR.split(text)
-    if text.strip():
-        known[short(name)] = _definition(short(name), first)
-    for other in others:
-        head, _, body = other.strip().partition("\n")
-        if head.startswith("MSG:"):
-            inner = short(head.removeprefix("MSG:").strip())
-            known[inner] = _definition(inner, body)
-    return Types(known)
-
-
-def _definition(name: str, text: str) -> Definition:
-    """Return the fields of one type; constants and comments are none."""
-    fields = []
-    for line in text.splitlines():
-        match = _FIELD.match(line.partition("#")[0].strip())
-        if match is None:
-            continue
-        kind, length, field = match.groups()
-        if kind not in (*_NUMBERS, "string", "wstring"):
-            package = "std_msgs" if kind == "Header" else name.partition("/")[0]
-            kind = short(kind) if "/" in kind else f"{package}/{kind}"
-        count = None if length is None else -1 if "<=" in length or length == "[]" else int(length[1:-1])
-        fields.append(Field(kind, field, count))
-    return tuple(fields)
+        return _Decoder(self.known, data[4:], "<" if data[1] else ">").message(name, 0)
 
 
 class _Decoder:
@@ -148,8 +103,6 @@ class _Decoder:
             count = int(self.number("u4"))
             start = self.take(count, 1)
             return self.data[start : start + max(count - 1, 0)].decode("utf-8", "replace")
-        if kind == "wstring":
-            raise KeyError(kind)
         if kind in _TIME:
             return Instant(int(self.number("i4")), int(self.number("u4")))
         return self.message(kind, deep + 1)
@@ -170,7 +123,7 @@ class _Decoder:
     def spend(self, count: int) -> None:
         self.budget -= count
         if self.budget < 0:
-            raise PassedOverError(f"a message of it has more than {_BUDGET} parts")
+            raise SkippedTopicError(f"a message of it has more than {_BUDGET} parts")
 
 
 class Instant(NamedTuple):
@@ -185,14 +138,16 @@ class Instant(NamedTuple):
         return self.seconds * 10**9 + self.nanoseconds
 
 
-def stamp_of(message: Mapping[str, Value]) -> int | None:
-    """Return the time in the header of a message in nanoseconds; None where there is none, or nobody filled it in."""
+def header_stamp(message: Mapping[str, Value]) -> int | None:
+    """Return the stamp in the header of a message [ns]; None where there is none, or it is 0."""
     header = message.get("header")
     stamp = header.get("stamp") if isinstance(header, dict) else None
     return stamp.total if isinstance(stamp, Instant) and stamp.total else None
 
 
-def numbers_of(message: Mapping[str, Value], path: str, names: list[str] | None = None) -> Iterator[tuple[str, float]]:
+def flatten_numbers(
+    message: Mapping[str, Value], path: str, names: list[str] | None = None
+) -> Iterator[tuple[str, float]]:
     """Yield the numbers of a message by their paths.
 
     Of an array that is as long as the list of names beside or above it every number goes by its name,
@@ -212,17 +167,17 @@ def numbers_of(message: Mapping[str, Value], path: str, names: list[str] | None 
         elif isinstance(value, float):
             yield f"{path}{inner}", value
         elif isinstance(value, dict) and key not in ("header", "layout"):
-            yield from numbers_of(value, f"{path}{inner}", names)
+            yield from flatten_numbers(value, f"{path}{inner}", names)
         elif isinstance(value, np.ndarray) and value.dtype.itemsize > 1 and value.size <= _WIDEST:
             named = names is not None and len(names) == value.size
-            places = [f"{path}/{n}{inner}" for n in names or ()] if named else _numbered(path + inner, value.size)
+            places = [f"{path}/{n}{inner}" for n in names or ()] if named else _number_places(path + inner, value.size)
             yield from zip(places, value.tolist(), strict=True)
         elif names and isinstance(value, list) and len(value) == len(names) and isinstance(value[0], dict):
             for name, part in zip(names, value, strict=True):
-                yield from numbers_of(part, f"{path}/{name}")
+                yield from flatten_numbers(part, f"{path}/{name}")
 
 
-def _numbered(path: str, count: int) -> list[str]:
+def _number_places(path: str, count: int) -> list[str]:
     return [f"{path}[{index}]" for index in range(count)]
 
 
@@ -230,42 +185,6 @@ def _is_names(value: Value) -> bool:
     return isinstance(value, list) and bool(value) and all(isinstance(text, str) for text in value)
 
 
-def float64(value: float) -> bytes:
+def encode_float64(value: float) -> bytes:
     """Return a std_msgs/Float64 as bytes."""
     return b"\x00\x01\x00\x00" + struct.pack("<d", value)
-
-
-_HEADER = (Field("std_msgs/Header", "header", None),)
-_STANDARD: Mapping[str, Definition] = {
-    "builtin_interfaces/Time": (Field("int32", "sec", None), Field("uint32", "nanosec", None)),
-    "builtin_interfaces/Duration": (Field("int32", "sec", None), Field("uint32", "nanosec", None)),
-    "std_msgs/Header": (Field(_TIME[0], "stamp", None), Field("string", "frame_id", None)),
-    "sensor_msgs/JointState": (
-        *_HEADER,
-        Field("string", "name", -1),
-        *(Field("float64", name, -1) for name in ("position", "velocity", "effort")),
-    ),
-    "trajectory_msgs/JointTrajectoryPoint": (
-        *(Field("float64", name, -1) for name in ("positions", "velocities", "accelerations", "effort")),
-        Field(_TIME[1], "time_from_start", None),
-    ),
-    "std_msgs/MultiArrayDimension": (
-        Field("string", "label", None), Field("uint32", "size", None), Field("uint32", "stride", None),
-    ),
-    "std_msgs/MultiArrayLayout": (
-        Field("std_msgs/MultiArrayDimension", "dim", -1), Field("uint32", "data_offset", None),
-    ),
-    **{
-        f"std_msgs/{name}": (Field(name.lower(), "data", None),)
-        for name in (
-            "Bool", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Float32", "Float64",
-        )
-    },
-    **{
-        f"std_msgs/Float{bits}MultiArray": (
-            Field("std_msgs/MultiArrayLayout", "layout", None), Field(f"float{bits}", "data", -1),
-        )
-        for bits in (32, 64)
-    },
-}  # fmt: skip
-"""The types that bags of older versions have without their definition."""

@@ -32,7 +32,7 @@ class Npy:
 
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
-        layout = _layout(path)
+        layout = _read_layout(path)
         return Rows(path, layout, 0, layout.rows).table()
 
     def write(self, path: Path, table: Table) -> None:
@@ -49,20 +49,20 @@ class Npy:
         with path.open("wb") as file:
             np.save(file, array, allow_pickle=False)
 
-    def allowed(self, name: str, others: Collection[str] = ()) -> str:
-        """Return the name, which can be any but none; see `Format.allowed`."""
+    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
+        """Return the name, which can be any but none; see `Format.legal_name`."""
         return name or "_"
 
     def blocks(self, path: Path, rows: int) -> Iterator[Rows]:
         """Yield so many rows after so many."""
-        layout = _layout(path)
+        layout = _read_layout(path)
         for first in range(0, layout.rows, rows):
             yield Rows(path, layout, first, min(rows, layout.rows - first))
 
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """Where the rows of a file begin, what one is made of, and how many there are."""
+    """Offset, type and count of the rows of a file."""
 
     begin: int
     row: np.dtype[Any]
@@ -89,12 +89,12 @@ class Rows:
         return Table({name: array[name].astype(np.float64) for name in names}, source=self.path.name)
 
 
-def _layout(path: Path) -> _Layout:
+def _read_layout(path: Path) -> _Layout:
     """Return how a file is laid out; one that could not be read row by row, or is no .npy, is refused."""
     size = path.stat().st_size
     with path.open("rb") as file:
         try:
-            shape, by_column, dtype = _header(file)
+            shape, by_column, dtype = _read_header(file)
         except (ValueError, TypeError, SyntaxError, TokenError, MemoryError, RecursionError) as error:
             said = str(error).partition("\n")[0] or type(error).__name__  # NumPy's advice is for programmers
             raise RecordError(f"{path.name} is no .npy file ({said}); write it by numpy.save.") from None
@@ -115,8 +115,8 @@ def _layout(path: Path) -> _Layout:
     return _Layout(begin, row, int(shape[0]))
 
 
-def _header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Return the shape, whether columns come one after the other, and what a number or a row is.
+def _read_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Return the shape, True if columns come one after the other, and the type of a number or a row.
 
     Raises:
         ValueError, TypeError, SyntaxError, TokenError, MemoryError, RecursionError: it is no header; NumPy's parser.

@@ -15,8 +15,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.extras import extra
-from jointid.records.formats.table import Held, Holds, Table
-from jointid.records.formats.untrusted import PIECES, damage, require_single, require_size
+from jointid.records.formats.table import Holds, MemoryBlock, Table
+from jointid.records.formats.untrusted import PIECES, explain_damage, require_size, require_unique_names
 
 _GROUP = 65536  # rows that are written together
 _BATCH = 65536  # rows that are decoded together
@@ -46,38 +46,38 @@ class Parquet:
 
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
-        with _opened(path) as file, damage(path, self.name, _REMEDY):
-            require_size(path, _declared(file))
-            parts = list(_parts(path, file))
+        with _open(path) as file, explain_damage(path, self.name, _REMEDY):
+            require_size(path, _count_declared(file))
+            parts = list(_read_parts(path, file))
         if not parts:
             raise RecordError(f"{path.name} holds no row of numbers; log or copy it again.")
-        return _joined(parts)
+        return _join(parts)
 
-    def blocks(self, path: Path, rows: int) -> Iterator[Held]:
+    def blocks(self, path: Path, rows: int) -> Iterator[MemoryBlock]:
         """Yield so many rows after so many."""
-        with _opened(path) as file:
-            require_size(path, _declared(file), PIECES)
+        with _open(path) as file:
+            require_size(path, _count_declared(file), PIECES)
             parts: list[Table] = []
-            found = _parts(path, file)
+            found = _read_parts(path, file)
             while True:
-                with damage(path, self.name, _REMEDY):
+                with explain_damage(path, self.name, _REMEDY):
                     part = next(found, None)
                 if part is None:
                     break
                 parts.append(part)
-                while sum(_rows(each) for each in parts) >= rows:
-                    whole = _joined(parts)
-                    yield Held(_cut(whole, 0, rows))
-                    parts = [_cut(whole, rows, _rows(whole))] if _rows(whole) > rows else []
+                while sum(_count_rows(each) for each in parts) >= rows:
+                    whole = _join(parts)
+                    yield MemoryBlock(_cut(whole, 0, rows))
+                    parts = [_cut(whole, rows, _count_rows(whole))] if _count_rows(whole) > rows else []
             if parts:
-                yield Held(_joined(parts))
+                yield MemoryBlock(_join(parts))
 
     def write(self, path: Path, table: Table) -> None:
         """Write columns of eight bytes, with checksums; units are metadata of the columns, scalars of the file."""
         if len({values.size for values in table.columns.values()}) != 1:
             lengths = ", ".join(f"{name} {values.size}" for name, values in table.columns.items())
             raise RecordError(f"Parquet has columns of one length; got {lengths or 'no column'}.")
-        refused = [name for name in table.columns if name != self.allowed(name)]
+        refused = [name for name in table.columns if name != self.legal_name(name)]
         if refused:
             raise RecordError(f"{refused[0]!r} cannot name a column of Parquet, which is text; rename it.")
         arrow = extra("pyarrow", "logs", "Writing Parquet")
@@ -95,16 +95,16 @@ class Parquet:
                 made, file, row_group_size=_GROUP, write_page_checksum=True, use_dictionary=False, compression="zstd"
             )
 
-    def allowed(self, name: str, others: Collection[str] = ()) -> str:
-        """Return the name as text; see `Format.allowed`."""
+    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
+        """Return the name as text; see `Format.legal_name`."""
         return name.encode("utf-8", "replace").decode("utf-8") or "_"
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Arrow]:
+def _open(path: Path) -> Iterator[Arrow]:
     parquet = extra("pyarrow.parquet", "logs", f"Reading {path.name}")
     with path.open("rb") as raw:
-        with damage(path, Parquet.name, _REMEDY):
+        with explain_damage(path, Parquet.name, _REMEDY):
             # Not mapped, and read as it is asked for: memory holds what is decoded, and little else.
             file = parquet.ParquetFile(
                 raw,
@@ -118,7 +118,7 @@ def _opened(path: Path) -> Iterator[Arrow]:
             yield file
 
 
-def _declared(file: Arrow) -> int:
+def _count_declared(file: Arrow) -> int:
     """Return how many numbers a file declares; a row of lists has several in a column."""
     about = file.metadata
     groups = (about.row_group(index) for index in range(about.num_row_groups))
@@ -127,8 +127,8 @@ def _declared(file: Arrow) -> int:
 
 
 @dataclass(slots=True)
-class _Decoding:
-    """What is known of a file on its way into tables: where instants begin, and how long lists are.
+class _Decoder:
+    """State of decoding a file: where instants begin, and how long lists are.
 
     Attributes:
         path: of the file.
@@ -156,12 +156,12 @@ class _Decoding:
             if array.null_count or kind.list_size > _WIDEST:
                 self.passed[name] = "its lists are missing in some rows, or too long"
                 return
-            matrix = _numbers(array.flatten()).reshape(-1, kind.list_size)
+            matrix = _to_floats(array.flatten()).reshape(-1, kind.list_size)
             yield from ((f"{name}[{index}]", column) for index, column in enumerate(matrix.T))
         elif types.is_timestamp(kind) or types.is_duration(kind) or types.is_time(kind):
             yield name, self._instants(name, array)
         elif types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind) or types.is_decimal(kind):
-            yield name, _numbers(array)
+            yield name, _to_floats(array)
         elif types.is_list(kind) or types.is_large_list(kind):
             self.passed[name] = _ANY_LENGTH
 
@@ -181,7 +181,7 @@ class _Decoding:
         return np.where(missing, np.nan, counts / unit)
 
 
-def _numbers(array: Arrow) -> FloatArray:
+def _to_floats(array: Arrow) -> FloatArray:
     arrow = extra("pyarrow", "logs", "Reading Parquet")
     kind = array.type
     if not extra("pyarrow.types", "logs", "Reading Parquet").is_floating(kind):
@@ -190,20 +190,20 @@ def _numbers(array: Arrow) -> FloatArray:
     return np.asarray(values.to_numpy(zero_copy_only=False), dtype=np.float64)
 
 
-def _parts(path: Path, file: Arrow) -> Iterator[Table]:
+def _read_parts(path: Path, file: Arrow) -> Iterator[Table]:
     """Yield the rows of a file, so many at a time."""
     types = extra("pyarrow.types", "logs", "Reading Parquet")
     schema = file.schema_arrow
     lists = [entry.name for entry in schema if types.is_list(entry.type) or types.is_large_list(entry.type)]
-    decoding = _Decoding(path, passed=dict.fromkeys(lists, _ANY_LENGTH))
-    require_single(path, list(schema.names))
-    units = {entry.name: unit for entry in schema if (unit := _unit(entry.metadata))}
-    scalars = _scalars(schema.metadata or {})
+    decoding = _Decoder(path, passed=dict.fromkeys(lists, _ANY_LENGTH))
+    require_unique_names(path, list(schema.names))
+    units = {entry.name: unit for entry in schema if (unit := _read_unit(entry.metadata))}
+    scalars = _read_scalars(schema.metadata or {})
     wanted = [entry.name for entry in schema if _may_be_numbers(entry.type)]
     units |= {entry.name: "s" for entry in schema if str(entry.type).startswith(("timestamp", "duration", "time"))}
     for batch in file.iter_batches(batch_size=_BATCH, columns=wanted, use_threads=False):
         pairs = [pair for name in batch.schema.names for pair in decoding.columns(name, batch.column(name))]
-        require_single(path, [name for name, _ in pairs])
+        require_unique_names(path, [name for name, _ in pairs])
         if batch.num_rows and not pairs:
             raise RecordError(f"{path.name} holds no column of numbers; log the signals as numbers.")
         if batch.num_rows:
@@ -211,7 +211,7 @@ def _parts(path: Path, file: Arrow) -> Iterator[Table]:
 
 
 def _may_be_numbers(kind: Arrow) -> bool:
-    """Return whether a column is worth reading; text, bytes and lists of any length are not, which may be long."""
+    """True if a column is worth reading; text, bytes and lists of any length are not, which may be long."""
     types = extra("pyarrow.types", "logs", "Reading Parquet")
     if types.is_struct(kind):
         return any(_may_be_numbers(kind.field(index).type) for index in range(kind.num_fields))
@@ -220,19 +220,19 @@ def _may_be_numbers(kind: Arrow) -> bool:
     return bool(types.is_primitive(kind) or types.is_decimal(kind))
 
 
-def _unit(metadata: Mapping[bytes, bytes] | None) -> str:
+def _read_unit(metadata: Mapping[bytes, bytes] | None) -> str:
     texts = (metadata or {}).get(_UNITS[0]) or (metadata or {}).get(_UNITS[1]) or b""
     return texts.decode("utf-8", "replace").strip()
 
 
-def _scalars(metadata: Mapping[bytes, bytes]) -> dict[str, float]:
+def _read_scalars(metadata: Mapping[bytes, bytes]) -> dict[str, float]:
     """Return the single numbers beside the columns, as they are written here."""
     if _SCALARS not in metadata:
         return {}
     return {str(name): float(text) for name, text in json.loads(metadata[_SCALARS]).items()}
 
 
-def _rows(table: Table) -> int:
+def _count_rows(table: Table) -> int:
     return next(iter(table.columns.values())).size
 
 
@@ -241,7 +241,7 @@ def _cut(table: Table, first: int, last: int) -> Table:
     return Table(columns, table.scalars, table.source, table.units, table.passed)
 
 
-def _joined(parts: list[Table]) -> Table:
+def _join(parts: list[Table]) -> Table:
     first = parts[0]
     if len(parts) == 1:
         return first

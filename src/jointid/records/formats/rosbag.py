@@ -2,32 +2,56 @@
 
 from __future__ import annotations
 
+import json
 import re
-import sqlite3
+import struct
 from array import array
 from collections.abc import Collection, Iterator
-from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.records.formats import bagwriting, mcap
+from jointid.common.extras import extra
+from jointid.records.formats import bagwriting
 from jointid.records.formats.bagwriting import Stamps
-from jointid.records.formats.mcap import Message, Topic
-from jointid.records.formats.messages import PassedOverError, Types, numbers_of, stamp_of, types_of
+from jointid.records.formats.isolated import read_parts
+from jointid.records.formats.messages import Field, SkippedTopicError, Types, flatten_numbers, header_stamp
 from jointid.records.formats.table import Holds, Table
-from jointid.records.formats.untrusted import damage, require_single, require_size
+from jointid.records.formats.untrusted import explain_damage, require_size, require_unique_names
 
 _DATE = 2**58  # nanoseconds, nine years: a stamp beyond is a date, one before counts from some beginning
 _WIDEST = 1000  # columns of one topic
-_LONGEST = 2**28  # bytes of a message
-_SQLITE = b"SQLite format 3\0"
+_HEAD = struct.Struct("<IqI")  # of a message in a batch: its topic, its time, its length
 _REMEDY = "record it again, or rebuild it with ros2 bag reindex"
 _DIGITS = re.compile(r"(\d+)")
+
+
+class Topic(NamedTuple):
+    """A topic as a bag declares it.
+
+    Attributes:
+        name: of the topic.
+        type: name of its message type.
+        encoding: of the messages; only "cdr" is read.
+        types: definitions of its message type and of those it needs.
+    """
+
+    name: str
+    type: str
+    encoding: str
+    types: Types
+
+
+class Message(NamedTuple):
+    """One message: its topic, the time of the log in nanoseconds, and its bytes."""
+
+    topic: Topic
+    time: int
+    data: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,10 +70,11 @@ class RosBag:
 
     def read(self, path: Path) -> Table:
         """Read every topic of numbers; see `Format.read`."""
-        reading = _Reading(path)
-        for file in files_of(path):
-            with damage(file, self.name, _REMEDY):
-                for message in _messages(file):
+        extra("rosbags", "logs", "Reading ROS 2 bags")
+        reading = _BagTable(path)
+        for file in list_files(path):
+            with explain_damage(file, self.name, _REMEDY):
+                for message in read_messages(file):
                     reading.take(message)
         return reading.table()
 
@@ -59,14 +84,14 @@ class RosBag:
             raise RecordError(
                 f"A ROS 2 bag has no place for the scalars {', '.join(table.scalars)}; write a .mat file."
             )
-        bagwriting.write(path, table)
+        bagwriting.write_bag(path, table)
 
-    def allowed(self, name: str, others: Collection[str] = ()) -> str:
-        """Return the name, which can be any text but none; see `Format.allowed`."""
+    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
+        """Return the name, which can be any text but none; see `Format.legal_name`."""
         return name.encode("utf-8", "replace").decode("utf-8") or "_"
 
 
-def files_of(path: Path) -> list[Path]:
+def list_files(path: Path) -> list[Path]:
     """Return the files of a bag in their order.
 
     Raises:
@@ -82,38 +107,19 @@ def files_of(path: Path) -> list[Path]:
     return sorted(found, key=lambda file: [int(p) if p.isdigit() else p for p in _DIGITS.split(file.name)])
 
 
-def _messages(file: Path) -> Iterator[Message]:
-    with file.open("rb") as raw:
-        head = raw.read(len(_SQLITE))
-    yield from _stored(file) if head == _SQLITE else mcap.messages(file)
-
-
-def _stored(file: Path) -> Iterator[Message]:
-    """Yield the messages of an SQLite file, which is only read, and whose own code is not run."""
-    with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as base:
-        base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST)
-        base.execute("PRAGMA trusted_schema = OFF")
-        tables = dict(base.execute("SELECT name, upper(sql) FROM sqlite_master WHERE type = 'table'"))
-        needed = {"topics", "messages"} | ({"message_definitions"} & tables.keys())
-        if any(not str(tables.get(name)).startswith("CREATE TABLE") for name in needed):
-            raise ValueError("it has no tables of topics and messages, or virtual ones")
-        texts: dict[str, str] = {}
-        if "message_definitions" in tables:
-            texts = dict(
-                base.execute(
-                    "SELECT topic_type, encoded_message_definition FROM message_definitions WHERE encoding = 'ros2msg'"
-                )
-            )
-        topics = {
-            number: Topic(str(name), str(kind), str(texts.get(kind, "")), str(encoding))
-            for number, name, kind, encoding in base.execute(
-                "SELECT id, name, type, serialization_format FROM topics"
-            )
-        }  # fmt: skip
-        for number, time, data in base.execute("SELECT topic_id, timestamp, data FROM messages"):
-            if not (isinstance(data, bytes) and isinstance(time, int)):
-                raise ValueError("a message is no bytes")
-            yield Message(topics[number], time, data)
+def read_messages(file: Path) -> Iterator[Message]:
+    """Yield the messages of one file of a bag; the library that reads it runs in a process of its own."""
+    parts = read_parts("bag", file)
+    topics = [
+        Topic(name, kind, encoding, Types({key: tuple(Field(*each) for each in own) for key, own in types.items()}))
+        for name, kind, encoding, types in json.loads(next(parts))
+    ]
+    for batch in parts:
+        at = 0
+        while at < len(batch):
+            number, time, length = _HEAD.unpack_from(batch, at)
+            at += _HEAD.size + length
+            yield Message(topics[number], time, batch[at - length : at])
 
 
 @dataclass(slots=True)
@@ -121,7 +127,6 @@ class _Series:
     """The messages of one topic, as columns that grow."""
 
     topic: Topic
-    types: Types
     logged: array[int] = field(default_factory=lambda: array("q"))
     stamped: array[int] = field(default_factory=lambda: array("q"))
     columns: dict[str, array[float]] = field(default_factory=dict)
@@ -134,16 +139,16 @@ class _Series:
             KeyError: the definition of a type is not there.
             PassedOverError: it has too many parts, or two numbers of one name.
         """
-        fields = self.types.decode(self.topic.type, message.data)
-        stamp, row = stamp_of(fields), len(self.logged)
+        fields = self.topic.types.decode(self.topic.type, message.data)
+        stamp, row = header_stamp(fields), len(self.logged)
         self.logged.append(message.time)
         if stamp is not None:
             self.stamped.append(stamp)
-        for path, value in numbers_of(fields, self.topic.name):
+        for path, value in flatten_numbers(fields, self.topic.name):
             column = self.columns.setdefault(path, array("d"))
             column.extend([np.nan] * (row - len(column)))  # of the messages before, which had no such number
             if len(column) > row:
-                raise PassedOverError(f"a message of it has two numbers called {path!r}")
+                raise SkippedTopicError(f"a message of it has two numbers called {path!r}")
             column.append(value)
         if len(self.columns) > _WIDEST:
             raise RecordError(f"The topic {self.topic.name!r} has more than {_WIDEST} numbers; record without it.")
@@ -164,12 +169,12 @@ class _Series:
         return stamps[order], columns
 
 
-class _Reading:
-    """A bag on its way to a table."""
+class _BagTable:
+    """Builder of a table from the messages of a bag."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.series: dict[Topic, _Series] = {}
+        self.series: dict[str, _Series] = {}
         self.passed: dict[str, str] = {}
         self.numbers = 0
 
@@ -181,24 +186,21 @@ class _Reading:
         if topic.encoding != "cdr":
             self.passed[topic.name] = f"its messages are in {topic.encoding}, not in CDR"
             return
-        if topic not in self.series and (other := next((t for t in self.series if t.name == topic.name), None)):
-            del self.series[other]
-            self.passed[topic.name] = "its messages are of more than one kind"
-            return
-        if topic not in self.series:
-            self.series[topic] = _Series(topic, types_of(topic.type, topic.definition))
+        series = self.series.setdefault(topic.name, _Series(topic))
         try:
-            self.numbers += self.series[topic].take(message)
+            if series.topic != topic:
+                raise SkippedTopicError("its messages are of more than one kind")
+            self.numbers += series.take(message)
         except KeyError:
-            del self.series[topic]
+            del self.series[topic.name]
             self.passed[topic.name] = f"the bag has no definition of {topic.type}"
-        except PassedOverError as error:
-            del self.series[topic]
+        except SkippedTopicError as error:
+            del self.series[topic.name]
             self.passed[topic.name] = str(error)
         require_size(self.path, self.numbers)
 
     def table(self) -> Table:
-        """Return what all topics gave."""
+        """Return the table of all topics."""
         found = {series.topic.name: series.table() for series in self.series.values() if series.logged}
         found = {name: (stamps, columns) for name, (stamps, columns) in found.items() if columns}
         if not found:
@@ -212,5 +214,5 @@ class _Reading:
             pairs += [(f"{name}/time", (stamps - zero) / 1e9), *columns.items()]
             units[f"{name}/time"] = "s"
             clocks |= dict.fromkeys(columns, f"{name}/time")
-        require_single(self.path, [name for name, _ in pairs])
+        require_unique_names(self.path, [name for name, _ in pairs])
         return Table(dict(pairs), {}, self.path.name, units, self.passed, clocks)

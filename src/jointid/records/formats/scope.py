@@ -33,7 +33,7 @@ _SYMBOLS = {"°": "deg", "°/s": "deg/s", "1/min": "rpm"}
 
 @dataclass(frozen=True, slots=True)
 class Scope:
-    """What stands above the numbers of an export.
+    """Header of an export.
 
     Attributes:
         delimiter: between cells.
@@ -49,7 +49,7 @@ class Scope:
 
     @property
     def width(self) -> int:
-        """How many columns there are, those of time included."""
+        """Count of columns, those of time included."""
         return len(self.rows["Name"])
 
     def groups(self) -> Iterator[range]:
@@ -57,14 +57,14 @@ class Scope:
         for start, end in zip(self.starts, (*self.starts[1:], self.width), strict=True):
             yield range(start, end)
 
-    def of(self, key: str, column: int, default: str = "") -> str:
-        """Return what a row says of a column."""
+    def cell(self, key: str, column: int, default: str = "") -> str:
+        """Return a row's entry for a column."""
         cells = self.rows.get(key, ())
         return cells[column] if column < len(cells) else default
 
 
-def scope_of(text: TextFile) -> Scope | None:
-    """Return how an export is laid out; None for a text that is none."""
+def find_scope(text: TextFile) -> Scope | None:
+    """Return the header of an export; None for a text that is none."""
     lines = text.lines[:_LOOK]
     if not lines or not lines[0].text.startswith("Name") or len(lines[0].text) < len("Name_"):
         return None
@@ -83,7 +83,7 @@ def scope_of(text: TextFile) -> Scope | None:
     return Scope(mark, rows, tuple(starts), first)
 
 
-def scope_table(text: TextFile, scope: Scope, decimal: str | None = None) -> Table:
+def read_scope(text: TextFile, scope: Scope, decimal: str | None = None) -> Table:
     """Return the numbers of an export, each column with its own clock.
 
     Times are in ms, those of FILETIMEs since the first of them. `Offset` is where a channel is drawn, and is never
@@ -98,7 +98,7 @@ def scope_table(text: TextFile, scope: Scope, decimal: str | None = None) -> Tab
         RecordError: it was exported with blanks or without time columns, two channels have one name, or a row is
             damaged.
     """
-    names, rows = _names(text.name, scope), _rows(text, scope)
+    names, rows = _channel_names(text.name, scope), _number_rows(text, scope)
     point = decimal or ("," if scope.delimiter != "," and any("," in row.text for row in rows) else ".")
     numbers = _Numbers(text.name, rows, scope, point)
     values: dict[int, FloatArray] = {}
@@ -108,16 +108,16 @@ def scope_table(text: TextFile, scope: Scope, decimal: str | None = None) -> Tab
     clocks: dict[str, str] = {}
     alike = len({values[start].tobytes() for start in scope.starts}) == 1
     for group in scope.groups():
-        time, channels = _without_fill(values[group.start], {names[c]: values[c] for c in group[1:]})
+        time, channels = _drop_fill(values[group.start], {names[c]: values[c] for c in group[1:]})
         first = names[group[1]]
-        _check_step(text.name, time, scope.of("SampleTime[ms]", group[1]), first)
+        _check_step(text.name, time, scope.cell("SampleTime[ms]", group[1]), first)
         clock = "time [ms]" if alike else f"time of {first.partition(' [')[0]} [ms]"
         made |= {clock: time, **channels}
         clocks |= {} if alike else dict.fromkeys(channels, clock)
     return Table(made, source=text.name, clocks=clocks)
 
 
-def _rows(text: TextFile, scope: Scope) -> list[Line]:
+def _number_rows(text: TextFile, scope: Scope) -> list[Line]:
     """Return the lines of numbers."""
     if scope.delimiter == " ":
         raise RecordError(
@@ -137,33 +137,33 @@ def _rows(text: TextFile, scope: Scope) -> list[Line]:
     return rows
 
 
-def _names(file: str, scope: Scope) -> dict[int, str]:
+def _channel_names(file: str, scope: Scope) -> dict[int, str]:
     """Return the name of each channel by its column, with its unit in brackets."""
     channels = [column for group in scope.groups() for column in group[1:]]
     said = "Name"
     for said in ("Name", "SymbolName"):
-        names = {column: scope.of(said, column) for column in channels}
+        names = {column: scope.cell(said, column) for column in channels}
         if len(set(names.values())) == len(channels) and all(names.values()):
-            return {column: name + _unit(scope, column) for column, name in names.items()}
+            return {column: name + _bracket_unit(scope, column) for column, name in names.items()}
     raise RecordError(f"{file} has two channels of one name, or one without; rename them in the scope.")
 
 
-def _unit(scope: Scope, column: int) -> str:
+def _bracket_unit(scope: Scope, column: int) -> str:
     """Return the unit of a channel in brackets, if the file says it.
 
     What a channel is scaled by is in the values or not, as it was exported, and the file does not say which: a unit
     that is none makes whoever reads it say it.
     """
-    symbol = scope.of("Unit", column).partition(" (")[0].strip()
+    symbol = scope.cell("Unit", column).partition(" (")[0].strip()
     symbol = "" if symbol.startswith("(") else _SYMBOLS.get(symbol, symbol)
-    factors = [scope.of(key, column, "1").replace(",", ".") or "1" for key in ("ScaleFactor", "Unit ScaleFactor")]
+    factors = [scope.cell(key, column, "1").replace(",", ".") or "1" for key in ("ScaleFactor", "Unit ScaleFactor")]
     scaled = [factor for factor in factors if factor != "1"]
     if scaled:
         return f" [{symbol or 'no unit'}, drawn times {' times '.join(scaled)}]"
     return f" [{symbol}]" if symbol else ""
 
 
-def _without_fill(time: FloatArray, values: Mapping[str, FloatArray]) -> tuple[FloatArray, dict[str, FloatArray]]:
+def _drop_fill(time: FloatArray, values: Mapping[str, FloatArray]) -> tuple[FloatArray, dict[str, FloatArray]]:
     """Return a group without the rows that the export filled with the ones before them."""
     same = np.diff(time) == 0
     for column in values.values():
@@ -196,7 +196,7 @@ class _Numbers:
     point: str
 
     def count(self, column: int) -> int:
-        """Return how many rows a group has: from the first on, all that have a time."""
+        """Return the count of rows of a group: from the first on, all that have a time."""
         low, high = 0, len(self.rows)
         while low < high:
             middle = (low + high) // 2
@@ -206,7 +206,7 @@ class _Numbers:
     def columns(self, wanted: Sequence[int], count: int) -> dict[int, FloatArray]:
         """Return the numbers of some columns, shape (count,) each."""
         if count == 0:
-            channel = self.scope.of("Name", wanted[1])
+            channel = self.scope.cell("Name", wanted[1])
             raise RecordError(f'{self.file} has no number of the channel "{channel}"; leave it out of the export.')
         plain, mark = [row.text for row in self.rows[:count]], self.scope.delimiter
         if self.point == ",":  # a point is then a thousands separator, and no number

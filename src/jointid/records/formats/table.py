@@ -1,4 +1,4 @@
-"""What every file format reads into and writes from: named columns and single numbers, not interpreted."""
+"""Table of named columns and single numbers, which every file format reads and writes."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Table:
         object.__setattr__(self, "units", MappingProxyType(units))
         object.__setattr__(self, "passed", MappingProxyType(dict(self.passed)))
 
-    def listed(self, wanted: str) -> str:
+    def list_columns(self, wanted: str) -> str:
         """Return the names of the columns, quoted; of very many, those most like the one that was wanted."""
         names = list(self.columns)
         close = names if len(names) <= _LISTED else difflib.get_close_matches(wanted, names, _LISTED, cutoff=0.0)
@@ -77,13 +77,13 @@ class Table:
         if missing:
             why = f" ({self.passed[missing[0]]})" if missing[0] in self.passed else ""
             raise RecordError(
-                f'{self.source} has no column "{shown(missing[0])}"{why}; it has {self.listed(missing[0])}.'
+                f'{self.source} has no column "{shown(missing[0])}"{why}; it has {self.list_columns(missing[0])}.'
             )
         return replace(self, columns={name: self.columns[name] for name in names})
 
 
 class Holds(Flag):
-    """What a file can hold beside columns of one length."""
+    """Contents that a file can hold beside columns of one length."""
 
     NOTHING = 0
     SCALARS = auto()
@@ -124,7 +124,7 @@ class Format(Protocol):
         """
         ...
 
-    def allowed(self, name: str, others: Collection[str] = ()) -> str:
+    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
         """Return the name of a column as a file of this format can hold it: itself, or one that is like it.
 
         Args:
@@ -139,7 +139,7 @@ class Block(Protocol):
 
     @property
     def rows(self) -> int:
-        """How many there are, 1 or more."""
+        """Count of rows, 1 or more."""
         ...
 
     def table(self, rows: int | None = None) -> Table:
@@ -168,19 +168,19 @@ class Streamed(Protocol):
         ...
 
 
-class WholeError(RecordError):
+class NotStreamedError(RecordError):
     """A file that can only be read whole was to be read in pieces."""
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class MemoryBlock:
     """Rows that are already in memory; a `Block`."""
 
     held: Table
 
     @property
     def rows(self) -> int:
-        """How many there are."""
+        """Count of rows."""
         return max(values.size for values in self.held.columns.values())
 
     def table(self, rows: int | None = None) -> Table:

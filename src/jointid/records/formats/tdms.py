@@ -15,7 +15,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.extras import extra
 from jointid.records.formats.table import Holds, Table
-from jointid.records.formats.untrusted import PIECES, damage, require_single, require_size
+from jointid.records.formats.untrusted import PIECES, explain_damage, require_size, require_unique_names
 
 _NAMELESS = "Untitled"  # what LabVIEW calls a group that has no name
 _UNITS = ("unit_string", "unit", "units", "Unit")
@@ -45,14 +45,14 @@ class Tdms:
 
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
-        with _opened(path) as contents:
+        with _open(path) as contents:
             require_size(path, sum(channel.rows for channel in contents.channels))
             rows = max(channel.rows for channel in contents.channels)
             return _Rows(contents, 0, rows).table()
 
     def blocks(self, path: Path, rows: int) -> Iterator[_Rows]:
         """Yield so many rows after so many."""
-        with _opened(path) as contents:
+        with _open(path) as contents:
             require_size(path, sum(channel.rows for channel in contents.channels), PIECES)
             longest = max(channel.rows for channel in contents.channels)
             for first in range(0, longest, rows):
@@ -61,7 +61,7 @@ class Tdms:
     def write(self, path: Path, table: Table) -> None:
         """Write a channel of eight bytes for each column; scalars are properties of the file."""
         for name in table.columns:
-            if name != self.allowed(name):
+            if name != self.legal_name(name):
                 raise RecordError(
                     f'{name!r} cannot name a channel of TDMS: a name is "channel" or "group/channel", and the group '
                     f'is not "{_NAMELESS}"; rename the column.'
@@ -82,8 +82,8 @@ class Tdms:
                         objects.append(nptdms.ChannelObject(group or _NAMELESS, channel, part, properties=properties))
                 writer.write_segment(objects)
 
-    def allowed(self, name: str, others: Collection[str] = ()) -> str:
-        """Return a name of a channel in a group; see `Format.allowed`."""
+    def legal_name(self, name: str, others: Collection[str] = ()) -> str:
+        """Return a name of a channel in a group; see `Format.legal_name`."""
         parts = [part for part in name.replace("\0", "_").split("/") if part] or ["_"]
         return "/".join(parts[1:] if parts[0] == _NAMELESS and len(parts) > 1 else parts)
 
@@ -144,7 +144,7 @@ class _Rows:
         contents = self.contents
         path, channels = contents.path, contents.channels
         last = self.first + (self.rows if rows is None else min(rows, self.rows))
-        with damage(path, Tdms.name, _REMEDY):
+        with explain_damage(path, Tdms.name, _REMEDY):
             there = [c for c in channels if c.rows > self.first]
             columns = {c.name: contents.values(c, self.first, min(last, c.rows)) for c in there}
         units = {c.name: c.unit for c in channels if c.unit}
@@ -152,38 +152,40 @@ class _Rows:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[_Contents]:
+def _open(path: Path) -> Iterator[_Contents]:
     nptdms = extra("nptdms", "logs", f"Reading {path.name}")
     # What is wrong with a file is said here, once, and not on the side.
     extra("nptdms.log", "logs", "Reading TDMS").log_manager.set_level(logging.CRITICAL)
     # An open file, not its path: an index beside it, which may be of another file, is then left alone.
     with path.open("rb") as raw:
-        with damage(path, Tdms.name, _REMEDY):
+        with explain_damage(path, Tdms.name, _REMEDY):
             file = nptdms.TdmsFile.open(raw)
             if file.file_status.incomplete_final_segment:
                 raise RecordError(f"{path.name} ends in the middle of its data; {_REMEDY}.")
-            contents = _Contents(path, list(_channels(file)), dict(_scalars(file)))
-        require_single(path, [channel.name for channel in contents.channels])
+            contents = _Contents(path, list(_list_channels(file)), dict(_list_scalars(file)))
+        require_unique_names(path, [channel.name for channel in contents.channels])
         if not contents.channels:
             raise RecordError(f"{path.name} holds no channel of numbers; log the signals as numbers.")
         yield contents
 
 
-def _begin(channel: Nptdms) -> np.datetime64 | None:
+def _find_beginning(channel: Nptdms) -> np.datetime64 | None:
     """Return the instant at which a waveform or a channel of instants begins; None where the file does not say."""
     is_instants = np.dtype(channel.dtype).kind == "M"
     found = channel.read_data(0, 1)[0] if is_instants else channel.properties.get(_START)
     return found if isinstance(found, np.datetime64) and found >= _UNSET else None
 
 
-def _channels(file: Nptdms) -> Iterator[_Channel]:
+def _list_channels(file: Nptdms) -> Iterator[_Channel]:
     every = [channel for group in file.groups() for channel in group.channels() if len(channel)]
-    begins = {channel.path: begin for channel in every if (begin := _begin(channel)) is not None}
+    begins = {channel.path: begin for channel in every if (begin := _find_beginning(channel)) is not None}
     late = {path: float((begin - min(begins.values())) / np.timedelta64(1, "s")) for path, begin in begins.items()}
     for group in file.groups():
         prefix = "" if group.name == _NAMELESS else f"{group.name}/"
         channels = [
-            _Channel(f"{prefix}{channel.name}", len(channel), channel, _unit(channel), late=late.get(channel.path, 0.0))
+            _Channel(
+                f"{prefix}{channel.name}", len(channel), channel, _read_unit(channel), late=late.get(channel.path, 0.0)
+            )
             for channel in group.channels()
             if len(channel) and np.dtype(channel.dtype).kind in "fiubM"
         ]
@@ -200,7 +202,7 @@ def _channels(file: Nptdms) -> Iterator[_Channel]:
                 yield channel._replace(name=clock, unit="s", is_time=True)
 
 
-def _scalars(file: Nptdms) -> Iterator[tuple[str, float]]:
+def _list_scalars(file: Nptdms) -> Iterator[tuple[str, float]]:
     """Yield the numbers among the properties of the file and of its groups."""
     for prefix, properties in (("", file.properties), *((f"{g.name}/", g.properties) for g in file.groups())):
         for name, value in properties.items():
@@ -208,7 +210,7 @@ def _scalars(file: Nptdms) -> Iterator[tuple[str, float]]:
                 yield f"{prefix}{name}", float(value)
 
 
-def _unit(channel: Nptdms) -> str:
+def _read_unit(channel: Nptdms) -> str:
     """Return the unit that a property states, "" without one."""
     if np.dtype(channel.dtype).kind == "M":
         return "s"

@@ -43,7 +43,7 @@ class TextFile:
 
 
 def is_comment(text: str) -> bool:
-    """Return whether a line is a comment."""
+    """True if a line is a comment."""
     return text.lstrip().startswith((*_COMMENTS, _SPREADSHEET))
 
 
@@ -64,12 +64,12 @@ def read_lines(path: Path) -> TextFile:
         raise RecordError(f"{path.name} holds bytes that are no text; save it as CSV in UTF-8.")
     # str.splitlines would also split at form feeds and other marks that occur inside names.
     every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    return text_of(
-        path.name, [_line(path, number, line) for number, line in enumerate(every, start=1) if _filled(line)]
+    return build_text(
+        path.name, [_line(path, number, line) for number, line in enumerate(every, start=1) if _has_content(line)]
     )
 
 
-def text_of(name: str, filled: list[Line]) -> TextFile:
+def build_text(name: str, filled: list[Line]) -> TextFile:
     """Return the text that lines make, none of which is empty."""
     lines = [line for line in filled if not is_comment(line.text)]
     above = [line for line in filled if not lines or line.number < lines[0].number][-1:]
@@ -99,7 +99,7 @@ def stream_lines(path: Path) -> Iterator[Line]:
         # Not by iteration: a file may be one line that does not fit into memory.
         for number, line in enumerate(iter(lambda: file.readline(_LONGEST + 2), ""), start=1):
             text = line.rstrip("\n")
-            if _filled(text):
+            if _has_content(text):
                 yield _line(path, number, text)
 
 
@@ -113,5 +113,5 @@ def _line(path: Path, number: int, text: str) -> Line:
     return Line(number, text)
 
 
-def _filled(line: str) -> bool:
+def _has_content(line: str) -> bool:
     return bool(line) and not line.isspace()

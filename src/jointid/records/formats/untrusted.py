@@ -1,4 +1,4 @@
-"""Files that nobody vouches for: what a library raises becomes one sentence, what is too large is refused by its size.
+"""Untrusted files: any error of a library becomes one sentence, and files that are too large are refused by size.
 
 The libraries behind the binary formats raise whatever their parsers stumble over. None of it tells a user more than
 that the file is damaged, so everything that comes out of them on the way from a file is that sentence.
@@ -23,7 +23,7 @@ _STEPS = ("KiB", "MiB", "GiB", "TiB", "PiB")
 
 
 @contextmanager
-def damage(path: Path, format_name: str, remedy: str) -> Iterator[None]:
+def explain_damage(path: Path, format_name: str, remedy: str) -> Iterator[None]:
     """Turn whatever a library raises into the sentence on a file that is damaged.
 
     Args:
@@ -49,17 +49,17 @@ def require_size(path: Path, numbers: int, limit: int = WHOLE) -> None:
     """
     if numbers * _NUMBER > limit:
         advice = (
-            "choose columns with jointid convert --columns, or read it in pieces with jointid long"
+            "choose columns with jointid data convert --columns, or read it in pieces with jointid identify --window"
             if limit == WHOLE
             else "cut it into shorter files"
         )
         raise RecordError(
-            f"{path.name} declares {size_of(numbers * _NUMBER)} of numbers, and at most {size_of(limit)} are read; "
-            f"{advice}."
+            f"{path.name} declares {format_size(numbers * _NUMBER)} of numbers, and at most {format_size(limit)} are "
+            f"read; {advice}."
         )
 
 
-def size_of(count: int) -> str:
+def format_size(count: int) -> str:
     """Return a number of bytes in words."""
     if count < 1024:
         return f"{count} bytes"
@@ -69,7 +69,7 @@ def size_of(count: int) -> str:
     return f"{value:.3g} {_STEPS[step]}" if value < 1000 else f"{value:.0f} {_STEPS[step]}"
 
 
-def require_single(path: Path, names: list[str]) -> None:
+def require_unique_names(path: Path, names: list[str]) -> None:
     """Refuse a file in which two columns have one name.
 
     Raises:

@@ -10,13 +10,12 @@ import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.records.checks import clock_faults, finite_faults
 from jointid.records.columns import Column, period_faults, unit_fault, unit_in_name
 from jointid.records.formats import Table
-from jointid.records.time_base.uniformity import irregularity
+from jointid.records.time_base.uniformity import clock_faults, measure_irregularity
 
 RATE_TOLERANCE = 1e-3
-"""How far a given sample time may be from that of the time stamps, as a share of it.
+"""Largest relative difference of two sample times that count as one.
 
 Clocks of drives and computers differ by 0.01 %; a wrong rate is wrong by far more.
 """
@@ -47,7 +46,7 @@ class Clocks:
     own: Mapping[str, Clock] = field(default_factory=dict)
     columns: Mapping[str, str] = field(default_factory=dict)
 
-    def of(self, column: Column) -> Clock:
+    def clock_of(self, column: Column) -> Clock:
         """Return the clock of a channel's column; one with a sample time of its own needs no stamps."""
         if column.sample_time is not None:
             return Clock(column.sample_time)
@@ -55,7 +54,7 @@ class Clocks:
         return self.common if time is None else self.own.get(time, Clock())
 
 
-def clock_of(
+def find_clock(
     table: Table, time: str | None, time_unit: str | None, sample_time: float | None, tolerance: float | None
 ) -> tuple[Clock, list[str]]:
     """Return a table's clock, from the stamps, from the sample time, or from both, and what is wrong with it.
@@ -84,11 +83,11 @@ def clock_of(
     if unit not in known:
         return Clock(), [unit_fault(f'time (column "{column}")', unit, known)]
     stamps = table.columns[column] * units.unit(unit).factor
-    wrong = _stamp_faults(column, stamps) if tolerance is None else clock_faults(stamps, tolerance)
+    wrong = clock_faults(stamps, tolerance, f'The time column "{column}"')
     if wrong:
         return Clock(), wrong
-    period = irregularity(stamps).sample_time if tolerance is None else _period(stamps)
-    if sample_time is not None and abs(sample_time / period - 1) > RATE_TOLERANCE:
+    period = measure_irregularity(stamps).sample_time if tolerance is None else _period(stamps)
+    if sample_time is not None and not is_same_rate(sample_time, period):
         wrong = [
             f'The sample time is given as {sample_time:g} s, and column "{column}" has {period:g} s; '
             "mend one, or leave sample_time or time out."
@@ -96,7 +95,12 @@ def clock_of(
     return Clock(sample_time or period, stamps, column), wrong
 
 
-def apart_faults(clocks: Mapping[str, Clock], tolerance: float) -> list[str]:
+def is_same_rate(sample_time: float, other: float) -> bool:
+    """Return True if two sample times are equal within `RATE_TOLERANCE`."""
+    return abs(sample_time / other - 1) <= RATE_TOLERANCE
+
+
+def beginning_faults(clocks: Mapping[str, Clock], tolerance: float) -> list[str]:
     """Return the fault of channels that begin at different instants, by their own stamps.
 
     Args:
@@ -117,21 +121,12 @@ def apart_faults(clocks: Mapping[str, Clock], tolerance: float) -> list[str]:
     ]
 
 
-def _stamp_faults(column: str, stamps: FloatArray) -> list[str]:
-    """Return the faults of stamps that not even resampling can use."""
-    if faults := finite_faults(f'The time column "{column}"', stamps):
-        return faults
-    if stamps.size < 2 or not np.median(np.diff(stamps)) > 0:
-        return [f'The time column "{column}" does not run forward; name another one, or give sample_time without time.']
-    return []
-
-
 def _time_column(table: Table, time: str | None) -> tuple[str, list[str]]:
     """Return the name of the time column, or the fault of one that is missing or in doubt."""
     if time is not None:
         if time in table.columns:
             return time, []
-        return time, [f'{table.source} has no time column "{time}"; it has {table.listed(time)}.']
+        return time, [f'{table.source} has no time column "{time}"; it has {table.list_columns(time)}.']
     names = [name for name in table.columns if _TIME.fullmatch(name)]
     if len(names) == 1:
         return names[0], []

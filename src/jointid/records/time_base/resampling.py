@@ -1,4 +1,4 @@
-"""Channels whose samples do not come at uniform instants, brought to instants that are: only where that is asked for.
+"""Resample channels whose stamps are not uniform to a uniform clock: only where that is asked for.
 
 Resampling is right where the *samples* were taken at the stamps. Where only the stamps jitter, the samples are uniform
 already, and resampling would add the jitter to them: `sample_time` without a time column is right there.
@@ -8,40 +8,34 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias, get_args
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
+from jointid.common.settings import check_settings, declare, documented, setting
 from jointid.records.record import Channel, Timing
-from jointid.records.time_base.uniformity import Irregularity, Resampled, irregularity
+from jointid.records.time_base.uniformity import Irregularity, Resampled, measure_irregularity
 
 Interpolation: TypeAlias = Literal["hold", "linear", "cubic"]
 
 LOWER_RATE = 1.1
-"""How much longer than a channel's own the new sample time may be: what aliases then was above 0.9 of its Nyquist
+"""Largest ratio of the new sample time to a channel's own: what aliases then was above 0.9 of its Nyquist
 frequency, where a joint leaves nothing."""
 
 _ONE_INSTANT = 1e-6  # of a sample time
 _LARGEST = 10**8  # samples of one channel
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class Resampling:
-    """How channels are brought to one uniform clock.
+    """Rules by which channels are resampled to one uniform clock.
 
     A lower rate is refused: it needs a filter against aliasing, and `Filtering` has the one that torque and model go
     through alike. Nothing is extrapolated.
-
-    Attributes:
-        sample_time: of the record, s.
-        method: how sampled channels are taken between their samples: "hold" (the last one), "linear", or "cubic" (the
-            spline through all of them, for positions).
-        held: how held channels are taken; what a controller holds is not interpolated unless that is asked for, and is
-            then sampled.
-        longest_gap: samples that may be missing in a row; a longer gap is refused.
 
     Raises:
         RecordError: the sample time is not positive, there is no such method, or the gap is no whole number.
@@ -54,23 +48,20 @@ class Resampling:
         'hold'
     """
 
-    sample_time: float
-    method: Interpolation
-    held: Interpolation = "hold"
-    longest_gap: int = 3
+    sample_time: float = field(metadata=declare("time between samples of the record", unit="s", above=0))
+    method: Interpolation = field(
+        metadata=declare(
+            "how a sampled channel is taken between its samples: the last one, a straight line, or the cubic spline "
+            "through all of them, which is for positions"
+        )
+    )
+    held: Interpolation = setting(
+        "hold", "how a held channel is; what a controller holds is not interpolated unless it is asked for here"
+    )
+    longest_gap: int = setting(3, "samples that may be missing in a row; a longer gap is refused", at_least=0)
 
     def __post_init__(self) -> None:
-        faults = []
-        if not (math.isfinite(self.sample_time) and self.sample_time > 0):
-            faults.append(f"The sample time to resample to is a positive number of seconds; got {self.sample_time:g}.")
-        for name, method in (("method", self.method), ("held", self.held)):
-            if method not in get_args(Interpolation):
-                known = ", ".join(f'"{one}"' for one in get_args(Interpolation))
-                faults.append(f'Resampling has {name} = "{method}"; expected one of {known}: choose one.')
-        if not isinstance(self.longest_gap, int) or self.longest_gap < 0:
-            faults.append(f"longest_gap counts samples, 0 or more; got {self.longest_gap}.")
-        if faults:
-            raise RecordError(faults)
+        check_settings(self, RecordError)
 
     def method_for(self, timing: Timing) -> str:
         """Return how a channel of that timing is taken between its samples."""
@@ -94,50 +85,51 @@ class Stamped:
     clock: str
 
 
-def resampled_together(
-    logged: Mapping[str, Stamped], how: Resampling
-) -> tuple[dict[str, Channel], Resampled | None, float, list[str]]:
-    """Return the channels at the instants that all of them cover, what was done, where they begin, and faults.
+def resample_together(logged: Mapping[str, Stamped], how: Resampling) -> tuple[dict[str, Channel], float, Resampled]:
+    """Return the channels at the instants that all of them cover, where they begin, and how they were resampled.
 
     The first instant is such that, where stamps only jitter about the new clock, every held value is taken once: at the
     latest of its phases. They begin so many seconds after the first stamp of all.
+
+    Raises:
+        RecordError: a clock runs backward or leaves out too much, a rate would alias, or nothing is covered by all.
     """
     zero = min((one.stamps[0] for one in logged.values()), default=0.0)  # of seconds since 1970 a float keeps too few
     logged = {name: replace(one, stamps=one.stamps - zero) for name, one in logged.items()}
-    clocks = {one.clock: irregularity(one.stamps) for one in logged.values() if one.stamps.size > 1}
+    clocks = {one.clock: measure_irregularity(one.stamps) for one in logged.values() if one.stamps.size > 1}
     faults = [f for name, clock in clocks.items() for f in _clock_faults(name, clock, how)]
     faults += [f for name, one in logged.items() for f in _rate_faults(name, one, clocks, how)]
     if faults:
-        return {}, None, 0.0, faults
-    ready = {name: _without_repeats(one) for name, one in logged.items()}
+        raise RecordError(faults)
+    ready = {name: _drop_repeats(one) for name, one in logged.items()}
     repeats = [name for name, one in ready.items() if np.any(np.diff(one.stamps) <= 0)]
     if repeats:
         said = " and ".join(repeats)
-        return {}, None, 0.0, [
+        raise RecordError(
             f"{said} has several values at one stamp, of which none can be left out; give sample_time without time if "
             "only the stamps are wrong."
-        ]  # fmt: skip
+        )
     T = how.sample_time
     first = max(one.stamps[0] + (T if one.channel.timing is Timing.AVERAGED else 0.0) for one in ready.values())
     last = min(one.stamps[-1] for one in ready.values())
     held = [one for one in ready.values() if how.method_for(one.channel.timing) == "hold"]
-    begin = _beginning(first, held, T)
+    begin = _find_beginning(first, held, T)
     samples = math.floor((last - begin) / T * (1 + 1e-12) + _ONE_INSTANT) + 1
     if not 2 <= samples <= _LARGEST:
-        return {}, None, 0.0, [
+        raise RecordError(
             f"The channels cover {max(last - begin, 0.0):g} s together, which is {max(samples, 0)} samples of {T:g} s; "
             f"expected 2 to {_LARGEST}: correct the sample time, or the time columns."
-        ]  # fmt: skip
+        )
     grid = begin + np.arange(samples) * T
     channels, methods = {}, {}
     for name, one in ready.items():
         methods[name] = how.method_for(one.channel.timing)
-        values = _taken(one, np.minimum(grid, one.stamps[-1]), methods[name], T)
+        values = _interpolate(one, np.minimum(grid, one.stamps[-1]), methods[name], T)
         held_on = one.channel.timing is not Timing.HELD or methods[name] == "hold"
         timing = one.channel.timing if held_on else Timing.SAMPLED  # of what is interpolated nothing is held
         channels[name] = replace(one.channel, values=values, sample_time=T, timing=timing)
     done = Resampled(T, methods, how.longest_gap, clocks, {name: one.clock for name, one in logged.items()})
-    return channels, done, begin, []
+    return channels, begin, done
 
 
 def _clock_faults(name: str, clock: Irregularity, how: Resampling) -> list[str]:
@@ -168,7 +160,7 @@ def _rate_faults(name: str, one: Stamped, clocks: Mapping[str, Irregularity], ho
     ]
 
 
-def _without_repeats(one: Stamped) -> Stamped:
+def _drop_repeats(one: Stamped) -> Stamped:
     """Return a channel without the samples that were logged twice, stamp and value."""
     again = (np.diff(one.stamps) == 0) & (np.diff(one.channel.values) == 0)
     if not again.any():
@@ -177,7 +169,7 @@ def _without_repeats(one: Stamped) -> Stamped:
     return replace(one, channel=replace(one.channel, values=one.channel.values[kept]), stamps=one.stamps[kept])
 
 
-def _beginning(first: float, held: list[Stamped], T: float) -> float:
+def _find_beginning(first: float, held: list[Stamped], T: float) -> float:
     """Return the first instant from `first` on, at the phase of the latest stamps of what is held.
 
     Stamps that jitter about a clock of period T fill an arc of the circle t mod T; an instant at its end has each
@@ -191,7 +183,7 @@ def _beginning(first: float, held: list[Stamped], T: float) -> float:
     return first + (phase if T - phase > _ONE_INSTANT * T else 0.0)
 
 
-def _taken(one: Stamped, grid: FloatArray, method: str, T: float) -> FloatArray:
+def _interpolate(one: Stamped, grid: FloatArray, method: str, T: float) -> FloatArray:
     """Return the values of a channel at the instants of the grid, which its stamps cover."""
     stamps, values = one.stamps, one.channel.values
     if method == "hold":

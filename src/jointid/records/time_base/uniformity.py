@@ -1,4 +1,4 @@
-"""How far the stamps of a clock are from a uniform one, and what was done about it."""
+"""Compare the stamps of a clock with a uniform one: jumps and jitter as faults, or as numbers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.records.checks.finite import finite_faults, format_count, format_instant
+
+CLOCK_TOLERANCE = 0.05
+"""Largest jitter of a time stamp step, as a share of the sample time.
+
+A twentieth of a sample is well below the half sample by which a held and an averaged torque differ, and well
+above the jitter of good loggers (0.004 % in EMPS) and of stamps rounded to a microsecond at 10 kHz (1 %).
+"""
+
+JUMP = 0.5
+"""A step this far from the sample time, as a share of it, is a jump: samples are missing or doubled."""
 
 GAP = 1.75
 """From so many sample times on a step leaves out samples: two stamps 30 % early and late are 1.6 apart."""
@@ -14,7 +26,7 @@ GAP = 1.75
 
 @dataclass(frozen=True, slots=True)
 class Irregularity:
-    """How far time stamps are from a uniform clock, which is the straight line of least squares through them.
+    """Deviation of time stamps from a uniform clock: the straight line of least squares through them.
 
     Attributes:
         sample_time: of the uniform clock, s.
@@ -40,15 +52,15 @@ class Irregularity:
         ]
         if self.gaps:
             left_out = f"{self.longest_gap} sample{'' if self.longest_gap == 1 else 's'}"
-            told.append(f"{_count(self.gaps, 'gap')} of up to {left_out}")
-        told += [_count(self.repeats, "repeated stamp")] if self.repeats else []
-        told += [_count(self.backward, "step back", "steps back")] if self.backward else []
+            told.append(f"{format_count(self.gaps, 'gap')} of up to {left_out}")
+        told += [format_count(self.repeats, "repeated stamp")] if self.repeats else []
+        told += [format_count(self.backward, "step back", "steps back")] if self.backward else []
         return ", ".join(told)
 
 
 @dataclass(frozen=True, slots=True)
 class Resampled:
-    """That a record was resampled, and how.
+    """Resampling that a record went through.
 
     Attributes:
         sample_time: of the record, s.
@@ -72,11 +84,11 @@ class Resampled:
 
 
 def resampled_lines(resampled: Resampled | None) -> tuple[str, ...]:
-    """Return the line of a table that says that a record was resampled; none where it was not."""
+    """Return the line of a table on the resampling of a record; none where it was not resampled."""
     return () if resampled is None else (f"resampled: {resampled}",)
 
 
-def irregularity(stamps: NDArray[np.float64]) -> Irregularity:
+def measure_irregularity(stamps: FloatArray) -> Irregularity:
     """Return how far stamps [s], shape (samples,), two or more and finite, are from a uniform clock.
 
     A stamp that is repeated is no further sample, and one that runs backward is.
@@ -100,5 +112,58 @@ def irregularity(stamps: NDArray[np.float64]) -> Irregularity:
     )
 
 
-def _count(number: int, noun: str, plural: str = "") -> str:
-    return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
+@np.errstate(over="ignore", invalid="ignore")
+def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, name: str = "The time") -> list[str]:
+    """Return the faults of a clock: stamps that do not run forward, jumps, and jitter beyond a tolerance.
+
+    The sample time is the median step. A step that is more than half a sample time off is a jump (samples
+    left out, a repeated or a backward stamp); what is less is jitter, judged by its largest value as a share
+    of the sample time.
+
+    Args:
+        stamps: time stamps [s], shape (samples,).
+        tolerance: largest jitter, as a share of the sample time; None for stamps that are resampled, which may jump.
+        name: what the sentences call the clock.
+    """
+    if stamps.size < 2:
+        return [f"{name} has a single stamp, which tells no sample time; give sample_time."]
+    faults = finite_faults(name, stamps)
+    if faults:
+        return faults
+    steps = np.diff(stamps)
+    sample_time = float(np.median(steps))
+    if sample_time <= 0:
+        return [
+            f"{name} does not run forward (its median step is {sample_time:g} s); name another time "
+            "column, or give sample_time without time."
+        ]
+    if tolerance is None:
+        return []
+    error = np.abs(steps / sample_time - 1)
+    jumped = error > max(JUMP, tolerance)
+    if jumped.any():
+        first = int(np.argmax(jumped))
+        faults.append(
+            f"{name} jumps {format_count(int(jumped.sum()), 'time')}: after sample {first}"
+            f"{format_instant(stamps, first)} it {_jump(float(steps[first]), sample_time)}; cut the record there, or "
+            "give sample_time without time if only the stamps are wrong."
+        )
+    jitter = np.where(jumped, 0.0, error)
+    if jitter.max() > tolerance:
+        first = int(np.argmax(jitter > tolerance))
+        faults.append(
+            f"{name} jitters by up to {jitter.max():.1%} of the sample time of {sample_time:g} s "
+            f"({np.sqrt(np.mean(jitter**2)):.1%} rms), first beyond {tolerance:.1%} after sample {first}"
+            f"{format_instant(stamps, first)}; give resample = {{ sample_time, method }}, or sample_time without time "
+            "if only the stamps jitter."
+        )
+    return faults
+
+
+def _jump(step: float, sample_time: float) -> str:
+    """Return what a step of the time that is no jitter does."""
+    if step == 0:
+        return "repeats its stamp"
+    lost = round(step / sample_time) - 1
+    late = f"leaves out {format_count(lost, 'sample')}" if lost > 0 else "steps early"
+    return f"{'runs backward' if step < 0 else late} (a step of {step:g} s, expected {sample_time:g} s)"

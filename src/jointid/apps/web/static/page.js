@@ -1,4 +1,4 @@
-// What the page does beyond its forms, which work without it: keep the draft, show what counts, send with progress,
+// What the page does beyond its forms, which work without it: keep the draft, show what counts, refuse large files,
 // follow an identification. Everything that is shown is set as text, never as HTML.
 "use strict";
 
@@ -48,7 +48,7 @@ let waiting = 0;
 function keep(form) {
   clearTimeout(waiting);
   waiting = setTimeout(() => {
-    fetch("/draft", { method: "POST", body: new URLSearchParams(new FormData(form)), keepalive: true }).catch(() => {});
+    fetch(form.dataset.draft, { method: "POST", body: new URLSearchParams(new FormData(form)), keepalive: true }).catch(() => {});
   }, 300);
 }
 
@@ -67,54 +67,21 @@ for (const form of all("form[data-draft]")) {
   });
 }
 
-// A file is sent with its progress, and refused before that if it is too large.
-function send(form) {
-  const said = form.querySelector("[data-said]");
-  const bar = form.querySelector("progress");
-  const button = form.querySelector("button");
+// A file that is too large is refused before it is sent.
+function fits(form) {
   const file = form.querySelector('input[type="file"]').files[0];
-  const most = Number(form.dataset.upload || 0);
-  said.textContent = "";
-  if (file && most && file.size > most) {
-    said.textContent = `${file.name} is larger than ${Math.floor(most / 2 ** 20)} MB, which is the most this page takes; cut it, or log it slower.`;
-    return;
-  }
-  const request = new XMLHttpRequest();
-  request.open("POST", form.action);
-  request.setRequestHeader("Accept", "application/json");
-  request.upload.addEventListener("progress", (event) => {
-    if (!bar) return;
-    bar.hidden = false;
-    bar.value = (100 * event.loaded) / event.total;
-  });
-  const failed = (text) => {
-    said.textContent = text;
-    button.disabled = false;
-    if (bar) bar.hidden = true;
-    say("");
-    form.querySelector('input[type="file"]').focus();
-  };
-  request.addEventListener("error", () => failed("The page cannot be reached; is jointid serve still running?"));
-  request.addEventListener("load", () => {
-    let answer = {};
-    try { answer = JSON.parse(request.responseText); } catch { answer = { said: request.responseText }; }
-    if (answer.to) location.assign(answer.to);
-    else failed(answer.said || "The file was refused.");
-  });
-  button.disabled = true;
-  say(`${form.dataset.busy} ...`);
-  request.send(new FormData(form));
+  const most = Number(form.dataset.upload);
+  const tooLarge = file && file.size > most;
+  form.querySelector("[data-too-large]").textContent = tooLarge
+    ? `${file.name} is larger than ${Math.floor(most / 2 ** 20)} MB, which is the most this page takes; cut it, or log it slower.`
+    : "";
+  return !tooLarge;
 }
 
 for (const form of all("form")) {
   form.addEventListener("submit", (event) => {
-    if (form.dataset.confirm && !confirm(form.dataset.confirm)) {
+    if (form.dataset.upload && !fits(form)) {
       event.preventDefault();
-      return;
-    }
-    if (form.dataset.upload !== undefined) {
-      event.preventDefault();
-      send(form);
       return;
     }
     clearTimeout(waiting);
@@ -157,11 +124,8 @@ if (run) {
     line.textContent = JSON.parse(event.data);
     log.append(line);
     log.scrollTop = log.scrollHeight;
-    run.querySelector("[data-state]").textContent = "Running";
   });
-  source.addEventListener("state", (event) => {
-    const state = JSON.parse(event.data);
-    if (state === "queued" || state === "running") return;
+  source.addEventListener("end", () => {
     source.close();
     location.reload();
   });

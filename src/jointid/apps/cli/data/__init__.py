@@ -1,0 +1,1 @@
+"""`jointid data`: files of records, without identifying anything."""

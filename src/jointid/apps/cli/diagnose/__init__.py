@@ -1,0 +1,1 @@
+"""`jointid diagnose`: what an estimate is worth, one question a command."""

@@ -1,0 +1,149 @@
+"""The folder in which the page keeps everything: the record, the entries of the form, and a folder of each run."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import secrets
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from jointid.common.errors import JointidError
+from jointid.records.formats import format_of
+
+
+class PageError(JointidError):
+    """A request that the page refuses, in a sentence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One identification: its folder, whose `run.json` holds its state."""
+
+    folder: Path
+
+    @property
+    def number(self) -> int:
+        """Counted from 1."""
+        return int(self.folder.name)
+
+    @property
+    def status(self) -> dict[str, Any]:
+        """State ("running", "done", "refused", "failed", "cancelled"), sentence, and when it started and ended.
+
+        The times are seconds since the epoch.
+        """
+        return read_json(self.folder / "run.json") or {"state": "gone", "sentence": "It has been removed."}
+
+    @property
+    def active(self) -> bool:
+        """Whether it has not ended."""
+        return bool(self.status["state"] == "running")
+
+    def update(self, **values: object) -> None:
+        """Change its status, unless its folder has been removed."""
+        with contextlib.suppress(FileNotFoundError):
+            write_json(self.folder / "run.json", self.status | values)
+
+    def read_progress(self) -> list[str]:
+        """Return the complete lines of progress printed so far."""
+        try:
+            text = (self.folder / "progress.txt").read_text(encoding="utf-8", errors="replace")
+        except OSError:
+            return []
+        return text.split("\n")[:-1]
+
+    def has(self, name: str) -> bool:
+        """Whether its folder holds a file of that name."""
+        return (self.folder / name).is_file()
+
+
+@dataclass(frozen=True, slots=True)
+class Folder:
+    """The folder of the page."""
+
+    path: Path
+
+    @property
+    def draft(self) -> dict[str, str]:
+        """The entries of the form, by field."""
+        return read_json(self.path / "draft.json") or {}
+
+    def save_draft(self, draft: Mapping[str, str]) -> None:
+        """Keep the entries of the form."""
+        write_json(self.path / "draft.json", draft)
+
+    @property
+    def record(self) -> dict[str, Any] | None:
+        """The record: `file` in this folder, `name` for the eye, `size` in bytes, `format`; None if there is none."""
+        return read_json(self.path / "record.json")
+
+    def save_record(self, fresh: Path, name: str, draft: Mapping[str, str]) -> None:
+        """Put a file in the record's place.
+
+        Args:
+            fresh: the file, in this folder.
+            name: under which it came.
+            draft: entries of the form that go with it.
+        """
+        old = self.record
+        if old is not None:
+            (self.path / old["file"]).unlink(missing_ok=True)
+        path = fresh.replace(fresh.with_name(f"record{fresh.suffix}"))
+        (self.path / "checked.json").unlink(missing_ok=True)
+        size, kind = path.stat().st_size, format_of(path).name
+        write_json(self.path / "record.json", {"file": path.name, "name": name, "size": size, "format": kind})
+        self.save_draft(draft)
+
+    @property
+    def preview(self) -> dict[str, Any] | None:
+        """The columns of the record, see `jointid.apps.web.preview`; None if it could not be read yet."""
+        return read_json(self.path / "preview.json")
+
+    def drop_preview(self) -> None:
+        """Remove the preview of a record that is to be read in another way."""
+        (self.path / "preview.json").unlink(missing_ok=True)
+
+    @property
+    def runs(self) -> list[Run]:
+        """All identifications, the latest first."""
+        found = [Run(path) for path in (self.path / "runs").glob("*") if path.name.isdigit()]
+        return sorted(found, key=lambda run: -run.number)
+
+    def run(self, number: int) -> Run | None:
+        """Return one identification, None if there is none of that number."""
+        run = Run(self.path / "runs" / str(number))
+        return run if run.folder.is_dir() else None
+
+    def new_run(self) -> Run:
+        """Make the folder of a further identification."""
+        runs = self.runs
+        run = Run(self.path / "runs" / str(runs[0].number + 1 if runs else 1))
+        run.folder.mkdir(parents=True)
+        return run
+
+    def close_interrupted(self) -> None:
+        """Mark the run during which an earlier page was killed as ended."""
+        for run in self.runs:
+            if run.active:
+                sentence = "The page was stopped before this had ended; press Identify again."
+                run.update(state="failed", sentence=sentence, ended=time.time())
+
+
+def read_json(path: Path) -> dict[str, Any] | None:
+    """Return a file of ours, None if it is not there."""
+    try:
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found
+
+
+def write_json(path: Path, value: Mapping[str, Any]) -> None:
+    """Write a file of ours at once: who reads it sees the old one or the new one."""
+    beside = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
+    beside.write_text(json.dumps(value, ensure_ascii=False), encoding="utf-8")
+    beside.replace(path)

@@ -1,0 +1,222 @@
+"""Settings, declared once: a field of a dataclass with its unit, its bounds and its meaning.
+
+The joint file's key, its check and its documentation, and the page's field are made from the declaration; a dataclass
+refuses what it does not allow by `check_settings`.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields
+from enum import StrEnum
+from functools import lru_cache
+from numbers import Integral, Real
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from jointid.common import messages
+from jointid.common.errors import FaultsError, JointidError, MethodError
+from jointid.common.messages import Says
+
+T = TypeVar("T")
+
+_KEY = "setting"  # of a field's metadata
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """The declaration of one setting, beside its name, type and default.
+
+    Attributes:
+        help: its meaning, a phrase.
+        unit: of its value.
+        above: what its value is greater than. at_least: what it is not less than. at_most: what it is not greater than.
+        infinite: whether its value may be infinite.
+        nonzero: whether its value may not be 0.
+        only: the whole numbers that are allowed, where they are few.
+        negative: the remedy for a negative number, where there is one beside correcting it.
+        none: the word of the joint file for None, where leaving the key out means something else.
+        expected: what is expected of a value, in words, where type and bounds do not say it.
+        accept: refuses a value by raising a `JointidError`.
+        choices: the words that are allowed, where the type does not list them.
+    """
+
+    help: str
+    unit: str = ""
+    above: float | None = None
+    at_least: float | None = None
+    at_most: float | None = None
+    infinite: bool = False
+    nonzero: bool = False
+    only: tuple[int, ...] = ()
+    negative: str = ""
+    none: str = ""
+    expected: str = ""
+    accept: Callable[[Any], object] | None = None
+    choices: tuple[str, ...] = ()
+
+    @property
+    def description(self) -> str:
+        """Its meaning, and its unit in brackets."""
+        return f"{self.help} [{self.unit}]" if self.unit else self.help
+
+
+def declare(help: str, **declared: Any) -> Mapping[str, Setting]:  # noqa: A002
+    """Return the metadata of a field that is a setting, for one without a default; see `Setting`."""
+    return {_KEY: Setting(help, **declared)}
+
+
+def setting(default: Any, help: str, **declared: Any) -> Any:  # noqa: A002
+    """Return the field of a setting that has a default; see `Setting`."""
+    return field(default=default, metadata=declare(help, **declared))
+
+
+@dataclass(frozen=True, slots=True)
+class Declared:
+    """A setting as its dataclass declares it.
+
+    Attributes:
+        name: of the field.
+        type: of its value, without None.
+        optional: whether its value may be None.
+        default: of the field; `dataclasses.MISSING` where it has none.
+        setting: its declaration.
+        factory: makes its default, where that is not a value.
+    """
+
+    name: str
+    type: Any
+    optional: bool
+    default: Any
+    setting: Setting
+    factory: Callable[[], Any] | None = None
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """The words among which it chooses, none where it takes other values."""
+        if get_origin(self.type) is Literal:
+            return tuple(str(choice) for choice in get_args(self.type))
+        if isinstance(self.type, type) and issubclass(self.type, StrEnum):
+            return tuple(choice.value for choice in self.type)
+        return self.setting.choices
+
+    @property
+    def required(self) -> bool:
+        """True if it has no default."""
+        return self.default is MISSING and self.factory is None
+
+    @property
+    def says(self) -> Says:
+        """The value that is expected, in words."""
+        return Says(self.setting.expected or self._expected, self.setting.negative)
+
+    @property
+    def _expected(self) -> str:
+        if self.choices:
+            return messages.either(self.choices)
+        if self.setting.only:
+            return " or ".join(map(str, self.setting.only))
+        return self._range if self.type in (int, float) else _WORDS.get(self.type, "a table")
+
+    @property
+    def _range(self) -> str:
+        noun = "whole number" if self.type is int else "number"
+        if self.setting.above is not None:
+            return f"a positive {noun}" if self.setting.above == 0 else f"a {noun} above {self.setting.above:g}"
+        if self.setting.at_least is not None:
+            most = self.setting.at_most
+            return f"a {noun}, {self.setting.at_least:g} {'or more' if most is None else f'to {most:g}'}"
+        return f"a {noun} other than 0" if self.setting.nonzero else f"a {noun}"
+
+    def fault(self, value: Any) -> str | None:
+        """Return the rest of the sentence on a value that is not allowed, None for one that is."""
+        if self._allows(value):
+            return None
+        if self.choices:
+            return messages.no_choice(value, self.choices)
+        return messages.unexpected(value, self.says, optional=not self.required)
+
+    def _allows(self, value: Any) -> bool:
+        if value is None:
+            return self.optional
+        if self.choices:
+            return isinstance(value, str) and value in self.choices
+        if self.type is bool or (self.type in (int, float) and isinstance(value, bool)):
+            return self.type is bool and isinstance(value, bool)
+        if self.type in (int, float):
+            return isinstance(value, Integral if self.type is int else Real) and self._within(float(value))
+        return self.type != tuple[int, int] or _is_pair(value)  # a part checks itself
+
+    def _within(self, value: float) -> bool:
+        declared = self.setting
+        return (
+            (math.isfinite(value) or (declared.infinite and not math.isnan(value)))
+            and (declared.above is None or value > declared.above)
+            and (declared.at_least is None or value >= declared.at_least)
+            and (declared.at_most is None or value <= declared.at_most)
+            and not (declared.nonzero and value == 0)
+            and (not declared.only or value in declared.only)
+        )
+
+
+def _is_pair(value: Any) -> bool:
+    return len(value) == 2 and all(isinstance(one, int) and one >= 0 for one in value)
+
+
+_WORDS: Mapping[Any, str] = {
+    bool: "true or false",
+    str: "text in quotes",
+    tuple[str, ...]: "a list of names in quotes",
+    tuple[int, int]: "a list of two whole numbers, 0 or more",
+    tuple[float, ...]: "a list of one or more numbers",
+}
+
+
+@lru_cache(maxsize=256)
+def settings_of(owner: type) -> tuple[Declared, ...]:
+    """Return the settings of a dataclass, in its order; a field that is not declared as one is none."""
+    hints = get_type_hints(owner)
+    return tuple(_declared(one, hints[one.name]) for one in fields(owner) if _KEY in one.metadata)
+
+
+def _declared(one: Field[Any], hint: Any) -> Declared:
+    parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    kept = [part for part in parts if part is not NoneType]
+    factory = None if one.default_factory is MISSING else one.default_factory
+    kind = kept[0] if len(kept) == 1 else hint
+    return Declared(one.name, kind, len(kept) < len(parts), one.default, one.metadata[_KEY], factory)
+
+
+def check_settings(owner: Any, error: type[JointidError] = MethodError, called: str = "") -> None:
+    """Refuse a dataclass a setting of which has a value that its declaration does not allow.
+
+    Args:
+        owner: the dataclass, from its ``__post_init__``.
+        error: that is raised.
+        called: what sentences call it, instead of by its type.
+
+    Raises:
+        JointidError: of that type, with a sentence for each such setting.
+    """
+    kind: Any = type(owner)  # mypy does not take a type for something with a hash
+    found = ((one.name, one.fault(getattr(owner, one.name))) for one in settings_of(kind))
+    before = f"{called}: " if called else f"{kind.__name__}."
+    faults = [f"{before}{name}{fault}" for name, fault in found if fault is not None]
+    if faults:
+        raise error(faults if issubclass(error, FaultsError) else "\n".join(faults))  # type: ignore[arg-type]
+    for one in settings_of(kind):
+        if one.setting.accept is not None and (value := getattr(owner, one.name)) is not None:
+            one.setting.accept(value)
+
+
+def documented(owner: type[T]) -> type[T]:
+    """Add the settings of a dataclass to its docstring, as its attributes."""
+    lines = [
+        f"    {one.name}: {text}."
+        for one in fields(owner)  # type: ignore[arg-type]
+        if _KEY in one.metadata and (text := one.metadata[_KEY].description)
+    ]
+    owner.__doc__ = "\n".join([(inspect.cleandoc(owner.__doc__ or "")), "", "Attributes:", *lines])
+    return owner

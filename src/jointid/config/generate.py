@@ -1,0 +1,151 @@
+"""Tables of the joint file made from the dataclasses whose settings they hold: a key for each setting.
+
+What a key may hold, its default and its description are those of the setting's declaration (`jointid.common.settings`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import AfterValidator, Field, create_model
+
+from jointid.common.settings import Declared, settings_of
+from jointid.config.table import Table, accept_by
+from jointid.config.values import MOST, Borders, Coefficients, ControllerNumbers, Flag, Names, Text
+
+T = TypeVar("T", bound=Table)
+Typed = tuple[Any, Any]
+"""The annotation of a key, and its default, or what makes it; ... for one that is required."""
+
+_PLAIN: Mapping[Any, Any] = {
+    bool: Flag, str: Text, tuple[str, ...]: Names, tuple[int, int]: Borders, tuple[float, ...]: Coefficients,
+    Mapping[str, float]: ControllerNumbers,
+}  # fmt: skip
+
+
+def keys_from(
+    *owners: type, without: Collection[str] = (), types: Mapping[str, Typed] | None = None
+) -> Callable[[type[T]], type[T]]:
+    """Return the decorator that gives a table a key for each setting of some dataclasses.
+
+    A key that several of them have is optional and says what it means in each, unless they declare it alike.
+
+    Args:
+        owners: the dataclasses.
+        without: names of settings that are no keys, or that the table declares itself.
+        types: annotation and default of keys that hold a table, or something else that is not a setting's own type.
+    """
+    declared: dict[str, list[Declared]] = {}
+    for owner in owners:
+        for one in settings_of(owner):
+            if one.name not in without:
+                declared.setdefault(one.name, []).append(one)
+    return _complete_with({name: _key(same, (types or {}).get(name)) for name, same in declared.items()})
+
+
+def keys_of_kinds(kinds: Mapping[str, type]) -> Callable[[type[T]], type[T]]:
+    """Return the decorator that gives a table every key of several kinds, each optional and described by its kinds.
+
+    Args:
+        kinds: the dataclass of each kind, by the word for it.
+    """
+    declared: dict[str, list[tuple[str, Declared]]] = {}
+    for kind, owner in kinds.items():
+        for one in settings_of(owner):
+            declared.setdefault(one.name, []).append((kind, one))
+    keys: dict[str, Typed] = {}
+    for name, same in declared.items():
+        described = "; ".join(f"of {kind}: {one.setting.help}" for kind, one in same)
+        unit = same[0][1].setting.unit
+        keys[name] = (
+            annotation_of(same[0][1]) | None,
+            Field(None, description=f"{described} [{unit}]" if unit else described),
+        )
+    return _complete_with(keys)
+
+
+def _complete_with(keys: Mapping[str, Typed]) -> Callable[[type[T]], type[T]]:
+    def complete(table: type[T]) -> type[T]:
+        make: Any = create_model
+        made: type[T] = make(table.__name__, __base__=table, __module__=table.__module__, __doc__=table.__doc__, **keys)
+        return made
+
+    return complete
+
+
+def _key(same: Sequence[Declared], typed: Typed | None) -> Typed:
+    """Return annotation and field of a key, from its declarations."""
+    described = "; ".join(dict.fromkeys(one.setting.description for one in same))
+    annotation, default = typed or (annotation_of(same[0]), _default(same))
+    if callable(default):
+        return annotation, Field(default_factory=default, description=described)
+    return annotation if default is not None else annotation | None, Field(default, description=described)
+
+
+def _default(same: Sequence[Declared]) -> Any:
+    """Return a key's default: None for one that may be left out without one, or with one that differs."""
+    defaults = {str(one.default): one for one in same}
+    if len(defaults) > 1:
+        return None
+    if same[0].required:
+        return ...
+    if same[0].factory is not None:
+        return same[0].factory
+    return _plain(same[0].default)
+
+
+def _plain(value: Any) -> Any:
+    """Return a default as TOML has it; None where it has no word for it."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, tuple):
+        return list(value)
+    return str(value) if isinstance(value, str) else value
+
+
+def annotation_of(one: Declared) -> Any:
+    """Return what pydantic is to check of a setting's value."""
+    found = _annotation_of(one)
+    if one.setting.accept is not None:
+        found = Annotated[found, accept_by(one.setting.accept)]
+    return found | Literal[one.setting.none] if one.setting.none else found
+
+
+def _annotation_of(one: Declared) -> Any:
+    declared = one.setting
+    if declared.choices and declared.accept is not None:
+        return Annotated[Text, Field(json_schema_extra={"enum": list(declared.choices)})]
+    if one.choices:
+        return Literal[*one.choices]
+    if declared.only:
+        return Annotated[
+            int, AfterValidator(_one_of(declared.only)), Field(json_schema_extra={"enum": [*declared.only]}), one.says
+        ]
+    if one.type is float:
+        bounds = Field(gt=declared.above, ge=declared.at_least, le=declared.at_most, allow_inf_nan=declared.infinite)
+        return Annotated[float, bounds, AfterValidator(_check_allowed(one)), one.says]
+    if one.type is int:
+        return Annotated[int, Field(gt=declared.above, ge=declared.at_least, le=declared.at_most or MOST), one.says]
+    return _PLAIN[one.type]
+
+
+def _check_allowed(one: Declared) -> Callable[[float], float]:
+    """Return the validator of what bounds do not say: that a number is one, and not 0."""
+
+    def check(value: float) -> float:
+        if one.fault(value) is not None:
+            raise ValueError
+        return value
+
+    return check
+
+
+def _one_of(known: Collection[int]) -> Callable[[int], int]:
+    def check(value: int) -> int:
+        if value not in known:  # a Literal would take true for 1
+            raise ValueError
+        return value
+
+    return check

@@ -1,0 +1,126 @@
+"""Identification from one record: the method is chosen, and parameters beyond their bounds are held there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TypeAlias
+
+from jointid.common.errors import MethodError
+from jointid.common.progress import Progress, silent
+from jointid.estimation.methods.cross_axis import record_warnings
+from jointid.estimation.methods.didim import DIDIM, identify_didim
+from jointid.estimation.methods.drive_side import DriveSideFit, identify_drive_side
+from jointid.estimation.methods.flexible import FlexibleDIDIM, identify_flexible
+from jointid.estimation.methods.idim import IDIM, identify_idim
+from jointid.estimation.methods.open_loop import OpenLoopFit, identify_open_loop
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.joints import Joint
+from jointid.models.parameters import Parameter, Quantity, adjusted
+from jointid.records.checks.record_checks import check_record
+from jointid.records.checks.record_warnings import find_record_warnings
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.drive_side import DriveSide
+from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.open_loop import OpenLoop
+
+Method: TypeAlias = DIDIM | FlexibleDIDIM | IDIM | DriveSideFit | OpenLoopFit
+
+
+def identify_record(
+    record: Record,
+    model: ClosedLoop | DriveSide | OpenLoop | Joint,
+    method: Method | None = None,
+    *,
+    filtering: Filtering | None = None,
+    parameters: Mapping[str, Parameter] | None = None,
+    progress: Progress = silent,
+) -> Estimate:
+    """Return the estimate from one record; see `jointid.identify`.
+
+    A parameter that comes out beyond its bounds is kept at the bound, with a warning, and the others identified anew.
+    """
+    loop = model if isinstance(model, ClosedLoop) else None
+    joint = model.joint if isinstance(model, ClosedLoop | DriveSide | OpenLoop) else model
+    of_closing = {DriveSide: DriveSideFit, OpenLoop: OpenLoopFit}.get(type(model))
+    chosen = method or (of_closing() if of_closing else default_method(joint, loop is not None))
+    wanted = adjusted(joint.parameters, parameters or {})
+    check_record(record)
+    estimate = _identified(record, joint, loop, chosen, filtering or Filtering(), wanted, progress)
+    bounds: list[str] = []
+    simulations = estimate.fit.simulations
+    while (beyond := _beyond(record, estimate, wanted)) is not None:
+        value, p = beyond
+        bounds.append(f"{p.name} is at its bound: without it, it would be {value:.4g} {joint.unit(p)}")
+        progress(bounds[-1])
+        wanted = tuple(_at_bound(q, value) if q.name == p.name else q for q in wanted)
+        estimate = _identified(record, joint, loop, chosen, filtering or Filtering(), wanted, progress)
+        simulations += estimate.fit.simulations
+    warnings = (*bounds, *estimate.checks.warnings, *record_warnings(record, estimate))
+    return estimate.amended(
+        fit={"simulations": simulations}, checks={"warnings": warnings}, data={"resampled": record.resampled}
+    )
+
+
+def _beyond(record: Record, estimate: Estimate, wanted: tuple[Parameter, ...]) -> tuple[float, Parameter] | None:
+    """Return the free parameter that is farthest beyond its bounds, in its own deviations, with its value.
+
+    Raises:
+        MethodError: an inertia is not positive, for which no bound is a remedy.
+    """
+    found = [(estimate.values[p.name], p) for p in wanted if p.free and p.name in estimate.values]
+    for value, p in found:
+        if p.quantity is Quantity.INERTIA and value <= 0:
+            known = "".join(f"; {note}" for note in find_record_warnings(record, estimate.data.channels))
+            raise MethodError(
+                f"The record gives {p.name} = {value:.4g}, which no joint has: the torque or the motion has the wrong "
+                f"sign (set sign = -1), or they do not belong together{known}."
+            )
+    outside = [(value, p) for value, p in found if not p.lower <= value <= p.upper]
+    return max(outside, key=lambda pair: _excess(pair[0], pair[1], estimate), default=None)
+
+
+def _excess(value: float, p: Parameter, estimate: Estimate) -> float:
+    return max(p.lower - value, value - p.upper) / (estimate[p.name].stderr or abs(value) or 1.0)
+
+
+def _at_bound(p: Parameter, value: float) -> Parameter:
+    return p.fixed(p.lower if value < p.lower else p.upper)
+
+
+def _identified(
+    record: Record,
+    joint: Joint,
+    loop: ClosedLoop | None,
+    method: Method,
+    filtering: Filtering,
+    parameters: tuple[Parameter, ...],
+    progress: Progress,
+) -> Estimate:
+    if isinstance(method, DriveSideFit):
+        return identify_drive_side(record, DriveSide(joint), parameters, filtering, method, progress)
+    if isinstance(method, OpenLoopFit):
+        return identify_open_loop(record, OpenLoop(joint), parameters, filtering, method, progress)
+    if isinstance(method, IDIM):
+        delay = loop.controller.law(record.torque.sample_time).delay if loop and record.torque else 0.0
+        return identify_idim(record, joint, parameters, filtering, delay, method, loop)
+    if loop is None:
+        raise MethodError(
+            "DIDIM simulates the closed loop, so it needs the controller; give a ClosedLoop, or use IDIM with a "
+            "motor_position."
+        )
+    if isinstance(method, FlexibleDIDIM) != (joint.model == "flexible"):
+        raise MethodError(
+            f"{type(method).__name__} is not for a {joint.model} joint; "
+            f"use {type(default_method(joint, True)).__name__}."
+        )
+    if isinstance(method, FlexibleDIDIM):
+        return identify_flexible(record, loop, parameters, filtering, method, progress)
+    return identify_didim(record, loop, parameters, filtering, method, progress)
+
+
+def default_method(joint: Joint, controlled: bool) -> Method:
+    """Return DIDIM for the joint's model where the controller is known, else IDIM."""
+    if not controlled:
+        return IDIM()
+    return FlexibleDIDIM() if joint.model == "flexible" else DIDIM()

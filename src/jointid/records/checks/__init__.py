@@ -1,0 +1,1 @@
+"""Check a record: finite numbers, plausible scale and limits; and warn of what limits its use."""

@@ -1,0 +1,1 @@
+"""Inspect, convert and write files of any format."""

@@ -1,0 +1,1 @@
+"""Read a record: whole from a file, or in chunks."""

@@ -1,0 +1,339 @@
+"""Signals: zero-phase filters, derivatives, decimation, and torque brought to the instants of the positions.
+
+Everything that is compared or regressed goes through the same `Filtering`, torque and every column alike, so that
+what the filter takes from one side it takes from the other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError, RecordError
+from jointid.common.settings import check_settings, documented, setting
+from jointid.records.record import Channel, Timing
+from jointid.records.signals.modes import Modes, Thinning
+
+if TYPE_CHECKING:
+    from typing import Self
+
+# Default cut-offs of positions and of the decimation, as fractions of the sampling frequency: at 1 kHz 100 and 40 Hz
+# for a rigid joint, and for a flexible one 150 and 60 Hz, five times and twice the mode of the paper's axis.
+_CUTOFFS = {"rigid": (0.1, 0.04), "flexible": (0.15, 0.06)}
+_ROOM = 0.8  # of the new Nyquist frequency is left to the pass band
+_RIPPLE = 0.05  # dB of the decimation filter
+_ORDER = 8  # of the decimation filter
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class Filtering:
+    """Filters that measured and simulated signals go through before they are compared."""
+
+    position_cutoff: float | None = setting(
+        None,
+        "cut-off of the Butterworth low-pass on measured positions, which only IDIM needs; at least five times the "
+        "highest mode to be seen; without it 10 % of the sampling frequency, for a flexible joint 15 %",
+        unit="Hz",
+        above=0,
+    )
+    cutoff: float | None = setting(
+        None,
+        "cut-off of the decimation filter on torque and columns; for a rigid model below a fifth of the first mode, "
+        "for a flexible one above the mode; without it 4 % of the sampling frequency, for a flexible joint 6 %",
+        unit="Hz",
+        above=0,
+    )
+    decimation: int | None = setting(
+        None,
+        "one sample is kept in so many; without it as many as leave the cut-off within 80 % of the new Nyquist "
+        "frequency",
+        at_least=1,
+    )
+    borders: tuple[int, int] = setting((50, 50), "samples dropped at the start and at the end")
+    timing: Literal["respected", "as_sampled"] = setting(
+        "respected",
+        "whether a held or averaged torque is brought to the instants of the positions, or read half a period early, "
+        "as published results were",
+    )
+    aliasing: Literal["refused", "warned"] = setting(
+        "refused",
+        "whether a decimation that leaves the cut-off above 80 % of the new Nyquist frequency is refused, or done; "
+        "where it is above that frequency itself, DIDIM of a flexible joint warns of it",
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    @classmethod
+    def published(cls) -> Self:
+        """Return the filtering of the EMPS benchmark report, to every digit of its results.
+
+        Butterworth at 100 Hz; the first 49 samples dropped; Chebyshev at 40 Hz, one sample in ten; torque read as
+        sampled.
+        """
+        return cls(position_cutoff=100.0, cutoff=40.0, decimation=10, borders=(49, 0), timing="as_sampled")
+
+    @classmethod
+    def as_printed(cls) -> Self:
+        """Return the paper's filtering for a flexible joint: 60 Hz, one sample in twelve, which aliases at 1 kHz."""
+        return cls(cutoff=60.0, decimation=12, aliasing="warned")
+
+    def warnings(self, sample_time: float) -> tuple[str, ...]:
+        """Return the warnings on this filtering, which must be `resolved`."""
+        assert self.cutoff is not None
+        assert self.decimation is not None
+        nyquist = 0.5 / (sample_time * self.decimation)
+        if self.cutoff <= nyquist:
+            return ()
+        return (
+            f"one sample in {self.decimation} has its Nyquist frequency at {nyquist:.1f} Hz, below the cut-off of "
+            f"{self.cutoff:g} Hz: what lies between is folded onto lower frequencies, as the paper printed it",
+        )
+
+    def resolved(self, sample_time: float, model: str = "rigid") -> Filtering:
+        """Return this filtering with every default filled in for signals of that sample time and a joint's model.
+
+        Raises:
+            MethodError: a cut-off is at or above the Nyquist frequency, or the decimation would alias.
+        """
+        nyquist = 0.5 / sample_time
+        position = self.position_cutoff or _CUTOFFS[model][0] / sample_time
+        cutoff = self.cutoff or _CUTOFFS[model][1] / sample_time
+        for name, value in (("position_cutoff", position), ("cutoff", cutoff)):
+            if value >= nyquist:
+                raise MethodError(
+                    f"{name} = {value:g} Hz is not below the Nyquist frequency of {nyquist:g} Hz; lower it."
+                )
+        most = max(math.floor(_ROOM * nyquist / cutoff + 1e-9), 1)
+        if self.decimation is not None and self.decimation > most and self.aliasing == "refused":
+            raise MethodError(
+                f"Keeping one sample in {self.decimation} puts the new Nyquist frequency at "
+                f"{nyquist / self.decimation:.4g} Hz, too close to the cut-off of {cutoff:g} Hz: keep at least one "
+                f"in {most}, or lower the cut-off."
+            )
+        return replace(self, position_cutoff=position, cutoff=cutoff, decimation=self.decimation or most)
+
+
+def lowpass(values: FloatArray, cutoff: float, sample_time: float, order: int = 4) -> FloatArray:
+    """Return `values` through a Butterworth filter forwards and backwards: no phase, twice the attenuation.
+
+    Args:
+        values: (samples,) or (samples, columns).
+        cutoff: Hz.
+        sample_time: seconds.
+        order: of the filter; for IDIM the highest derivative plus 2.
+
+    Ends are padded by 3 x order samples, reflected about the end point. Raises `RecordError` on a shorter signal.
+    """
+    return _filter_both_ways(
+        *_design_butterworth(2 * cutoff * sample_time, order), values, _require_padding(values, order)
+    )
+
+
+def _require_padding(values: FloatArray, order: int) -> int:
+    padding = 3 * order
+    if len(values) <= padding:
+        raise RecordError(
+            f"A record of {len(values)} samples is too short to filter: more than {padding} are needed; "
+            "use a longer record."
+        )
+    return padding
+
+
+def _filter_both_ways(sections: FloatArray, settled: FloatArray, values: FloatArray, padding: int) -> FloatArray:
+    """Return values filtered both ways, as `scipy.signal.sosfiltfilt`, which works out what has settled every time.
+
+    Args:
+        sections: of the filter.
+        settled: (sections, 2) their states at a constant 1.
+        values: (samples,) or (samples, columns).
+        padding: samples by which the ends are reflected about their ends.
+    """
+    from scipy.signal import sosfilt
+
+    before = 2 * values[:1] - values[padding:0:-1]
+    behind = 2 * values[-1:] - values[-2 : -padding - 2 : -1]
+    line = np.concatenate([before, values, behind])
+    states = settled.reshape(*settled.shape, *(1,) * (values.ndim - 1))
+    for _ in range(2):  # each time through what was turned round
+        line = sosfilt(sections, line, axis=0, zi=states * line[0])[0][::-1]
+    return np.asarray(line[padding : line.shape[0] - padding])
+
+
+def thin_channel(channel: Channel, sample_time: float) -> Channel:
+    """Return a sampled channel at a clock that is a whole number of times slower: every so many samples; else as it is.
+
+    Nothing is filtered first: a position moves slowly against a torque's clock, and what noise it has is folded down.
+    """
+    ratio = sample_time / channel.sample_time
+    every = round(ratio)
+    if channel.timing is not Timing.SAMPLED or every < 2 or abs(ratio / every - 1) > 1e-9:
+        return channel
+    return replace(channel, values=channel.values[::every], sample_time=sample_time)
+
+
+def differentiate(values: FloatArray, sample_time: float) -> FloatArray:
+    """Return central differences, one-sided at the two ends; along the first axis."""
+    return np.asarray(np.gradient(values, sample_time, axis=0))
+
+
+def decimate(values: FloatArray, filtering: Filtering, sample_time: float) -> FloatArray:
+    """Return `values` low-passed both ways and thinned; `filtering` must be `resolved`.
+
+    Chebyshev type I of order 8 and 0.05 dB. Forwards and backwards it passes a constant at 0.9886, so it must be
+    applied to both sides of an equation. The last sample is always kept, and every so many before it.
+
+    Args:
+        values: (samples,) or (samples, columns).
+        filtering: cut-off and decimation.
+        sample_time: seconds.
+    """
+    cutoff, keep, first, padding = _plan_decimation(values, filtering, sample_time)
+    return _filter_both_ways(*_design_chebyshev(cutoff), values, padding)[first::keep]
+
+
+def decimate_all(parts: Sequence[FloatArray], filtering: Filtering, sample_time: float) -> list[FloatArray]:
+    """Decimate several signals as `decimate` does, to rounding, by the filter's `modes`.
+
+    Several times faster, where a search pays for loading the compiler.
+
+    Args:
+        parts: (samples,) or (samples, columns) each. Columns that stand one after the other are read where they stand.
+        filtering: cut-off and decimation.
+        sample_time: seconds.
+    """
+    cutoff, keep, first, padding = _plan_decimation(parts[0], filtering, sample_time)
+    series = [np.ascontiguousarray(np.atleast_2d(part.T), dtype=np.float64) for part in parts]
+    kept = _design_thinning(cutoff, keep, padding)(series, first)
+    ends = np.cumsum([len(each) for each in series])
+    return [
+        kept[end - len(each)] if part.ndim == 1 else kept[end - len(each) : end].T
+        for part, each, end in zip(parts, series, ends, strict=True)
+    ]
+
+
+def _plan_decimation(values: FloatArray, filtering: Filtering, sample_time: float) -> tuple[float, int, int, int]:
+    """Return the cut-off as a share of the Nyquist frequency, how many become one, which is first, and the padding."""
+    assert filtering.cutoff is not None
+    assert filtering.decimation is not None
+    keep, n = filtering.decimation, len(values)
+    first = keep - (keep * math.ceil(n / keep) - n) - 1
+    return 2 * filtering.cutoff * sample_time, keep, first, _require_padding(values, _ORDER)
+
+
+@lru_cache(maxsize=64)
+def _design_butterworth(cutoff: float, order: int) -> tuple[FloatArray, FloatArray]:
+    """Return a position filter's sections and their states at a constant 1: slow to design."""
+    from scipy.signal import butter, sosfilt_zi
+
+    sections = np.asarray(butter(order, cutoff, output="sos"))
+    return sections, np.asarray(sosfilt_zi(sections))
+
+
+@lru_cache(maxsize=64)
+def _design_chebyshev(cutoff: float) -> tuple[FloatArray, FloatArray]:
+    """Return the decimation filter's sections and their states at a constant 1: slow to design."""
+    from scipy.signal import cheby1, sosfilt_zi
+
+    sections = np.asarray(cheby1(_ORDER, _RIPPLE, cutoff, output="sos"))
+    return sections, np.asarray(sosfilt_zi(sections))
+
+
+@lru_cache(maxsize=64)
+def _design_thinning(cutoff: float, keep: int, padding: int) -> Thinning:
+    """Return the decimation filter by its modes; the cut-off as a fraction of the Nyquist frequency."""
+    from scipy.signal import cheby1
+
+    return Thinning.of(Modes.of(*cheby1(_ORDER, _RIPPLE, cutoff, output="zpk")), keep, padding)
+
+
+def differentiate_twice(values: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:
+    """Return first and second derivatives at the instants, from five samples each: exact to the fourth order.
+
+    Ends are reflected about the end point, so two samples at each end are of lower order.
+    """
+    p = np.pad(values, 2, mode="reflect", reflect_type="odd")
+    first = (p[:-4] - 8 * p[1:-3] + 8 * p[3:-1] - p[4:]) / (12 * sample_time)
+    second = (-p[:-4] + 16 * p[1:-3] - 30 * p[2:-2] + 16 * p[3:-1] - p[4:]) / (12 * sample_time**2)
+    return np.asarray(first), np.asarray(second)
+
+
+def apply_window(columns: FloatArray) -> FloatArray:
+    """Return signals through the window of `window_torque`: the mean over +-T, twice, by Simpson's rule.
+
+    Args:
+        columns: (samples, ...) at the instants.
+    """
+    for _ in range(2):
+        ends = np.concatenate([columns[:1], columns, columns[-1:]])
+        columns = (ends[:-2] + 4 * ends[1:-1] + ends[2:]) / 6
+    return columns
+
+
+def window_torque(channel: Channel, delay: float = 0.0) -> FloatArray:
+    """Return a torque through a triangular window, the mean over one sample time T on each side, twice, (samples,).
+
+    A torque held from t to t + T acts on the motion half a period after its stamp, and steps; positions are smooth.
+    Through this window, which for a held torque is exact (weights 1, 3, 3, 1 over 8), both can be compared instant by
+    instant: what the window takes from one side it takes from the other (`apply_window`).
+
+    Args:
+        channel: the torque; its timing says what a logged value stands for. A sampled one is taken to hold for half a
+            period on each side.
+        delay: seconds between the logged value and the torque that acts.
+    """
+    period, values = channel.sample_time, channel.values
+    begins = {Timing.HELD: 0.0, Timing.SAMPLED: -0.5, Timing.AVERAGED: -1.0}[channel.timing] + delay / period
+    weights, first = _window_weights(1, begins, 0)
+    padded = np.pad(values, (max(-first, 0), max(first + weights.size - 1, 0)), mode="edge")
+    begin = first + max(-first, 0)
+    return np.correlate(padded[begin : begin + values.size + weights.size - 1], weights, "valid")
+
+
+def _window_weights(parts: int, late: float, order: int) -> tuple[FloatArray, int]:
+    """Return the weights of the parts of samples in the window, and which part after the instant is the first of them.
+
+    Args:
+        parts: of a sample.
+        late: samples by which a signal is seen after it acts; may be broken, and negative.
+        order: of the derivative by `late` that is wanted, 0 to 2.
+    """
+    first, last = math.floor(parts * (-2.0 - late)), math.ceil(parts * (2.0 - late))
+    edges = np.arange(first, last + 1) / parts + late
+    inside = np.clip(edges, -2.0, 2.0)
+    before = (
+        0.5 + inside / 2.0 - inside * np.abs(inside) / 8.0,  # the share of the window before an edge
+        (2.0 - np.abs(inside)) / 4.0,
+        np.where(np.abs(edges) < 2.0, -np.sign(edges) / 4.0, 0.0),
+    )[order]
+    return np.diff(before), first
+
+
+def window_parts(columns: FloatArray, parts: int, late: float, order: int = 0) -> FloatArray:
+    """Return signals that are constant over parts of a sample through the window of `window_torque`, when they lag.
+
+    Args:
+        columns: (parts of all samples, columns); after the last sample there is none.
+        parts: of a sample.
+        late: samples by which a signal is seen after it acts; may be broken, and negative.
+        order: of the derivative by `late` that is wanted, 0 to 2.
+
+    Returns:
+        The signals, or their derivatives, at the instants, (samples, columns). Exact, and smooth in `late`.
+    """
+    weights, first = _window_weights(parts, late, order)
+    last = first + weights.size
+    size, before = len(columns) // parts + 1, max(-first, 0)
+    padded = np.pad(columns, ((before, max(last, 0)), (0, 0)), mode="edge")
+    seen = np.zeros((size, columns.shape[1]))
+    for cell, weight in zip(range(first, last), weights, strict=True):
+        begin = cell + before
+        seen += weight * padded[begin : begin + (size - 1) * parts + 1 : parts]
+    return seen

@@ -1,0 +1,121 @@
+"""Keys changed before a joint file is checked: `--set key=value`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from cyclopts import App
+
+from jointid.common.errors import JointFileError
+from jointid.config import loads
+from jointid.config.changes import apply_changes
+from tests.apps.commands import commands
+
+FILE = """
+[joint]
+kind = "prismatic"
+model = "flexible"
+[record.channels]
+torque = { column = "i" }
+reference = { column = "r" }
+[controller]
+law = "cascade"
+kp = 100.0
+kv = 2000.0
+torque_filters = [{ kind = "notch", frequency = 80.0, bandwidth = 20.0 }, { kind = "second_order", frequency = 300.0 }]
+[parameters]
+offset = 0.0
+"""
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ("method.frequency=30", {"method": {"frequency": 30}}),
+        (" method . frequency = 30.5 ", {"method": {"frequency": 30.5}}),
+        ("method.name=idim", {"method": {"name": "idim"}}),
+        ('method.name="idim"', {"method": {"name": "idim"}}),
+        ("joint.name=axis=3", None),
+        ('joint.name="axis = 3"', {"joint": {"name": "axis = 3"}}),
+        ("method.free=['kp', 'delay']", {"method": {"free": ["kp", "delay"]}}),
+        ("record.header=true", {"record": {"header": True}}),
+        ("parameters.inertia.upper=inf", {"parameters": {"inertia": {"upper": float("inf")}}}),
+        ("parameters.inertia={upper = 120.0}", {"parameters": {"inertia": {"upper": 120.0}}}),
+    ],
+)
+def test_a_change_is_a_key_and_a_value_in_toml(change: str, expected: dict[str, Any] | None) -> None:
+    if expected is None:
+        with pytest.raises(JointFileError, match="no value that TOML knows"):
+            apply_changes({}, [change])
+    else:
+        assert apply_changes({}, [change]) == expected
+
+
+def test_a_change_leaves_all_else_and_the_last_one_wins() -> None:
+    tables: dict[str, Any] = {"method": {"frequency": 10.0, "restarts": 1}, "joint": {"kind": "prismatic"}}
+    changed = apply_changes(tables, ["method.frequency=20", "method.frequency=30"])
+    assert changed == {"method": {"frequency": 30, "restarts": 1}, "joint": {"kind": "prismatic"}}
+    assert tables["method"]["frequency"] == 10.0
+
+
+def test_what_is_changed_is_what_is_loaded() -> None:
+    file = loads(FILE, changes=["method.frequency=30", "controller.torque_filters.0.frequency=70", "controller.ki=5"])
+    assert file == loads(
+        FILE.replace("frequency = 80.0", "frequency = 70.0").replace("kv =", "ki = 5.0\nkv =")
+        + "[method]\nfrequency = 30\n"
+    )
+
+
+def test_the_records_of_a_list_are_counted_from_1() -> None:
+    listed = FILE + '[[records]]\nfile = "a.csv"\n[[records]]\nfile = "b.csv"\n'
+    assert [run.added_inertia for run in loads(listed, changes=["records.2.added_inertia=10"]).runs] == [0.0, 10.0]
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ("method.frequenzy=30", "method.frequenzy is not a known key; expected one of "),
+        ("method.frequency=-3", "method.frequency is -3; expected a positive number: correct it, or leave it out."),
+        ("controller.kp=fast", 'controller.kp is "fast"; expected a number, 0 or more: correct it.'),
+        ("method.form=paper", "method.form is for DIDIM of a rigid joint, but the joint is flexible: "),
+        ("method", '--set "method" is not key=value; write it as "method.frequency=30".'),
+        ("a b=1", '--set "a b=1" names no key; expected one with points, as method.frequency: correct it.'),
+        ("method.frequency=", '--set "method.frequency=" has no value that TOML knows; expected a number, '),
+        ("parameters.offset.upper=3", "parameters.offset.upper is set, but parameters.offset is 0.0 and no table; "),
+        (
+            "controller.torque_filters.2.frequency=9",
+            "controller.torque_filters.2 is set, but controller.torque_filters lists 2, counted from 0; ",
+        ),
+    ],
+)
+def test_a_fault_of_a_change_is_one_sentence(change: str, sentence: str) -> None:
+    with pytest.raises(JointFileError) as caught:
+        loads(FILE, changes=[change])
+    (fault,) = caught.value.faults
+    assert fault.startswith(sentence)
+
+
+def test_a_key_that_is_not_known_is_answered_with_the_nearest() -> None:
+    with pytest.raises(JointFileError, match=r"did you mean frequency\?$"):
+        loads(FILE, changes=["method.frequenzy=30"])
+
+
+def test_every_command_that_takes_a_joint_file_takes_changes_of_it() -> None:
+    taking = set()
+    for name, arguments in commands().items():
+        names = {word for argument in arguments for word in argument.names}
+        if "JOINT" in names:
+            taking.add(name)
+            assert "--set" in names, name
+    assert {"identify", "report", "simulate", "tune", "diagnose loop"} <= taking
+
+
+def _commands(group: App, before: str = "") -> Iterator[tuple[str, App]]:
+    """Yield the commands of a program by name, those of its groups, too."""
+    for name in (name for name in group if not name.startswith("-")):
+        if group[name].default_command is None:
+            yield from _commands(group[name], f"{before}{name} ")
+        else:
+            yield before + name, group[name]

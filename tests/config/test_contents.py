@@ -1,0 +1,436 @@
+"""A joint file becomes the objects that the verbs take."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import get_args, get_type_hints
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import JointFileError, MethodError
+from jointid.config import (
+    JointFile,
+    Run,
+    Source,
+    dumps,
+    loads,
+)
+from jointid.config.schema import DIDIMS, FILTERINGS
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.drive_side import DriveSideFit
+from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.open_loop import OpenLoopFit
+from jointid.models.controllers import (
+    PD,
+    PID,
+    POSITION,
+    REFERENCE,
+    REFERENCE_VELOCITY,
+    Cascade,
+    DigitalFilter,
+    StateSpaceController,
+)
+from jointid.models.disturbances import Drift, PositionHarmonics
+from jointid.models.friction import AsymmetricFriction, SymmetricFriction
+from jointid.models.gravity import GRAVITY_PARAMETERS, Counterbalance, Gravity
+from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid.records.columns import Column
+from jointid.records.drives.drive import Drive
+from jointid.records.record import InjectionPoint, Tap, Timing
+from jointid.records.signals.filtering import Filtering
+from jointid.records.time_base.resampling import Resampling
+from tests.joint_files import (
+    BOTH_ENCODERS,
+    CASCADE,
+    CHANNELS,
+    FLEXIBLE,
+    JOINT,
+    LINK,
+    SMALLEST,
+    table,
+)
+
+
+def test_every_default() -> None:
+    assert loads(SMALLEST) == JointFile(
+        joint=RigidJoint("prismatic", SymmetricFriction()),
+        columns={"torque": Column("i"), "reference": Column("r"), "motor_position": Column("q")},
+        method=DIDIM(),
+        controller=Cascade(kp=100.0, kv=2000.0),
+        filtering=Filtering(),
+        parameters={},
+        source=Source(),
+        name=None,
+    )
+    assert loads(SMALLEST).path == Path("joint.toml")
+
+
+def test_every_key_that_is_written_at_its_default_changes_nothing() -> None:
+    file = loads(
+        JOINT
+        + """model = "rigid"
+        friction = "symmetric"
+        [record]
+        clock_tolerance = 0.05
+        [record.channels]
+        torque = { column = "i", gain = 1.0, sign = 1, optional = false }
+        reference = { column = "r" }
+        motor_position = { column = "q" }
+        [controller]
+        law = "cascade"
+        kp = 100
+        kv = 2000
+        gain = 1
+        delay = 0
+        limit = inf
+        velocity_filter = [1]
+        [filtering]
+        borders = [50, 50]
+        timing = "respected"
+        aliasing = "refused"
+        [method]
+        name = "didim"
+        form = "residual"
+        start = "inversion"
+        scaled_iterations = 2
+        tolerance = 1e-7
+        step_tolerance = 1e-7
+        iterations = 30
+        initial_state = "free"
+        free = []
+        """
+    )
+    assert file == loads(SMALLEST)
+    flexible = """[method]
+        name = "didim"
+
+        minimiser = "least-squares"
+        simulations = 6000
+        restarts = 3
+        statistics = "sensitivities"
+        """
+    assert loads(FLEXIBLE + flexible) == loads(FLEXIBLE)
+
+
+def test_the_schema_has_the_objects_own_defaults() -> None:
+    """The defaults in the schema are for its readers: the objects never see them, so they could go wrong unnoticed."""
+    homes = {
+        "ChannelTable": Column,
+        "DriveTable": Drive,
+        "TorqueTable": Column,
+        "InjectedTable": Column,
+        "CascadeTable": Cascade,
+        "PDTable": PD,
+        "PIDTable": PID,
+        "StateSpaceTable": StateSpaceController,
+        "FilteringTable": Filtering,
+        "RecordTable": Source,
+        "RunTable": Run,
+        "GravityTable": Gravity,
+        "CounterbalanceTable": Counterbalance,
+    }
+    # A key of both methods has two defaults, and so none in the schema.
+    for name, home in (*homes.items(), ("MethodTable", DIDIM), ("MethodTable", FlexibleDIDIM)):
+        own = {field.name: field.default for field in dataclasses.fields(home)}
+        for key, described in table(name).items():
+            if "default" in described and (key in own or name in homes):
+                if key == "side":  # of a law it is said by its ratio
+                    continue
+                default = own[key]
+                assert described["default"] == (list(default) if isinstance(default, tuple) else default), (name, key)
+
+
+def test_every_word_of_the_objects_is_a_word_of_the_file() -> None:
+    """Words of enumerations stand in the schema a second time."""
+    assert table("ChannelTable")["timing"]["enum"] == [str(word) for word in Timing]
+    assert table("TorqueTable")["tap"]["enum"] == [str(word) for word in Tap]
+    assert table("InjectedTable")["at"]["enum"] == [str(word) for word in InjectionPoint]
+    assert table("FilteringTable")["preset"]["enum"] == list(FILTERINGS)
+    assert table("JointTable")["model"]["enum"] == list(DIDIMS)
+    assert table("GravityTable")["load"]["enum"] == list(GRAVITY_PARAMETERS)
+    assert table("MethodTable")["drift"]["enum"] == list(get_args(get_type_hints(Drift)["of"]))
+
+
+def test_all_of_a_file() -> None:
+    file = loads(
+        """
+        [joint]
+        kind = "revolute"
+        model = "flexible"
+        friction = "asymmetric"
+        name = "axis 3"
+        [record]
+        file = "runs/run1.csv"
+        time = "stamp"
+        time_unit = "ms"
+        sample_time = 0.001
+        clock_tolerance = 0.1
+        resample = { sample_time = 0.001, method = "cubic", longest_gap = 0 }
+        delimiter = ";"
+        decimal = ","
+        header = true
+        [record.channels]
+        torque = { column = "i", unit = "mA", gain = 0.5, sign = -1, timing = "averaged", tap = "measured" }
+        reference = { column = "r [deg]" }
+        reference_velocity = { column = "dr", unit = "rpm", timing = "held" }
+        load_position = { column = "p", optional = true, sample_time = 0.002 }
+        injected = { column = "x", unit = "A", at = "after_limit", in_torque = false }
+        [controller]
+        law = "pd"
+        kp = 3.0
+        kd = 0.1
+        reference_velocity = "channel"
+        velocity_filter = { numerator = [0.2], denominator = [1.0, -0.8] }
+        gain = 2.0
+        limit = 5.0
+        period = 0.002
+        delay = 0.0005
+        [filtering]
+        position_cutoff = 100.0
+        cutoff = 20.0
+        decimation = 5
+        borders = [10, 0]
+        timing = "as_sampled"
+        aliasing = "warned"
+        [method]
+        name = "didim"
+        minimiser = "nelder-mead"
+        frequency = 25.0
+        rigid_cutoff = 4.0
+        tolerance = 1e-3
+        simulations = 500
+        restarts = 0
+        statistics = "inverse-model"
+        free = ["kp", "delay"]
+        [parameters]
+        stiffness = { start = 8e5, lower = 1e3, upper = 1e7 }
+        damping = 126
+        motor_inertia = { value = 0.1, upper = 1.0 }
+        load_inertia = { free = true }
+        """,
+        folder="here",
+    )
+    joint = FlexibleJoint("revolute", AsymmetricFriction(), "A")
+    known = {parameter.name: parameter for parameter in joint.parameters}
+    assert file == JointFile(
+        joint=joint,
+        columns={
+            "torque": Column("i", "mA", 0.5, -1, Timing.AVERAGED, tap=Tap.MEASURED),
+            "reference": Column("r [deg]"),
+            "reference_velocity": Column("dr", "rpm", timing=Timing.HELD),
+            "load_position": Column("p", optional=True, sample_time=0.002),
+            "injected": Column("x", "A", in_torque=False),
+        },
+        method=FlexibleDIDIM("nelder-mead", 25.0, 4.0, 1e-3, 500, 0, "inverse-model", ("kp", "delay")),
+        controller=PD(
+            kp=3.0,
+            kd=0.1,
+            reference_velocity="channel",
+            velocity_filter=DigitalFilter((0.2,), (1.0, -0.8)),
+            gain=2.0,
+            limit=5.0,
+            period=0.002,
+            delay=0.0005,
+        ),
+        filtering=Filtering(100.0, 20.0, 5, (10, 0), "as_sampled", "warned"),
+        parameters={
+            "stiffness": dataclasses.replace(known["stiffness"], start=8e5, lower=1e3, upper=1e7),
+            "damping": known["damping"].fixed(126.0),
+            "motor_inertia": dataclasses.replace(known["motor_inertia"].fixed(0.1), upper=1.0),
+            "load_inertia": known["load_inertia"],
+        },
+        source=Source(
+            "runs/run1.csv",
+            "stamp",
+            "ms",
+            0.001,
+            0.1,
+            {"delimiter": ";", "decimal": ",", "header": True},
+            Resampling(1e-3, "cubic", longest_gap=0),
+        ),
+        name="axis 3",
+    )
+    assert file.path == Path("here/joint.toml")
+    assert file.loop is not None
+    assert file.loop.joint is file.joint
+    assert file.loop.controller is file.controller
+
+
+def test_all_settings_of_a_rigid_joint() -> None:
+    text = """[method]
+        form = "paper"
+        start = "given"
+        scaled_iterations = 0
+        tolerance = 1e-3
+        step_tolerance = 1e-2
+        iterations = 7
+        initial_state = "reference"
+        """
+    assert loads(SMALLEST + text).method == DIDIM("paper", "given", 0, 1e-3, 1e-2, 7, "reference")
+
+
+def test_gravity() -> None:
+    file = loads(
+        LINK + "angle = 0.01\ncounterbalance = { cos = 0.2, rate = 1e-3 }\n[parameters]\ngravity_sin = { start = 0.5 }"
+    )
+    assert file.joint == RigidJoint("revolute", gravity=Gravity("link", Counterbalance(cos=0.2, rate=1e-3), 0.01))
+    assert file.parameters["gravity_sin"].start == 0.5
+    loaded = loads(FLEXIBLE + '[gravity]\nload = "constant"').joint
+    assert loaded == FlexibleJoint(gravity=Gravity("constant"))
+    assert [p.name for p in loaded.parameters[-2:]] == ["offset", "gravity_constant"]
+    assert [p.free for p in loaded.parameters[-2:]] == [False, True]
+
+
+def test_a_state_space_law() -> None:
+    text = """[controller]
+    law = "state_space"
+    A = [[0.5]]
+    C = [1.0]
+    B = { position = [1.0], excess = [0.1] }
+    D = { reference = 3.0, position = -3.0 }
+    limit = 2.0
+    """
+    law = loads(JOINT + CHANNELS + text).controller
+    assert isinstance(law, StateSpaceController)
+    lowered = law.law(1e-3)
+    columns = [REFERENCE, REFERENCE_VELOCITY, POSITION]
+    np.testing.assert_array_equal(lowered.B[0, :, columns], [[0.0], [0.0], [1.0]])
+    np.testing.assert_array_equal(lowered.D[0, 0, columns], [3.0, 0.0, -3.0])
+    np.testing.assert_array_equal(lowered.F, [[[0.1]]])
+    assert lowered.limit == 2.0
+    static = 'law = "state_space"\nA = []\nB = {}\nC = []\nD = { reference = 1.0, position = -1.0 }\n'
+    assert loads(JOINT + CHANNELS + "[controller]\n" + static).controller is not None
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (CHANNELS + CASCADE, DIDIM()),  # even though there is a motor position
+        (CHANNELS, IDIM()),
+        (CHANNELS.replace("reference", "load_position") + CASCADE, IDIM()),
+        (CHANNELS + CASCADE + '[method]\nname = "idim"', IDIM()),
+        (CHANNELS + CASCADE + '[method]\nname = "idim"\nestimator = "iv"', IDIM("iv")),
+        (
+            CHANNELS + '[method]\nharmonics = 2\ndrift = "both"',
+            IDIM("ols", (PositionHarmonics(None, 2), Drift("both"))),
+        ),
+        (CHANNELS + "[method]\nharmonics = 1\nperiod = 0.005", IDIM("ols", (PositionHarmonics(0.005),))),
+        (CHANNELS + CASCADE + '[method]\npreset = "paper"', DIDIM.paper()),
+        (CHANNELS + CASCADE + "[method]\niterations = 3", DIDIM(iterations=3)),
+    ],
+)
+def test_the_method(text: str, expected: object) -> None:
+    assert loads(JOINT + text).method == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (CHANNELS + CASCADE, FlexibleDIDIM()),
+        (BOTH_ENCODERS + CASCADE, FlexibleDIDIM()),  # even though there are both positions
+        (BOTH_ENCODERS, IDIM()),
+        (BOTH_ENCODERS.replace("reference", "injected") + CASCADE, IDIM()),
+        (BOTH_ENCODERS + CASCADE + '[method]\nname = "idim"', IDIM()),
+        (CHANNELS + CASCADE + '[method]\nname = "didim"', FlexibleDIDIM()),
+        (CHANNELS + CASCADE + "[method]\ntolerance = 1e-3", FlexibleDIDIM(tolerance=1e-3)),
+        (CHANNELS + CASCADE + '[method]\nname = "didim"\npreset = "paper"', FlexibleDIDIM.paper()),
+        (CHANNELS + CASCADE + '[method]\npreset = "paper"\nfrequency = 42.0', FlexibleDIDIM.paper(42.0)),
+        (CHANNELS + CASCADE + '[method]\nminimiser = "nelder-mead"', FlexibleDIDIM("nelder-mead")),
+    ],
+)
+def test_the_method_of_a_flexible_joint(text: str, expected: object) -> None:
+    file = loads(JOINT + 'model = "flexible"\n' + text)
+    assert file.method == expected
+    assert loads(dumps(file)) == file
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('preset = "default"', Filtering()),
+        ('preset = "published"', Filtering.published()),
+        ('preset = "as-printed"', Filtering.as_printed()),
+        ('cutoff = 60.0\ndecimation = 12\naliasing = "warned"', Filtering.as_printed()),
+        ('aliasing = "warned"', Filtering(aliasing="warned")),
+    ],
+)
+def test_the_filtering(text: str, expected: Filtering) -> None:
+    file = loads(f"{SMALLEST}[filtering]\n{text}")
+    assert file.filtering == expected
+    assert loads(dumps(file)) == file
+
+
+@pytest.mark.parametrize("unit", ["A", "mA", "V"])
+def test_a_torque_in_drive_units_gives_parameters_in_them(unit: str) -> None:
+    text = '[joint]\nkind = "revolute"\nmodel = "flexible"\n[record.channels]\nmotor_position = { column = "q" }\n'
+    text += 'load_position = { column = "q2" }\n'
+    file = loads(text + f'torque = {{ column = "i", unit = "{unit}" }}\ninjected = {{ column = "x" }}')
+    units = {parameter.name: file.joint.unit(parameter) for parameter in file.joint.parameters}
+    si = unit[-1]
+    assert units["stiffness"] == f"{si}/rad"
+    assert units["motor_inertia"] == f"{si} s2/rad"
+    assert units["offset"] == si
+    named = loads(text + f'torque = {{ column = "i [{unit}]" }}')
+    assert named.joint == file.joint
+
+
+def test_a_torque_in_newtons_has_no_unit_of_its_own() -> None:
+    assert loads(SMALLEST.replace('"i"', '"i", unit = "kN"')).joint.torque_unit is None
+
+
+def test_values_are_those_fixed_and_those_started_from() -> None:
+    file = loads(
+        SMALLEST + "[parameters]\ninertia = { start = 90.0 }\nviscous = 200\ncoulomb = 20\noffset = { start = 1 }"
+    )
+    assert file.values() == {"inertia": 90.0, "viscous": 200.0, "coulomb": 20.0, "offset": 1.0}
+    with pytest.raises(MethodError, match=r"every parameter; inertia, viscous, coulomb, offset has none"):
+        loads(SMALLEST).values()
+
+
+# Methods without a controller
+
+_BARE = """
+[joint]
+kind = "revolute"
+model = "flexible"
+[record.channels]
+torque = { column = "i", unit = "A" }
+motor_position = { column = "q", unit = "rad" }
+[method]
+"""
+
+
+@pytest.mark.parametrize(
+    ("lines", "made"),
+    [
+        ('name = "drive_side"', DriveSideFit()),
+        ('name = "drive_side"\nlog_delay = -4e-4\ninstruments = "never"', DriveSideFit(-4e-4, instruments="never")),
+        ('name = "drive_side"\ncurrent_lag = "estimated"\nfrequency = 54', DriveSideFit(None, None, 54.0)),
+        ('name = "open_loop"\nhighpass = 2', OpenLoopFit(highpass=2.0)),
+    ],
+)
+def test_methods_without_a_controller_come_back(lines: str, made: DriveSideFit | OpenLoopFit) -> None:
+    file = loads(_BARE + lines)
+    assert file.method == made
+    assert loads(dumps(file)).method == made
+
+
+@pytest.mark.parametrize(
+    ("lines", "sentence"),
+    [
+        ('name = "drive_side"\nhighpass = 2', 'method.highpass is not for the method "drive_side"'),
+        ('name = "open_loop"\nform = "paper"', 'method.form is not for the method "open_loop"'),
+        ('name = "idim"\nlog_delay = 1e-3', 'method.log_delay is not for the method "idim"'),
+    ],
+)
+def test_a_setting_of_another_method_is_a_fault(lines: str, sentence: str) -> None:
+    with pytest.raises(JointFileError, match=sentence):
+        loads(_BARE + lines)
+
+
+def test_the_drive_side_needs_the_motor_position() -> None:
+    with pytest.raises(JointFileError, match=r"record.channels.motor_position is missing, but the drive side method"):
+        loads(_BARE.replace("motor_position", "load_position") + 'name = "drive_side"')

@@ -1,0 +1,98 @@
+"""The page about the joint file, its schema and the program say the same."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+
+from jointid.common.units import units_of
+from jointid.config import (
+    json_schema,
+    loads,
+)
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
+from jointid.models.controllers import (
+    Cascade,
+)
+from jointid.models.friction import AsymmetricFriction, SymmetricFriction
+from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid.models.transmission import Transmission
+from jointid.records.columns import known_units
+from jointid.records.drives.drive import Drive
+from jointid.records.signals.filtering import Filtering
+from tests.joint_files import (
+    PAGE,
+    schema_keys,
+    table,
+)
+
+
+def page_keys() -> dict[str, set[str]]:
+    found: dict[str, set[str]] = {}
+    for line in PAGE.read_text(encoding="utf-8").splitlines():
+        if match := re.match(r"\| `([\w<>]+(?:\.[\w<>]+)+)` \|", line):
+            cells = [cell.strip() for cell in line.strip("|").split("|")]
+            assert len(cells) == 4, line
+            assert all(cells), line
+            found.setdefault(match[1], set()).add(cells[2])
+    return found
+
+
+def test_the_page_has_every_key_and_no_other() -> None:
+    assert page_keys() == schema_keys()
+
+
+def test_the_page_has_every_unit_and_parameter() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    for kind in ("prismatic", "revolute"):
+        cells = ["reference", "reference_velocity", "torque"]
+        row = " | ".join(", ".join(known_units(channel, kind)) for channel in cells)
+        assert f"| {kind} | {row} |" in page
+    for joint in (RigidJoint, FlexibleJoint):
+        for friction, law_ in (("symmetric", SymmetricFriction()), ("asymmetric", AsymmetricFriction())):
+            made = joint(friction=law_)
+            names = ", ".join(f"`{parameter.name}`" for parameter in made.parameters)
+            assert f"| {made.model} | {friction} | {names} |" in page
+    assert ", ".join(f'`"{name}"`' for name in units_of("time")) in page
+
+
+def test_the_page_has_the_defaults_that_depend_on_the_model() -> None:
+    rows = {line.split("`")[1]: line for line in PAGE.read_text(encoding="utf-8").splitlines() if line[:3] == "| `"}
+    least, simplex = (stopping_tolerance(FlexibleDIDIM(minimiser=m)) for m in ("least-squares", "nelder-mead"))  # type: ignore[arg-type]
+    said = [float(word) for word in re.findall(r"else (1e-\d+)", rows["method.tolerance"])]
+    assert said == [DIDIM().tolerance, least, simplex]
+    for key in ("position_cutoff", "cutoff"):
+        rigid, flexible = (getattr(Filtering().resolved(1e-3, model), key) for model in ("rigid", "flexible"))
+        said = f"else {rigid / 10:g} % of the sampling frequency, for a flexible joint {flexible / 10:g} %"
+        assert said in rows[f"filtering.{key}"]
+
+
+def test_the_files_on_the_page_are_right() -> None:
+    texts = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert len(texts) == 6
+    smallest, geared, traced, drive, several, whole = map(loads, texts)
+    assert geared.joint.transmission == Transmission(load="revolute", ratio=100.0)
+    assert geared.columns["reference"].side == "load"
+    assert traced.drive == Drive("cia402", rated_torque=1.27, counts_per_turn=1048576.0)
+    assert [one.added_inertia for one in several.runs] == [0.0, 10.0]
+    assert isinstance(smallest.method, DIDIM)
+    assert isinstance(drive.controller, Cascade)
+    assert drive.controller.law(2e-3).phases == 8
+    assert whole.joint.torque_unit == "A"
+
+
+def test_the_schema_has_no_null_and_a_description_of_every_key() -> None:
+    text = json.dumps(json_schema())
+    assert "null" not in text
+    for name in json_schema()["$defs"]:
+        assert all("description" in key for key in table(name).values())
+
+
+def test_importing_loads_nothing_heavy() -> None:
+    heavy = "numba, matplotlib, scipy.signal, scipy.optimize"
+    program = f"import sys, jointid.config; print([m for m in '{heavy}'.split(', ') if m in sys.modules])"
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"

@@ -1,0 +1,162 @@
+"""The record of a joint file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import JointFileError, RecordError
+from jointid.config import (
+    JointFile,
+    Run,
+    load,
+    loads,
+)
+from jointid.estimation.identify import identify
+from jointid.models.controllers import (
+    Cascade,
+)
+from tests.joint_files import (
+    CASCADE,
+    EXAMPLE,
+    SMALLEST,
+    faults,
+    in_our_words,
+)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A short record in a folder below the joint file's."""
+    time = np.arange(400) * 1e-3
+    table = np.column_stack([time, 300 * np.sin(20 * time), 0.1 * np.sin(20 * time), 0.1 * np.sin(20 * time - 0.1)])
+    (tmp_path / "runs").mkdir()
+    np.savetxt(tmp_path / "runs" / "run.csv", table, delimiter=";", header="t;i;r;q", comments="")
+    return tmp_path / "runs" / "run.csv"
+
+
+def saved(folder: Path, text: str) -> JointFile:
+    (folder / "joint.toml").write_text(text, encoding="utf-8")
+    return load(folder / "joint.toml")
+
+
+def test_the_record_lies_beside_the_joint_file(run: Path) -> None:
+    folder = run.parents[1]
+    record = saved(folder, "[record]\nfile = 'runs/run.csv'\ndelimiter = ';'\n" + SMALLEST).record()
+    assert record.channels == ("torque", "reference", "motor_position")
+    assert record.name == "run"
+    assert saved(folder, SMALLEST).record(run).channels == record.channels
+    with pytest.raises(
+        RecordError, match=r"joint.toml names no record; add file to \[record\], or name one by --record"
+    ):
+        saved(folder, SMALLEST).record()
+
+
+def test_a_channel_that_the_method_does_not_need_may_be_absent(run: Path) -> None:
+    without_motor = SMALLEST.replace('"q"', '"nowhere"')
+    assert loads(without_motor).record(run).channels == ("torque", "reference")
+    with pytest.raises(RecordError, match=r'has no column "nowhere" \(for motor_position\)'):
+        loads(without_motor).override(method="idim").record(run)
+    without_reference = SMALLEST.replace('"r"', '"nowhere"')
+    assert loads(without_reference).override(method="idim").record(run).channels == ("torque", "motor_position")
+    with pytest.raises(RecordError, match=r'has no column "nowhere" \(for reference\)'):
+        loads(without_reference).record(run)
+
+
+def test_an_injected_signal_may_be_absent_only_if_it_is_optional(run: Path) -> None:
+    injected = SMALLEST.replace("[controller]", 'injected = { column = "x" }\n[controller]')
+    with pytest.raises(RecordError, match=r'has no column "x" \(for injected\)'):
+        loads(injected).record(run)
+    optional = injected.replace('"x"', '"x", optional = true')
+    assert loads(optional).record(run).injected is None
+
+
+def test_a_torque_beyond_the_limit_is_refused(run: Path) -> None:
+    limited = loads(SMALLEST + "gain = 2.0\nlimit = 100.0")
+    with pytest.raises(RecordError, match=r"The torque reaches .* beyond the controller's limit of 200 N"):
+        limited.record(run)
+    assert loads(SMALLEST + "gain = 2.0\nlimit = 160.0").record(run).torque is not None
+
+
+def test_the_emps_file_serves_both_records(data_dir: Path) -> None:
+    file = load(EXAMPLE)
+    channels = ("torque", "reference", "motor_position")
+    first = file.record(data_dir / "emps" / "DATA_EMPS.mat")
+    second = file.record(data_dir / "emps" / "DATA_EMPS_PULSES.mat")
+    assert first.channels == channels
+    assert second.channels == (*channels, "injected")
+    assert second.injected is not None
+    assert second.injected.channel.values.max() == pytest.approx(5.07 * 35.15, rel=1e-3)
+    assert file.loop is not None
+    estimate = identify(first, file.loop, file.method, filtering=file.filtering, parameters=file.parameters)
+    found = {parameter.name: parameter.value for parameter in estimate.params}
+    assert found["inertia"] == pytest.approx(94.9, abs=0.1)
+    assert found["viscous"] == pytest.approx(207.5, abs=0.5)
+    assert found["coulomb"] == pytest.approx(20.1, abs=0.1)
+    assert found["offset"] == pytest.approx(-3.17, abs=0.02)
+    assert estimate.fit.relative_error == pytest.approx(0.0456, abs=2e-4)
+
+
+# Several records
+
+
+SEVERAL = """
+[[records]]
+file = "a.csv"
+
+[[records]]
+file = "b.csv"
+added_inertia = 10.0
+own = ["coulomb"]
+controller = { kp = 80.0, limit = 5.0 }
+
+[together]
+free = ["drive_gain"]
+"""
+
+
+def test_several_records(run: Path) -> None:
+    folder = run.parents[1]
+    file = saved(folder, "[record]\ndelimiter = ';'\n" + SMALLEST + SEVERAL.replace("a.csv", "runs/run.csv"))
+    assert file.runs == (Run("runs/run.csv"), Run("b.csv", 10.0, ("coulomb",), {"kp": 80.0, "limit": 5.0}))
+    assert (file.free, file.weighting) == (("drive_gain",), "spectrum")
+    first, second = file.each()
+    assert first.controller == file.controller == Cascade(kp=100.0, kv=2000.0)
+    assert second.controller == Cascade(kp=80.0, kv=2000.0, limit=5.0)
+    assert first.record().name == "run"
+    with pytest.raises(RecordError, match=r"b\.csv"):
+        second.record()
+    assert first.record() != file.each([folder / "b.csv", run])[1].record  # names on the command line replace both
+    assert file.each([folder / "b.csv", run])[1].source.file == str(run)
+    with pytest.raises(JointFileError, match="lists 2 records and 1 are named"):
+        file.each([run])
+    unlisted = saved(folder, SMALLEST)
+    assert [one.source.file for one in unlisted.each([run, folder / "b.csv"])] == [str(run), str(folder / "b.csv")]
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (SEVERAL.replace('"coulomb"', '"colomb"'), 'records.2.own names "colomb", which is no parameter of this model'),
+        (
+            SEVERAL.replace("kp = 80.0", "kd = 80.0"),
+            "records.2.controller.kd is not a known key; expected one of gain,",
+        ),
+        (SEVERAL.replace("limit = 5.0", "limit = -5.0"), "records.2.controller: "),
+        (SEVERAL.replace('file = "a.csv"', ""), "records.1.file is missing; expected text in quotes"),
+        (SEVERAL.replace("10.0", "-10.0"), "records.2.added_inertia is -10.0; expected a number, 0 or more"),
+        ("records = 3\n", "records is 3; expected one [[records]] table for each record"),
+    ],
+)
+def test_a_fault_of_several_records_is_one_sentence(text: str, sentence: str) -> None:
+    found = faults(text + SMALLEST if text.startswith("records") else SMALLEST + text)
+    assert len(found) == 1
+    assert found[0].startswith(sentence)
+    in_our_words(JointFileError(found))
+
+
+def test_a_controller_that_is_not_there_cannot_be_another() -> None:
+    text = SMALLEST.replace(CASCADE, "") + SEVERAL
+    assert any("changes a controller that the file does not have" in fault for fault in faults(text))

@@ -1,0 +1,347 @@
+"""A joint file that is written is read back as it was."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jointid.common.errors import JointFileError
+from jointid.config import (
+    JointFile,
+    Run,
+    Source,
+    controller_text,
+    dumps,
+    load,
+    loads,
+    save,
+    with_controller,
+    with_paths,
+)
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.idim import IDIM
+from jointid.models.controllers import (
+    PD,
+    PID,
+    Cascade,
+    Controller,
+    DigitalFilter,
+    FirstOrder,
+    MovingAverage,
+    Notch,
+    SecondOrder,
+    StateSpaceController,
+)
+from jointid.models.disturbances import Drift, PositionHarmonics
+from jointid.models.friction import AsymmetricFriction, SymmetricFriction
+from jointid.models.gravity import Counterbalance, Gravity
+from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.models.parameters import Parameter
+from jointid.models.transmission import SIDES, Transmission
+from jointid.records.columns import Column, known_units
+from jointid.records.drives.drive import Drive
+from jointid.records.drives.profiles import profile_names
+from jointid.records.record import InjectionPoint, Tap, Timing
+from jointid.records.signals.filtering import Filtering
+from tests.joint_files import (
+    CASCADE,
+    CHANNELS,
+    EXAMPLE,
+    JOINT,
+    SMALLEST,
+    faults,
+)
+
+positive = st.floats(1e-9, 1e9)
+hertz, seconds, none_or_more = st.floats(0.01, 40.0), st.floats(0.0, 1e-4), positive | st.just(0.0)
+words = st.text(min_size=1, max_size=8)
+row = st.lists(positive, min_size=1, max_size=3).map(tuple)
+filters = st.one_of(
+    st.builds(DigitalFilter, row, row),
+    st.builds(MovingAverage, st.integers(1, 9)),
+    st.builds(FirstOrder, none_or_more),
+    st.builds(SecondOrder, hertz, positive, st.none() | hertz, st.floats(-0.5, 1.0)),
+    st.builds(Notch, hertz, positive, none_or_more),
+)
+law = {
+    "gain": positive,
+    "limit": positive | st.just(np.inf),
+    "period": st.none() | st.floats(1e-6, 1e-2),
+    "delay": none_or_more,
+    "interpolation": st.sampled_from((None, "hold", "linear", "cubic")),
+    "reference_delay": seconds,
+    "kp": positive,
+    "velocity_filter": row | filters,
+    "torque_filters": st.lists(filters, max_size=3).map(tuple),
+    "filters_at": st.sampled_from(("before_limit", "after_limit")),
+    "acceleration_feedforward": none_or_more,
+    "viscous_feedforward": none_or_more,
+    "coulomb_feedforward": none_or_more,
+    "constant_feedforward": st.floats(-1e9, 1e9),
+    "torque_feedforward_delay": seconds,
+}
+windups = st.sampled_from(("hold", "track", "none"))
+velocities = st.sampled_from(("difference", "channel", "none"))
+
+
+def controllers(ratio: st.SearchStrategy[float]) -> st.SearchStrategy[Controller]:
+    shared = law | {"ratio": ratio}
+    return st.one_of(
+        st.builds(
+            Cascade,
+            kv=positive,
+            ki=none_or_more,
+            anti_windup=windups,
+            velocity_feedforward=none_or_more,
+            velocity_feedforward_delay=seconds,
+            reference_velocity=st.sampled_from(("difference", "channel")),
+            velocity_limit=positive | st.just(np.inf),
+            **shared,
+        ),
+        st.builds(PD, kd=positive, reference_velocity=velocities, **shared),
+        st.builds(PID, kd=positive, ki=none_or_more, anti_windup=windups, reference_velocity=velocities, **shared),
+    )
+
+
+def columns(channel: str, geared: bool) -> st.SearchStrategy[Column]:
+    choices: dict[str, Any] = {"side": st.sampled_from((None, "motor", "load"))} if geared else {}
+    if channel == "torque":
+        choices |= {"tap": st.sampled_from(Tap), "unit": st.sampled_from(("N", "kN"))}
+    elif channel == "injected":
+        choices |= {"at": st.sampled_from(InjectionPoint), "unit": st.just("mN")}
+    else:
+        choices |= {"unit": st.sampled_from(known_units(channel, "prismatic"))}
+    return st.builds(
+        Column,
+        words,
+        gain=positive,
+        sign=st.sampled_from((1, -1)),
+        timing=st.none() | st.sampled_from(Timing),
+        sample_time=st.none() | positive,
+        optional=st.booleans(),
+        **choices,
+    )
+
+
+JOINTS: list[Joint] = [
+    RigidJoint(),
+    RigidJoint(friction=AsymmetricFriction()),
+    RigidJoint(gravity=Gravity("constant", Counterbalance(constant=3.0, rate=-0.5))),
+    FlexibleJoint(),
+    FlexibleJoint(friction=AsymmetricFriction()),
+    FlexibleJoint(gravity=Gravity("constant")),
+]
+
+
+@st.composite
+def joint_files(draw: st.DrawFn) -> JointFile:
+    side = st.sampled_from(SIDES)
+    gear = draw(
+        st.none()
+        | st.builds(Transmission, load=st.just("prismatic"), ratio=positive, sign=st.sampled_from((1, -1)), side=side)
+    )
+    joint = dataclasses.replace(draw(st.sampled_from(JOINTS)), transmission=gear)
+    if joint.gravity is not None and gear is not None:  # a file says the angle of the load, whatever the side
+        weight = dataclasses.replace(joint.gravity, angle=gear.torque("load"))
+        joint = dataclasses.replace(joint, gravity=weight)
+    ratio = st.just(1.0) if gear is None else side.map(gear.torque)
+    names = ["torque", "reference", "reference_velocity", "motor_position", "load_position"]
+    names += draw(st.lists(st.just("injected"), max_size=1))
+    whole = st.integers(1, 50)
+    rigid = st.builds(
+        DIDIM,
+        form=st.sampled_from(("residual", "paper")),
+        scaled_iterations=whole,
+        tolerance=positive,
+        iterations=whole,
+    )
+    flexible = st.just(FlexibleDIDIM.paper()) | st.builds(
+        FlexibleDIDIM,
+        minimiser=st.sampled_from(("least-squares", "nelder-mead")),
+        frequency=st.none() | positive,
+        rigid_cutoff=st.none() | positive,
+        tolerance=positive,
+        simulations=whole,
+        restarts=whole,
+        statistics=st.sampled_from(("sensitivities", "inverse-model")),
+        free=st.sampled_from(((), ("kp",), ("kp", "delay"))),
+    )
+    estimators = st.sampled_from(("ols", "weighted", "robust", "iv"))
+    ripple = st.builds(PositionHarmonics, st.none() | positive, st.integers(1, 9))
+    drift = st.builds(Drift, st.sampled_from(("force", "viscous", "both")))
+    effects = st.just(()) | st.tuples(ripple) | st.tuples(drift) | st.tuples(ripple, drift)
+    return JointFile(
+        joint=joint,
+        columns={name: draw(columns(name, gear is not None)) for name in names},
+        method=draw(st.builds(IDIM, estimators, effects) | (flexible if joint.model == "flexible" else rigid)),
+        controller=draw(controllers(ratio)),
+        filtering=draw(
+            st.sampled_from((Filtering.published(), Filtering.as_printed()))
+            | st.builds(
+                Filtering,
+                st.none() | positive,
+                borders=st.tuples(whole, whole),
+                timing=st.just("as_sampled"),
+                aliasing=st.sampled_from(("refused", "warned")),
+            )
+        ),
+        drive=draw(
+            st.builds(
+                Drive,
+                profile=st.none() | st.sampled_from(profile_names()),
+                axis=st.none() | whole,
+                rated_torque=st.none() | positive,
+                counts_per_metre=positive,
+                load_counts_per_metre=positive,
+            )
+        ),
+        parameters={
+            p.name: draw(st.sampled_from((p, p.fixed(3.0), dataclasses.replace(p, upper=5.0))))
+            for p in joint.parameters
+            if p.free and draw(st.booleans())
+        },
+        source=draw(
+            st.builds(
+                Source,
+                st.sampled_from(("run.csv", "runs/run 1.TXT", "../run.dat")),
+                time=st.none() | words,
+                sample_time=st.none() | positive,
+                options=st.fixed_dictionaries({}, optional={"decimal": st.just(","), "header": st.booleans()}),
+            )
+        ),
+        name=draw(st.none() | words),
+        runs=draw(
+            st.lists(
+                st.builds(
+                    Run,
+                    st.sampled_from(("run.csv", "runs/run 2.TXT")),
+                    added_inertia=st.just(0.0) | positive,
+                    own=st.lists(st.sampled_from([p.name for p in joint.parameters])).map(tuple),
+                    controller=st.fixed_dictionaries({}, optional={"kp": positive}),
+                ),
+                max_size=2,
+            ).map(tuple)
+        ),
+        free=draw(st.sampled_from(((), ("drive_gain",)))),
+        weighting=draw(st.sampled_from(("spectrum", "level"))),
+    )
+
+
+@given(joint_files())
+def test_what_is_written_is_read_back(file: JointFile) -> None:
+    assert loads(dumps(file)) == file
+
+
+SLOW = Cascade(kp=1.0, kv=2.0, period=125e-6, position_period=1e-3, position_offset=250e-6)
+NOTCHED = PID(kp=1.0, ki=2.0, kd=3.0, torque_filters=(FirstOrder(1e-3), Notch(80.0, 20.0, 0.1)))
+
+
+@pytest.mark.parametrize("controller", [SLOW, NOTCHED, Cascade(kp=1.0, kv=2.0)])
+def test_a_controller_is_put_into_the_text_of_a_file(controller: Cascade | PID) -> None:
+    before = f"# a joint\n{JOINT}{CHANNELS}"
+    nested = '[controller]  # drive\nlaw = "state_space"\nC = [1.0]\nA = [\n  [0.5]\n]\n[controller.B]\n'
+    nested += "position = [1.0]\n[controller.D]\nreference = 1.0\n\n"
+    after = "[parameters]\noffset = 0.0  # kept\n"
+    for old in ("", CASCADE, nested, '[[controller.torque_filters]]\nkind = "notch"\n'):
+        made = with_controller(before + old + after, controller)
+        assert loads(made) == dataclasses.replace(loads(before + after), controller=controller, method=DIDIM())
+        assert made.startswith(before)
+        assert "# kept" in made
+    inline = with_controller("controller = { law = 'pd' }\n" + before, controller)
+    assert loads(inline).controller == controller
+    assert tomllib.loads(with_controller("", controller)) == tomllib.loads(controller_text(controller))
+    with pytest.raises(JointFileError, match="is not TOML"):
+        with_controller("[joint", controller)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('[record]\nfile = "a.csv" # mine\n', '[record]\nfile = "../runs/a.csv" # mine\n'),
+        ("[record]\ntime = 't'\n  file='sub/a.csv'\n", "[record]\ntime = 't'\n  file=\"../runs/sub/a.csv\"\n"),
+        ('[record]\nfile = "../there/a.csv"\n', '[record]\nfile = "a.csv"\n'),
+        ('[record]\nfile = "/data/a.csv"\n', '[record]\nfile = "/data/a.csv"\n'),
+        ('[record]\nfile = "Größe \\"1\\".csv"\n', '[record]\nfile = "../runs/Größe \\"1\\".csv"\n'),
+        (
+            '[[records]]\nfile = "a.csv"\n[[records]]\nown = ["file"]\nfile = "b.csv"\n',
+            '[[records]]\nfile = "../runs/a.csv"\n[[records]]\nown = ["file"]\nfile = "../runs/b.csv"\n',
+        ),
+        ('record = { file = "a.csv" }\n', '[record]\nfile = "../runs/a.csv"\n'),
+        ('[record]\nfile = """a.csv"""\n', '[record]\nfile = "../runs/a.csv"\n'),
+        ('[joint]\nfile = "a.csv"\n', '[joint]\nfile = "a.csv"\n'),
+    ],
+)
+def test_paths_lead_to_the_same_files_from_another_folder(text: str, expected: str, tmp_path: Path) -> None:
+    assert with_paths(text, tmp_path / "runs", tmp_path / "there") == expected
+    assert with_paths(text, tmp_path / "runs", tmp_path / "there" / ".." / "runs") == text
+
+
+def test_numbers_of_filters_are_named_with_points() -> None:
+    notched = CASCADE + 'torque_filters = [{ kind = "notch", frequency = 80, bandwidth = 20 }]\n'
+    runs = '[[records]]\nfile = "a.csv"\n[[records]]\nfile = "b.csv"\ncontroller = '
+    name, free = "torque_filters.0.frequency", '[method]\nfree = ["torque_filters.0.frequency"]\n'
+    for written in ("{ torque_filters.0.frequency = 90.0 }", '{ "torque_filters.0.frequency" = 90.0 }'):
+        file = loads(JOINT + CHANNELS + notched + free + runs + written)
+        assert isinstance(file.method, DIDIM)
+        assert file.method.free == (name,)
+        assert [one.controller.torque_filters[0].frequency for one in file.each()] == [80.0, 90.0]  # type: ignore[union-attr]
+        assert loads(dumps(file)) == file
+    (sentence,) = faults(JOINT + CHANNELS + notched + runs + "{ torque_filters.1.frequency = 90.0 }")
+    assert sentence.startswith('records.2.controller."torque_filters.1.frequency" is not a known key; expected one of')
+    assert sentence.endswith("did you mean torque_filters.0.frequency?")
+    (sentence,) = faults(JOINT + CHANNELS + notched + runs + "{ torque_filters.0.frequency = -9 }")
+    assert sentence.startswith("records.2.controller: Notch.frequency is -9.0; expected a positive number")
+
+
+def test_a_saved_file_is_loaded(tmp_path: Path) -> None:
+    file = load(EXAMPLE)
+    save(file, tmp_path / "copy.toml")
+    assert load(tmp_path / "copy.toml") == file
+    with pytest.raises(JointFileError, match=r"cannot be written \(.*\); check the folder"):
+        save(file, tmp_path / "none" / "joint.toml")
+
+
+def test_a_state_space_law_is_written() -> None:
+    law = StateSpaceController(A=np.eye(1) / 2, B={"position": np.ones(1)}, C=[1.0], D={"reference": 1.0})
+    file = dataclasses.replace(loads(SMALLEST), controller=law)
+    again = loads(dumps(file)).controller
+    assert again is not None
+    for name in ("A", "B", "C", "D", "F"):
+        np.testing.assert_array_equal(getattr(again.law(1.0), name), getattr(law.law(1.0), name))
+
+
+def test_what_a_joint_file_cannot_say_is_not_written() -> None:
+    file = loads(SMALLEST)
+
+    class Other(Cascade):
+        pass
+
+    class OtherFriction(SymmetricFriction):
+        pass
+
+    with pytest.raises(JointFileError, match="no word for the controller Other; give a StateSpaceController"):
+        dumps(dataclasses.replace(file, controller=Other(kp=1.0, kv=1.0)))
+    loads_only = IDIM(effects=(PositionHarmonics(0.1, side="load"),))
+    with pytest.raises(JointFileError, match="has words for one PositionHarmonics, then one Drift, both on the motor"):
+        dumps(dataclasses.replace(file, method=loads_only))
+    with pytest.raises(JointFileError, match="no word for the friction OtherFriction; use symmetric or asymmetric"):
+        dumps(dataclasses.replace(file, joint=RigidJoint(friction=OtherFriction())))
+    with pytest.raises(JointFileError, match="The joint's torque is in A, but its channel's in N; give"):
+        dumps(dataclasses.replace(file, joint=RigidJoint(torque_unit="A")))
+    for joint, method, right in (
+        (RigidJoint(), FlexibleDIDIM(), "DIDIM"),
+        (FlexibleJoint(), DIDIM(), "FlexibleDIDIM"),
+    ):
+        with pytest.raises(JointFileError, match=f"DIDIM is not for a {joint.model} joint; use {right}"):
+            dumps(dataclasses.replace(file, joint=joint, method=method))
+    unknown = {"mass": Parameter("mass", "M", file.joint.parameters[0].quantity)}
+    with pytest.raises(JointFileError, match=r"parameters\.mass is not known for a rigid joint"):
+        dumps(dataclasses.replace(file, parameters=unknown))

@@ -1,0 +1,98 @@
+"""Every friction law of the table: its algebra, and a joint with it through simulation, joint file and JSON."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid.config import dumps, loads
+from jointid.config.contents import JointFile
+from jointid.estimation.identify import identify
+from jointid.estimation.methods.idim import IDIM
+from jointid.models.controllers import Cascade
+from jointid.models.friction import DIRECTIONS, FRICTIONS, PARTS, Friction, friction_named
+from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid.models.linear import linear_joints
+from jointid.output import json as answers
+from jointid.records.columns import Column
+from jointid.records.signals.excitation import trapezoids
+from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.synthesis import simulated_record
+from jointid.tuning.lumped import lumped_parameters
+
+LAWS = [law() for law in FRICTIONS.values()]
+EVERY_LAW = pytest.mark.parametrize("law", LAWS, ids=list(FRICTIONS))
+CHANNELS = ("torque", "motor_position", "load_position")
+CASCADE = Cascade(kp=60.0, kv=500.0)
+
+
+def values_of(law: Friction) -> dict[str, float]:
+    """Return a number for each parameter of a rigid joint, no two alike."""
+    sizes = {"viscous": 20.0, "coulomb": 10.0}
+    friction = {c.name: sizes[c.part] * (1.0 + 0.1 * i) for i, c in enumerate(law.coefficients)}
+    offset = 1.5 if law.offset_identifiable else 0.0
+    return {"inertia": 5.0, **friction, "offset": offset}
+
+
+@EVERY_LAW
+def test_a_law_has_one_coefficient_for_each_part_and_direction(law: Friction) -> None:
+    assert FRICTIONS[law.name] is type(law) and friction_named(law.name) == law
+    assert friction_named(law.contrast) != law
+    acting = [(c.part, direction) for c in law.coefficients for direction in c.directions]
+    assert len(set(acting)) == len(acting)
+    one_way = {c.name: c.directions for c in law.coefficients if len(c.directions) == 1}
+    assert all(name.endswith(directions[0]) for name, directions in one_way.items())
+
+
+@EVERY_LAW
+def test_columns_times_parameters_are_the_force_of_the_directions(law: Friction) -> None:
+    velocity = np.random.default_rng(3).standard_normal(50)
+    velocity[::7] = 0.0
+    values = values_of(law)
+    viscous, viscous_back, coulomb, coulomb_back = law.directions(values)
+    force = np.where(velocity > 0, viscous * velocity + coulomb, viscous_back * velocity - coulomb_back)
+    force[velocity == 0] = 0.0
+    x = np.array([values[p.name] for p in law.parameters()])
+    np.testing.assert_allclose(law.columns(velocity) @ x, force, rtol=0, atol=1e-13)
+
+
+@EVERY_LAW
+def test_an_offset_is_identifiable_unless_the_law_spans_it(law: Friction) -> None:
+    velocity = np.array([-2.0, -1.0, 1.0, 2.0])
+    X = law.columns(velocity)
+    both = np.column_stack([X, np.ones(4)])
+    assert law.offset_identifiable == (np.linalg.matrix_rank(both) > np.linalg.matrix_rank(X))
+    if not law.offset_identifiable:
+        weights = law.constant()
+        np.testing.assert_array_equal(X @ [2 * weights.get(p.name, 0.0) for p in law.parameters()], 1.0)
+
+
+@EVERY_LAW
+def test_a_moving_joint_is_linear_once_for_each_viscous_coefficient(law: Friction) -> None:
+    found = linear_joints(RigidJoint(friction=law), [values_of(law)])
+    assert len(found.A) == 1 + law.depends_on_direction("viscous")
+
+
+@EVERY_LAW
+def test_a_joint_is_simulated_identified_and_read_back_with_its_own_law(law: Friction, tmp_path: Path) -> None:
+    joint, truth = RigidJoint(friction=law), values_of(law)
+    loop = ClosedLoop(joint, CASCADE)
+    reference = trapezoids([0.1, 0.3], 2.0, 0.2, 1e-3, 0.1, 4.0)
+    record = simulated_record(loop, reference, truth, sample_time=1e-3)
+    found = identify(record, loop)
+    assert found.values == pytest.approx(truth, rel=1e-3, abs=1e-9)
+    answers.write(answers.estimate_answer(found), tmp_path / "out.json")
+    assert answers.read_friction(tmp_path / "out.json") == law.name
+    assert answers.read_identified(tmp_path / "out.json", joint, loop).values == pytest.approx(found.values)
+    lumped, directions = lumped_parameters(found), np.array(law.directions(found.values))
+    for i, part in enumerate(PARTS):
+        assert lumped[part].value == pytest.approx(directions[2 * i : 2 * i + len(DIRECTIONS)].mean())
+
+
+@EVERY_LAW
+def test_a_joint_file_names_the_law_it_was_written_with(law: Friction) -> None:
+    for joint in (RigidJoint(friction=law), FlexibleJoint(friction=law)):
+        text = dumps(JointFile(joint, {name: Column(name) for name in CHANNELS}, IDIM()))
+        assert f'friction = "{law.name}"' in text and loads(text).joint == joint

@@ -1,0 +1,1 @@
+"""Tools for those who work on the package; nothing of them is installed."""
