@@ -161,13 +161,13 @@ def test_white_noise_on_the_log_is_no_endogeneity() -> None:
 def test_a_disturbance_in_the_loop_is_noticed() -> None:
     record = twin("L30", seed=1).record
     problem = problem_of(record, log_delay=-1e-3)
-    bottom = solve(problem, LevenbergMarquardt(1e-8), problem.vector(TABLE_2))
-    verdict = judged(record, problem, bottom, "tested", silent)
+    solution = solve(problem, LevenbergMarquardt(1e-8), problem.vector(TABLE_2))
+    verdict = judged(record, problem, solution, "tested", silent)
     assert verdict.x is not None
     assert "Durbin-Wu-Hausman" in verdict.warnings[0]
     at = [p.name for p in problem.free].index("stiffness")
     truth = TABLE_2["stiffness"]
-    assert abs(verdict.x[at] / truth - 1) < abs(bottom.x[at] / truth - 1)
+    assert abs(verdict.x[at] / truth - 1) < abs(solution.x[at] / truth - 1)
 
 
 @pytest.mark.statistical

@@ -11,7 +11,7 @@ from jointid.estimation.problems.base import RecordProblem
 from jointid.estimation.problems.sum import SumProblem
 from jointid.models.joints import Joint, RigidJoint
 from jointid.models.parameters import Parameter, Quantity
-from jointid.records.signals import Filtering
+from jointid.records.signals.filtering import Filtering
 from jointid.solvers.gauss_newton import GaussNewton
 from jointid.solvers.solve import solve
 
