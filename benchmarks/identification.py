@@ -19,15 +19,17 @@ from benchmarks.problem import Array
 from benchmarks.results import Rigid, Solver, spread
 from benchmarks.searching import Search, summed, timed
 from benchmarks.startup import HERE, emps
-from jointid.common.progress import silent
 from jointid.config import load
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
-from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
-from jointid.estimation.search.descent import Descent, by_simplex, refined
+from jointid.estimation.search.history import least_squares as least_squares_of
 from jointid.paper.twin import Twin, twin
 from jointid.records.signals.filtering import Filtering
+from jointid.solvers.nelder_mead import NelderMead
+from jointid.solvers.problem import Counted
+from jointid.solvers.solve import solve
 
 STARTS = 100
 FACTOR = 3.0
@@ -43,7 +45,7 @@ _TIMES = 3  # that the verb is run: there is no start to vary
 _RIGID_TIMES = 21  # that it is for a rigid joint
 
 
-def problem_of(axis: Twin) -> Problem:
+def problem_of(axis: Twin) -> ClosedLoopProblem:
     """Return the problem: nine parameters free, the motor at rest on its reference at the first sample."""
     assert axis.record.reference is not None
     position, velocity = INITIAL_STATE
@@ -51,42 +53,39 @@ def problem_of(axis: Twin) -> Problem:
     return torque_problem(axis.record, axis.loop, FILTERING, axis.loop.joint.parameters, rest)
 
 
-def starts_of(problem: Problem, truth: dict[str, float], count: int) -> Array:
+def starts_of(problem: ClosedLoopProblem, truth: dict[str, float], count: int) -> Array:
     """Return the starts, (count, free)."""
     exponents = np.random.default_rng(0).uniform(-1.0, 1.0, (count, len(problem.free)))
     return np.asarray(problem.vector(truth) * FACTOR**exponents)
 
 
-def exact(problem: Problem, start: Array) -> tuple[Array, int]:
+def exact(problem: ClosedLoopProblem, start: Array) -> tuple[Array, int]:
     """Least squares with exact derivatives; a simulation with them counts as one."""
-    descent = Descent(problem, silent)
-    end = refined(descent, start, stopping_tolerance(FlexibleDIDIM()), _EVALUATIONS)
-    return np.asarray(end.x), descent.simulations
+    end = solve(problem, least_squares_of(problem, stopping_tolerance(FlexibleDIDIM())), start)
+    return end.x, end.evaluations
 
 
-def differences(problem: Problem, start: Array) -> tuple[Array, int]:
+def differences(problem: ClosedLoopProblem, start: Array) -> tuple[Array, int]:
     """SciPy's least squares as most use it: the same bounds, scaling and tolerance, derivatives by differences."""
-    descent, tolerance = Descent(problem, silent), stopping_tolerance(FlexibleDIDIM())
+    counted, tolerance, size = Counted(problem), stopping_tolerance(FlexibleDIDIM()), problem.size
     unit = np.abs(start)
     lower, upper = (np.array([getattr(p, side) for p in problem.free]) / unit for side in ("lower", "upper"))
 
     def residual(y: Array) -> Array:
-        return descent.residual(y * unit) / descent.size
+        return counted.residual(y * unit) / size
 
     end = least_squares(
         residual, start / unit, "2-point", (lower, upper), x_scale="jac",
         xtol=tolerance, ftol=tolerance, gtol=None, max_nfev=_EVALUATIONS,
     )  # fmt: skip
-    return np.asarray(end.x * unit), descent.simulations
+    return np.asarray(end.x * unit), counted.evaluations
 
 
-def simplex(problem: Problem, start: Array) -> tuple[Array, int]:
+def simplex(problem: ClosedLoopProblem, start: Array) -> tuple[Array, int]:
     """Nelder and Mead by the rules of ``fminsearch``, with the paper's settings and its one restart."""
-    descent = Descent(problem, silent)
-    descent.scales = np.abs(start)
-    tolerance = stopping_tolerance(_PAPER)
-    end, _, _ = by_simplex(descent, start, tolerance, _PAPER.simulations, _PAPER.restarts)
-    return np.asarray(end), descent.simulations
+    simplex = NelderMead(stopping_tolerance(_PAPER), _PAPER.simulations, _PAPER.restarts, size=problem.size)
+    end = solve(problem, simplex, start)
+    return end.x, end.evaluations
 
 
 SEARCHES: dict[str, Search] = {

@@ -9,16 +9,16 @@ import numpy as np
 
 from benchmarks.problem import Array
 from benchmarks.results import Solver
-from jointid.estimation.problems.closed_loop import Problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 
 SAME = 1e-3
 """Of the criterion: an end that is no further above the lowest one is the same minimum."""
 
-Search = Callable[[Problem, Array], tuple[Array, int]]
+Search = Callable[[ClosedLoopProblem, Array], tuple[Array, int]]
 """From a problem and a start to an end, and the simulations it took."""
 
 
-def timed(search: Search, problem: Problem, start: Array) -> tuple[float, int, float]:
+def timed(search: Search, problem: ClosedLoopProblem, start: Array) -> tuple[float, int, float]:
     """Return seconds, simulations, and the share of the torque that is left, of one search."""
     begin = time.perf_counter()
     end, simulations = search(problem, start)

@@ -16,7 +16,7 @@ import numpy as np
 from jointid.common.progress import Progress, silent
 from jointid.common.text import aligned, number
 from jointid.estimation.methods.flexible import refined_least_squares
-from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.stiffness_identifiability import visible
 from jointid.estimation.search.exploration import frequency_of
 from jointid.estimation.search.multistart import on_band
@@ -147,7 +147,7 @@ def _identify_twin(factor: float, noise: Noise, seed: int) -> StiffnessRun:
     return StiffnessRun(factor, noise, seed, float(truth[at]), mode, float(predicted), value, std, bound)
 
 
-def _problem(axis: Twin) -> Problem:
+def _problem(axis: Twin) -> ClosedLoopProblem:
     """Return the problem that an identification of a twin ends on: at rest, on a band that follows the mode."""
     record = axis.record.without("motor_position", "load_position")
     problem = torque_problem(record, axis.loop, Filtering(), axis.loop.joint.parameters)

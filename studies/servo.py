@@ -20,7 +20,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.progress import Progress, silent
 from jointid.estimation.methods.flexible import refined_least_squares
-from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.models.controllers import Cascade, FirstOrder, Notch
 from jointid.models.joints import FlexibleJoint
 from jointid.paper.twin import DURATION, RESIDUAL, TABLE_2, Twin
@@ -121,7 +121,7 @@ def accuracy(runs: int, seed: int = 1, progress: Progress = silent) -> Accuracy:
     )
 
 
-def _foretold(problem: Problem, noise: float) -> FloatArray:
+def _foretold(problem: ClosedLoopProblem, noise: float) -> FloatArray:
     """Return the deviations of the joint's parameters under white noise of that size, and rounding, on the log."""
     J = problem.linearised(_truth(problem))[1]
     whole = float(np.hypot(noise, RATED / 1000 / np.sqrt(12)))
@@ -130,13 +130,13 @@ def _foretold(problem: Problem, noise: float) -> FloatArray:
     return np.asarray(answers.std(axis=1)[: len(problem.free_joint)])
 
 
-def _problem(axis: Twin) -> Problem:
+def _problem(axis: Twin) -> ClosedLoopProblem:
     problem = torque_problem(axis.record, axis.loop, FILTERING, axis.loop.joint.parameters)
     still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
     return replace(problem, parameters=still)
 
 
-def _truth(problem: Problem) -> FloatArray:
+def _truth(problem: ClosedLoopProblem) -> FloatArray:
     return problem.vector({**TABLE_2, "initial_position": 0.0})
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.methods.flexible import refined_least_squares
-from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.paper.twin import twin
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -116,7 +116,7 @@ def on(name: Loop, fault: str) -> Fault:
     return Fault(later(0.2e-3)) if (name, fault) == ("L30", "delay") else (FAULTS | PAIRS)[fault]
 
 
-def problem(where: Setting, fault: Fault | None, noise: Noise | None, seed: int = 0) -> Problem:
+def problem(where: Setting, fault: Fault | None, noise: Noise | None, seed: int = 0) -> ClosedLoopProblem:
     """Return the problem as declared, of a record with the fault and the noise, the motor at rest at the start."""
     fault = fault or Fault()
     torque = _logged(where, fault, noise, seed)
@@ -128,7 +128,7 @@ def problem(where: Setting, fault: Fault | None, noise: Noise | None, seed: int 
     return replace(made, parameters=still)
 
 
-def solved(made: Problem, where: Setting, tolerance: float = 1e-6) -> FloatArray:
+def solved(made: ClosedLoopProblem, where: Setting, tolerance: float = 1e-6) -> FloatArray:
     """Return the least-squares parameters, from the truth."""
     return refined_least_squares(made, made.vector(where.truth), tolerance)[0]
 

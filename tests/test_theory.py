@@ -15,8 +15,7 @@ from jointid.common.arrays import FloatArray
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.regression import least_squares
-from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.search.starts import pseudo_regular
 from jointid.models.controllers import POSITION, SampledLaw
@@ -28,6 +27,7 @@ from jointid.records.signals.filtering import Filtering, apply_window, decimate,
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
+from jointid.solvers.regression import least_squares
 from jointid.uncertainty.covariance import bandwidth, sandwich
 
 T = 1e-3
@@ -247,7 +247,7 @@ def test_the_sandwich_is_the_inverse_model_s_where_all_three_are_one() -> None:
     assert bandwidth(4000) == 10
 
 
-def _twin_problem(loop: str) -> tuple[Problem, dict[str, float]]:
+def _twin_problem(loop: str) -> tuple[ClosedLoopProblem, dict[str, float]]:
     axis = twin(loop, noise="none")  # type: ignore[arg-type]
     fixed = tuple(p.fixed(0.0) for p in INITIAL_STATE)
     joint = axis.loop.joint.parameters

@@ -13,7 +13,7 @@ from benchmarks.peers.mujoco_step import MujocoStep
 from benchmarks.problem import EMPS, NAMES, PERIOD, Array, Law, Loop
 from benchmarks.results import Solver
 from benchmarks.searching import summed, timed
-from jointid.estimation.problems.closed_loop import Problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.paper.twin import CONTROLLERS, Twin
 from jointid.records.record import Channel
 
@@ -27,7 +27,7 @@ _ROOM = 30.0  # factor to the bounds, either way
 _ITERATIONS = 60
 
 
-def with_toolbox(axis: Twin, problem: Problem, starts: Array, best: float) -> Solver:
+def with_toolbox(axis: Twin, problem: ClosedLoopProblem, starts: Array, best: float) -> Solver:
     """Return what the toolbox comes to from the first few starts, or that it is not installed."""
     missing = [name for name in _IMPORTS if importlib.util.find_spec(name) is None]
     if missing:
@@ -50,7 +50,7 @@ def loop_of_twin(axis: Twin) -> Loop:
     return Loop(law, reference.values, np.zeros(reference.values.size), injected.channel.values)
 
 
-def _optimised(loop: Loop, problem: Problem, start: Array) -> tuple[Array, int]:
+def _optimised(loop: Loop, problem: ClosedLoopProblem, start: Array) -> tuple[Array, int]:
     """Search the logarithms of the parameters, as shares of the start, which all have its sign."""
     from mujoco import sysid
 

@@ -10,11 +10,11 @@ from scipy.io import loadmat
 from scipy.optimize import minimize_scalar
 
 from jointid.estimation.methods.inverse_model import InverseModel, inverse_model
-from jointid.estimation.methods.regression import least_squares
 from jointid.models.joints import FlexibleJoint
 from jointid.models.parameters import Parameter, Quantity
 from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
+from jointid.solvers.regression import least_squares
 
 PERIOD = 4e-4
 JOINT = FlexibleJoint("revolute", torque_unit="A")

@@ -10,11 +10,20 @@ import pytest
 
 import jointid as ji
 from jointid.common.progress import silent
-from jointid.estimation.methods.endogeneity import Judgement, _Shadow, contrast, judged, known_motions, solved
-from jointid.estimation.problems.drive_side_problem import MotionProblem, motion_problem
+from jointid.estimation.methods.endogeneity import (
+    InstrumentedProblem,
+    Judgement,
+    contrast,
+    judged,
+    known_motions,
+    solve_with_instruments,
+)
+from jointid.estimation.problems.drive_side import DriveSideProblem, motion_problem
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
 from jointid.records.record import Channel, Record, Tap, Timing
-from jointid.solvers.levenberg_marquardt import Bottom, descend
+from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
+from jointid.solvers.solution import Solution
+from jointid.solvers.solve import solve
 from jointid.uncertainty.bands import band_deviations
 from jointid.uncertainty.covariance import sandwich
 
@@ -23,7 +32,7 @@ PHYSICAL = ("motor_inertia", "stiffness", "load_inertia")
 FILTERING = ji.Filtering(cutoff=60.0)
 
 
-def problem_of(record: Record, **settings: float | None) -> MotionProblem:
+def problem_of(record: Record, **settings: float | None) -> DriveSideProblem:
     around = ji.DriveSideFit(**settings).surroundings(1e-3)
     return motion_problem(record, ji.DriveSide(JOINT), FILTERING, JOINT.parameters, around)
 
@@ -108,11 +117,11 @@ def test_white_noise_on_the_log_leaves_the_truth_in_the_intervals() -> None:
     for seed in range(1, 7):
         made = twin("L19", noise="white", seed=seed)
         problem = problem_of(made.record, log_delay=0.0)
-        bottom = descend(problem, [problem.vector(TABLE_2)], 1e-8, silent)
-        std = sandwich(bottom.J, bottom.J, bottom.error).std
-        std = np.maximum(std, band_deviations(bottom.J, bottom.J, bottom.error))
+        solution = solve(problem, LevenbergMarquardt(1e-8), problem.vector(TABLE_2))
+        std = sandwich(solution.jacobian, solution.jacobian, solution.residual).std
+        std = np.maximum(std, band_deviations(solution.jacobian, solution.jacobian, solution.residual))
         own = slice(0, len(JOINT.parameters))
-        inside += list((np.abs(bottom.x - problem.vector(TABLE_2)) < 2 * std)[own])
+        inside += list((np.abs(solution.x - problem.vector(TABLE_2)) < 2 * std)[own])
     assert np.mean(inside) > 0.85
 
 
@@ -139,8 +148,8 @@ def test_white_noise_on_the_log_is_no_endogeneity() -> None:
     for seed in range(1, 6):
         record = twin("L19", noise="white", seed=seed).record
         problem = problem_of(record, log_delay=0.0)
-        bottom = descend(problem, [problem.vector(TABLE_2)], 1e-8, silent)
-        verdict = judged(record, problem, bottom, "tested", silent)
+        solution = solve(problem, LevenbergMarquardt(1e-8), problem.vector(TABLE_2))
+        verdict = judged(record, problem, solution, "tested", silent)
         assert verdict.x is None
         assert not verdict.warnings
         assert verdict.probability is not None
@@ -152,13 +161,13 @@ def test_white_noise_on_the_log_is_no_endogeneity() -> None:
 def test_a_disturbance_in_the_loop_is_noticed() -> None:
     record = twin("L30", seed=1).record
     problem = problem_of(record, log_delay=-1e-3)
-    bottom = descend(problem, [problem.vector(TABLE_2)], 1e-8, silent)
-    verdict = judged(record, problem, bottom, "tested", silent)
+    solution = solve(problem, LevenbergMarquardt(1e-8), problem.vector(TABLE_2))
+    verdict = judged(record, problem, solution, "tested", silent)
     assert verdict.x is not None
     assert "Durbin-Wu-Hausman" in verdict.warnings[0]
     at = [p.name for p in problem.free].index("stiffness")
     truth = TABLE_2["stiffness"]
-    assert abs(verdict.x[at] / truth - 1) < abs(bottom.x[at] / truth - 1)
+    assert abs(verdict.x[at] / truth - 1) < abs(solution.x[at] / truth - 1)
 
 
 @pytest.mark.statistical
@@ -167,13 +176,13 @@ def test_a_disturbance_in_the_loop_is_noticed_and_mended() -> None:
     for seed in range(1, 6):
         record = twin("L30", seed=seed).record
         problem = problem_of(record, log_delay=-1e-3)
-        bottom = descend(problem, [problem.vector(TABLE_2)], 1e-8, silent)
-        verdict = judged(record, problem, bottom, "tested", silent)
+        solution = solve(problem, LevenbergMarquardt(1e-8), problem.vector(TABLE_2))
+        verdict = judged(record, problem, solution, "tested", silent)
         assert verdict.x is not None
         assert "Durbin-Wu-Hausman" in verdict.warnings[0]
         truth = problem.vector(TABLE_2)
         chosen = [i for i, p in enumerate(problem.free) if p.name in PHYSICAL]
-        plain.append(bottom.x[chosen] / truth[chosen] - 1)
+        plain.append(solution.x[chosen] / truth[chosen] - 1)
         mended.append(verdict.x[chosen] / truth[chosen] - 1)
     assert np.all(np.abs(np.mean(plain, axis=0)) > 0.008)
     assert np.all(np.abs(np.mean(mended, axis=0)) < 0.003)
@@ -183,8 +192,8 @@ def test_a_disturbance_in_the_loop_is_noticed_and_mended() -> None:
 def test_pulses_keep_a_coloured_disturbance_from_biasing_the_answer() -> None:
     found = []
     for seed in range(8):
-        problem, bottom, verdict = answered(coloured(True, seed))
-        found.append(bottom.x if verdict.x is None else verdict.x)
+        problem, solution, verdict = answered(coloured(True, seed))
+        found.append(solution.x if verdict.x is None else verdict.x)
         assert not any("weak" in warning for warning in verdict.warnings)
     truth, chosen = problem.vector(TABLE_2), [3, 5]
     assert [problem.free[i].name for i in chosen] == ["stiffness", "load_inertia"]
@@ -195,17 +204,17 @@ def test_pulses_keep_a_coloured_disturbance_from_biasing_the_answer() -> None:
 def test_without_pulses_every_answer_says_that_it_is_biased_or_cannot_be_tested() -> None:
     plain = []
     for seed in range(6):
-        problem, bottom, verdict = answered(coloured(False, seed))
-        plain.append(bottom.x)
+        problem, solution, verdict = answered(coloured(False, seed))
+        plain.append(solution.x)
         assert any("Durbin-Wu-Hausman" in w or "instruments are" in w for w in verdict.warnings)
     truth, chosen = problem.vector(TABLE_2), [3, 5]
     assert np.all(np.mean(plain, axis=0)[chosen] / truth[chosen] - 1 < -0.05)
 
 
-def answered(record: Record) -> tuple[MotionProblem, Bottom, Judgement]:
+def answered(record: Record) -> tuple[DriveSideProblem, Solution, Judgement]:
     problem = problem_of(record, log_delay=-1e-3)
-    bottom = descend(problem, [problem.vector(TABLE_2)], 1e-8, silent)
-    return problem, bottom, judged(record, problem, bottom, "tested", silent)
+    solution = solve(problem, LevenbergMarquardt(1e-8), problem.vector(TABLE_2))
+    return problem, solution, judged(record, problem, solution, "tested", silent)
 
 
 def coloured(pulses: bool, seed: int) -> Record:
@@ -294,10 +303,10 @@ def test_a_wrong_contrast_is_seen() -> None:
     """The statistic is that of the estimates it is given, not of the probability that was hoped for."""
     record = twin("L19", noise="white").record
     problem = problem_of(record, log_delay=0.0)
-    bottom = descend(problem, [problem.vector(TABLE_2)], 1e-8, silent)
-    found = solved(problem, _Shadow.of(record, problem), bottom)
-    assert contrast(problem, bottom, found)[0] > 0.01
-    moved = replace(bottom, x=bottom.x * 1.01)
+    solution = solve(problem, LevenbergMarquardt(1e-8), problem.vector(TABLE_2))
+    found = solve_with_instruments(InstrumentedProblem.of(record, problem), solution.x)
+    assert contrast(problem, solution, found)[0] > 0.01
+    moved = replace(solution, x=solution.x * 1.01)
     assert contrast(problem, moved, found)[0] < 1e-6
 
 

@@ -11,7 +11,6 @@ import pytest
 
 from jointid.common.errors import ExtraError, RecordError
 from jointid.common.text import interval, number
-from jointid.estimation.methods.regression import Conditioning, least_squares
 from jointid.estimation.result.estimate import (
     Checks,
     Data,
@@ -30,6 +29,7 @@ from jointid.output import json as answers
 from jointid.output.figures.figures import save, torque_figure
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
+from jointid.solvers.regression import Conditioning, least_squares
 from tests.estimation.conftest import CONTROLLER
 
 LOOP = ClosedLoop(RigidJoint(), CONTROLLER)

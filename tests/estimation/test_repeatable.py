@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jointid.estimation.identify import identify
-from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.models.joints import RigidJoint
 from jointid.paper.twin import twin
 from jointid.records.record import Record
@@ -142,14 +142,14 @@ def test_by_place_is_the_textbook_s_for_noise() -> None:
     assert np.mean(squares, axis=0) == pytest.approx(expected, rel=0.25)
 
 
-def at_rows(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def at_rows(problem: ClosedLoopProblem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the motor's simulated position and velocity at the rows of the residual."""
     run, keep = problem.simulate(x), problem.filtering.decimation or 1
     last = (problem.measured.size - 1) % keep
     return run.motor_position[last::keep], run.motor_velocity[last::keep]
 
 
-def emps_fit(record: Record) -> tuple[Problem, np.ndarray, np.ndarray, Cells]:
+def emps_fit(record: Record) -> tuple[ClosedLoopProblem, np.ndarray, np.ndarray, Cells]:
     estimate = identify(record, LOOP)
     values = {p.name: p.value for p in estimate.params}
     problem = torque_problem(record, LOOP, Filtering(), LOOP.joint.parameters)

@@ -14,11 +14,11 @@ from jointid.common.errors import MethodError
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.problems.several_records import several
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.several_records.per_record_fit import by_itself, descended, starts, whitened
+from jointid.estimation.several_records.per_record_fit import SOLVER, by_itself, starts, whitened
 from jointid.estimation.several_records.settings import SeveralRecords
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import RigidJoint
@@ -28,6 +28,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
+from jointid.solvers.solve import solve
 from tests.estimation.conftest import CONTROLLER
 
 Noise = Literal["disturbance", "white", "none"]
@@ -63,7 +64,7 @@ def logged(loop: ClosedLoop, values: Mapping[str, float], noise: Noise = "none",
     return record.without("motor_position", "load_position")
 
 
-def problem_of(record: Record, loop: ClosedLoop) -> Problem:
+def problem_of(record: Record, loop: ClosedLoop) -> ClosedLoopProblem:
     state = (INITIAL_STATE[0], INITIAL_STATE[1].fixed(0.0))
     return torque_problem(record, loop, Filtering(), loop.joint.parameters, state)
 
@@ -239,7 +240,7 @@ def differences(noise: Noise, seed: int) -> tuple[float, float]:
     apart = alone[1].values["load_inertia"] - alone[0].values["load_inertia"]
     alone = [whitened(one) for one in alone]
     criterion = several(problems, [("load_inertia",)] * 2).weighing([one.weights for one in alone])
-    end = descended(criterion, criterion.vector([one.end.x for one in alone]))
+    end = solve(criterion, SOLVER, criterion.vector([one.end.x for one in alone]))
     found = dict(zip([p.name for p in criterion.free], end.x, strict=True))
     return apart, float(found["load_inertia@2"] - found["load_inertia@1"])
 

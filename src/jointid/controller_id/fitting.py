@@ -8,13 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.controller_id.columns import law_coefficients, response
 from jointid.controller_id.loop_record import LoopRecord
 from jointid.controller_id.noise import Noise, estimate_noise
 from jointid.controller_id.structures import INTEGRAL, Structure, bounds, controller
 from jointid.models.controllers import Controller, SampledLaw
+from jointid.solvers.bounds import Bounds
 
 _STEP = 1e-5  # of a number, for its difference
 _ENOUGH = 1e-7  # of the cost: a smaller improvement ends the search
@@ -123,8 +124,8 @@ def fit(task: Task, structure: Structure, start: Mapping[str, float], noise: Noi
         steps: at most.
     """
     names, period = structure.names, task.log.period
-    limits = np.array([bounds(name, period, structure.rate) for name in names])
-    x = np.clip(np.array([start[name] for name in names], dtype=np.float64), limits[:, 0], limits[:, 1])
+    limits = Bounds(*np.array([bounds(name, period, structure.rate) for name in names]).T)
+    x = limits.clip(np.array([start[name] for name in names], dtype=np.float64))
     try:
         white = task.whiten(structure, dict(zip(names, x, strict=True)), noise)
         cost = float(white @ white)
@@ -167,14 +168,14 @@ def _step(
     white: FloatArray,
     J: FloatArray,
     noise: Noise,
-    limits: FloatArray,
+    limits: Bounds,
 ) -> tuple[FloatArray, FloatArray, float]:
     """Return numbers, residual and cost after one step; those of before where none is better."""
     cost, names = float(white @ white), structure.names
     change = _gauss_newton_step(J, white, x, limits)
     share = 1.0
     for _ in range(_HALVINGS):
-        tried = np.clip(x + share * change, limits[:, 0], limits[:, 1])
+        tried = limits.clip(x + share * change)
         after = task.whiten(structure, dict(zip(names, tried, strict=True)), noise)
         if (new := float(after @ after)) < cost:
             return tried, after, new
@@ -182,17 +183,16 @@ def _step(
     return x, white, cost
 
 
-def _gauss_newton_step(J: FloatArray, white: FloatArray, x: FloatArray, limits: FloatArray) -> FloatArray:
+def _gauss_newton_step(J: FloatArray, white: FloatArray, x: FloatArray, limits: Bounds) -> FloatArray:
     """Return Gauss and Newton's step; a number that would leave its bounds at once stays there."""
     free = np.ones(x.size, dtype=np.bool_)
-    norms = np.linalg.norm(J, axis=0)
-    norms = np.where(norms > 0, norms, 1.0)
+    norms = column_norms(J)
     scaled = J / norms
     normal, right = scaled.T @ scaled, -scaled.T @ white
     for _ in range(x.size):
         change = np.zeros(x.size)
         change[free] = np.linalg.lstsq(normal[np.ix_(free, free)], right[free], rcond=1e-13)[0] / norms[free]
-        stuck = free & (((x <= limits[:, 0]) & (change < 0)) | ((x >= limits[:, 1]) & (change > 0)))
+        stuck = free & limits.blocked(x, change)
         if not np.any(stuck):
             break
         free &= ~stuck

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.controller_id.noise import PositionError, band_means, band_power, band_widths
 from jointid.controller_id.structures import SLOWER
 from jointid.models.controllers import DIRECTION, INJECTED, POSITION, REFERENCE
@@ -65,8 +65,7 @@ def _regress(
     for part in parts:
         rows = np.column_stack([*(one[part] for one in every), torque[part]]) * kept[part, np.newaxis]
         root = np.asarray(np.linalg.qr(np.vstack([root, rows]), mode="r"))
-    norms = np.linalg.norm(root[:, :-1], axis=0)
-    norms = np.where(norms > 0, norms, 1.0)
+    norms = column_norms(root[:, :-1])
     gains, _, rank, _ = np.linalg.lstsq(root[:, :-1] / norms, root[:, -1], rcond=_DEPENDENT)
     split = np.zeros((norms.size, 2))  # what is asked, and what is seen
     split[:first, 0], split[first:, 1] = (gains / norms)[:first], (gains / norms)[first:]

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.controller_id.fitting import FittedLaw, Task, order_rates
@@ -195,8 +195,7 @@ def covariance_by_frequency(J: FloatArray, white: FloatArray) -> Covariance:
         J: (samples, numbers), the sensitivities of the prediction.
         white: (samples,) what remains.
     """
-    norms = np.linalg.norm(J, axis=0)
-    norms = np.where(norms > 0, norms, 1.0)
+    norms = column_norms(J)
     products = np.fft.rfft(J / norms, axis=0).conj() * np.fft.rfft(white)[:, np.newaxis]
     scores = 2.0 / white.size * np.real(products)
     spread = np.linalg.pinv((J / norms).T @ (J / norms))

@@ -15,8 +15,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray
-from jointid.controller_id.columns import EVERY, coefficient_columns, columns, injected_torque, response
+from jointid.common.arrays import FloatArray, column_norms
+from jointid.controller_id.columns import (
+    EVERY,
+    coefficient_columns,
+    columns,
+    injected_torque,
+    response,
+)
 from jointid.controller_id.loop_record import LoopRecord
 from jointid.controller_id.noise import Noise, estimate_noise
 from jointid.controller_id.structures import LATE, Structure, bounds
@@ -91,12 +97,12 @@ class CompressedFrame:
         X, moves = self.blocks[0] @ mixed, [block @ mixed for block in self.blocks[1:]]
         if ki:
             moves.append(self.blocks[0] @ (_gain_columns(structure, 2.0 * ki) - mixed) / ki)
-        scale = _column_norms(X)
+        scale = column_norms(X)
         gains = np.linalg.lstsq(X / scale, self.targets, rcond=_DEPENDENT)[0] / scale[:, np.newaxis]
         costs = np.empty(len(self.late))
         for i, target in enumerate(self.targets.T):
             full = np.column_stack([X, *(move @ gains[:, i] for move in moves)])
-            full = full / _column_norms(full)
+            full = full / column_norms(full)
             left = target - full @ np.linalg.lstsq(full, target, rcond=_DEPENDENT)[0]
             costs[i] = left @ left
         return costs
@@ -146,7 +152,7 @@ class Regression:
         mixed = EVERY if free else _gain_columns(structure, numbers.get("ki", 0.0))
         X = (columns(self.log, structure, numbers) @ mixed) * self.kept[:, np.newaxis]
         Y = self._targets(structure, numbers, late)
-        scale = _column_norms(X)
+        scale = column_norms(X)
         seen, wanted = (_whiten(one, weighting.weights) for one in (X / scale, Y))
         coefficients = np.linalg.lstsq(seen, wanted, rcond=_DEPENDENT)[0] / scale[:, np.newaxis]
         gains, residuals = mixed @ coefficients, Y - X @ coefficients
@@ -179,7 +185,7 @@ class Regression:
             step = _STEP * max(value, _smallest_scale(name, self.log.period))
             blocks.append((columns(self.log, frame, {**numbers, name: value + step}) - base) / step)
         stacked = np.hstack([*blocks, self._targets(frame, numbers, late)]) * self.kept[:, np.newaxis]
-        scale = _column_norms(stacked)
+        scale = column_norms(stacked)
         triangle: FloatArray = np.asarray(np.linalg.qr(_whiten(stacked / scale, weighting.weights), mode="r"))
         triangle = triangle * (scale * math.sqrt(2.0 / self.log.samples))
         width = base.shape[1]
@@ -277,11 +283,6 @@ def _smallest_scale(name: str, sample_time: float) -> float:
     """Return the smallest scale of a parameter, which may itself be 0."""
     last = name.rpartition(".")[2]
     return {"depth": 0.3, "ki": 1e-3 / sample_time, "reference_delay": 0.1 * sample_time}.get(last, 0.0)
-
-
-def _column_norms(X: FloatArray) -> FloatArray:
-    norms = np.linalg.norm(X, axis=0)
-    return np.where(norms > 0, norms, 1.0)
 
 
 def _whiten(X: FloatArray, weights: FloatArray) -> FloatArray:

@@ -25,7 +25,7 @@ from jointid.common.progress import Progress, silent
 from jointid.common.text import number
 from jointid.diagnostics.sensor_information import Noise, informations, usual_step, with_information
 from jointid.diagnostics.variations import Variation, faster, pulse_of, pulsed
-from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITIAL_TORQUE
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.models.parameters import POSITION_UNIT
@@ -177,7 +177,7 @@ def advise(
     )
 
 
-def at_estimate(estimate: Estimate, record: Record) -> tuple[Problem, FloatArray]:
+def at_estimate(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, FloatArray]:
     """Return the problem an estimate solved and its free parameters, those that were refused at 0.
 
     Raises:
@@ -226,7 +226,7 @@ def steps(record: Record, given: float | None) -> tuple[float, float]:
 
 
 def _sensors(
-    problem: Problem, x: FloatArray, noise: Noise, step: tuple[float, float], known: FloatArray
+    problem: ClosedLoopProblem, x: FloatArray, noise: Noise, step: tuple[float, float], known: FloatArray
 ) -> tuple[Prediction, ...]:
     """Return the predictions for a motor encoder, a load encoder and both."""
     added = informations(problem, x, noise, *step)
@@ -246,7 +246,7 @@ def _sensors(
 
 
 def _tests(
-    problem: Problem, x: FloatArray, scale: FloatArray, variations: tuple[Variation, ...]
+    problem: ClosedLoopProblem, x: FloatArray, scale: FloatArray, variations: tuple[Variation, ...]
 ) -> tuple[Prediction, ...]:
     """Return the predictions for other motions, of the record's duration."""
     error, J = problem.linearised(x)

@@ -25,7 +25,7 @@ from functools import partial
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.problems.closed_loop import Problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of
 from jointid.records.record import Tap
 from jointid.simulation.log_output import as_logged
@@ -58,7 +58,7 @@ class Alternative:
     raw: FloatArray | None = None
 
 
-def sensitivities(problem: Problem, x: FloatArray) -> tuple[FloatArray, FloatArray, tuple[Alternative, ...]]:
+def sensitivities(problem: ClosedLoopProblem, x: FloatArray) -> tuple[FloatArray, FloatArray, tuple[Alternative, ...]]:
     """Return the residual, the columns of the free parameters, (rows, free), and those of all alternatives.
 
     Args:
@@ -79,14 +79,14 @@ def sensitivities(problem: Problem, x: FloatArray) -> tuple[FloatArray, FloatArr
     return residual, own, tuple(a for a in tried if np.linalg.norm(a.column) > 0)
 
 
-def _exact(problem: Problem) -> tuple[str, ...]:
+def _exact(problem: ClosedLoopProblem) -> tuple[str, ...]:
     """Return the names of what surrounds the joint and can be derived by: a gain of 0 is a choice, not a mistake."""
     controller = problem.loop.controller
     numbers = [n for n, v in numbers_of(controller).items() if n == "delay" or (v and math.isfinite(v) and n != LIMIT)]
     return (*numbers, "log_gain", "log_delay")
 
 
-def _injected(problem: Problem, x: FloatArray) -> Iterator[Alternative]:
+def _injected(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[Alternative]:
     """Yield the known signal's gain, where it is added after the limit."""
     if np.any(problem.experiment.after_limit):
         low, high = (problem.torque_if(x, partial(_injecting, by)) for by in (1 - _STEP, 1 + _STEP))
@@ -94,7 +94,7 @@ def _injected(problem: Problem, x: FloatArray) -> Iterator[Alternative]:
         yield Alternative(INJECTED_GAIN, problem.filtered(raw), raw=raw)
 
 
-def _stribeck(problem: Problem, x: FloatArray) -> Iterator[Alternative]:
+def _stribeck(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[Alternative]:
     """Yield the answers of the loop to a friction that is larger, or smaller, at low speed."""
     velocity = problem.simulate(x).motor_velocity
     if velocity.size != problem.experiment.after_limit.size:
@@ -109,7 +109,7 @@ def _stribeck(problem: Problem, x: FloatArray) -> Iterator[Alternative]:
             yield Alternative(PRESLIDING, -column, speed, -raw)
 
 
-def _limits(problem: Problem, x: FloatArray) -> Iterator[Alternative]:
+def _limits(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[Alternative]:
     """Yield what a limit takes from the torque, as a whole: what is 1 times as large is the limit itself."""
     if not hasattr(problem.loop.controller, LIMIT):
         return
@@ -122,7 +122,7 @@ def _limits(problem: Problem, x: FloatArray) -> Iterator[Alternative]:
             yield Alternative(LIMIT, problem.filtered(cut - free), level)
 
 
-def _answer(problem: Problem, x: FloatArray, force: FloatArray) -> FloatArray:
+def _answer(problem: ClosedLoopProblem, x: FloatArray, force: FloatArray) -> FloatArray:
     """Return what the log shows of a force on the motor, (periods,), that no log contains."""
     size = _FORCE * float(np.max(np.abs(problem.measured)))
     low, high = (problem.torque_if(x, partial(_pushed, by * force)) for by in (-size, size))

@@ -16,13 +16,13 @@ from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, common_facts
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
-from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import surrounding
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.models.transmission import Transmission
 from jointid.records.record import Record
 from jointid.simulation.loop_input import ClosedLoop
-from jointid.solvers.criterion import Criterion
+from jointid.solvers.problem import Problem
 from jointid.uncertainty.bootstrap import Bootstrap, Bootstrapping, cell_bootstrap, refitted, time_bootstrap
 from jointid.uncertainty.combination import ByCompliance, Combination
 from jointid.uncertainty.covariance import Covariance, covariance_of
@@ -124,7 +124,7 @@ def require_quantities(quantities: Sequence[str], loop: ClosedLoop) -> None:
                     raise MethodError(_unknown(quantity, known)) from None
 
 
-def solved(estimate: Estimate, record: Record) -> tuple[Problem, FloatArray]:
+def solved(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, FloatArray]:
     """Return the problem an estimate by DIDIM solved, and its free parameters.
 
     Raises:
@@ -155,7 +155,7 @@ def solved(estimate: Estimate, record: Record) -> tuple[Problem, FloatArray]:
 
 
 def _profiled(
-    problem: Problem, x: FloatArray, spread: Covariance, quantity: str, settings: Profiling | None
+    problem: ClosedLoopProblem, x: FloatArray, spread: Covariance, quantity: str, settings: Profiling | None
 ) -> Profile:
     if quantity != "compliance":
         return profile(problem, x, _combination(problem, quantity), spread, settings)
@@ -163,7 +163,7 @@ def _profiled(
     if "stiffness" not in names:
         raise MethodError("A compliance is that of a flexible joint whose stiffness is free; this joint has none.")
     at = names.index("stiffness")
-    by: Criterion = ByCompliance(problem, _LEAST / float(x[at]))
+    by: Problem = ByCompliance(problem, _LEAST / float(x[at]))
     turn = np.eye(x.size)
     turn[at, at] = -1.0 / float(x[at]) ** 2  # of 1/K by K
     turned = covariance_of(turn @ spread.matrix @ turn.T, spread.bandwidth)
@@ -173,7 +173,7 @@ def _profiled(
     return profile(by, exchanged, wanted, turned, settings)
 
 
-def _combination(problem: Problem, quantity: str) -> Combination:
+def _combination(problem: ClosedLoopProblem, quantity: str) -> Combination:
     """Return the sum that a text such as ``a + b - c`` names."""
     weights = _weights(quantity)
     free = {p.name: p for p in problem.free}

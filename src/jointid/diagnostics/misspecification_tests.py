@@ -15,7 +15,6 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.progress import silent
 from jointid.diagnostics.fault_signatures import (
     INJECTED_GAIN,
     LIMIT,
@@ -27,11 +26,12 @@ from jointid.diagnostics.fault_signatures import (
 )
 from jointid.diagnostics.loop_check import Change, Finding, LoopCheck, Suspect
 from jointid.diagnostics.scores import strength, tested
-from jointid.estimation.problems.closed_loop import Problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.nuisance_parameters import surrounding
-from jointid.estimation.search.descent import Descent, refined
+from jointid.estimation.search.history import least_squares
 from jointid.models.controllers import with_numbers
 from jointid.models.parameters import Quantity, unit_of
+from jointid.solvers.solve import solve
 from jointid.uncertainty.covariance import larger, robust
 from jointid.uncertainty.position_dependent_error import Cells, by_place, cells, repeatable
 
@@ -71,7 +71,7 @@ class _State:
     `beside` are faults taken in that no parameter of the problem stands for; `named` are all names that are settled.
     """
 
-    problem: Problem
+    problem: ClosedLoopProblem
     x: FloatArray
     beside: tuple[Alternative, ...] = ()
     named: tuple[str, ...] = ()
@@ -91,7 +91,7 @@ class _Tested:
         return next(a for a in self.alternatives if (a.name, a.shape) == (suspect.name, suspect.shape))
 
 
-def suspected(problem: Problem, x: FloatArray, settings: LoopTests | None = None) -> LoopCheck:
+def suspected(problem: ClosedLoopProblem, x: FloatArray, settings: LoopTests | None = None) -> LoopCheck:
     """Return what of a loop and its log is not as declared.
 
     Args:
@@ -181,13 +181,12 @@ def _taken_in(state: _State, found: _Tested) -> _State:
     return _State(wider, x, state.beside, named)
 
 
-def _solved(problem: Problem, start: FloatArray) -> FloatArray:
+def _solved(problem: ClosedLoopProblem, start: FloatArray) -> FloatArray:
     """Return the least-squares parameters near a start."""
-    inside = np.clip(start, [p.lower for p in problem.free], [p.upper for p in problem.free])
-    return np.asarray(refined(Descent(problem, silent), inside, _TOLERANCE).x)
+    return solve(problem, least_squares(problem, _TOLERANCE), start).x
 
 
-def _freed(problem: Problem, suspect: Suspect) -> tuple[Problem, float]:
+def _freed(problem: ClosedLoopProblem, suspect: Suspect) -> tuple[ClosedLoopProblem, float]:
     """Return the problem with a suspect free, and where that begins."""
     start = suspect.declared + suspect.size
     if suspect.name == OFFSET:
@@ -203,7 +202,7 @@ def _freed(problem: Problem, suspect: Suspect) -> tuple[Problem, float]:
     return wider, max(start, p.lower)
 
 
-def _torque_per_unit(problem: Problem) -> float:
+def _torque_per_unit(problem: ClosedLoopProblem) -> float:
     """Return the torque on the joint for one unit of the controller."""
     controller = problem.loop.controller
     return float(getattr(controller, "gain", 1.0) * abs(getattr(controller, "ratio", 1.0)))

@@ -21,7 +21,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.diagnostics.fault_signatures import INJECTED_GAIN, ONE_SIDED, Alternative
 from jointid.diagnostics.loop_check import Suspect
 from jointid.uncertainty.covariance import larger, robust
@@ -117,8 +117,7 @@ def _without(columns: FloatArray, signal: FloatArray) -> FloatArray:
 
 
 def _basis(columns: FloatArray) -> FloatArray:
-    norms = np.linalg.norm(columns, axis=0)
-    left, sizes, _ = np.linalg.svd(columns / np.where(norms > 0, norms, 1.0), full_matrices=False)
+    left, sizes, _ = np.linalg.svd(columns / column_norms(columns), full_matrices=False)
     return np.asarray(left[:, sizes > _RANK * sizes[0]])
 
 

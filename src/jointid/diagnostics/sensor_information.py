@@ -36,7 +36,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.problems.closed_loop import Problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.log_output import as_logged
 
@@ -63,7 +63,9 @@ def usual_step(reference: FloatArray) -> float:
     return _OF_TRAVEL * (float(np.ptp(reference)) or 1.0)
 
 
-def informations(problem: Problem, x: FloatArray, noise: Noise, motor_step: float, load_step: float) -> Informations:
+def informations(
+    problem: ClosedLoopProblem, x: FloatArray, noise: Noise, motor_step: float, load_step: float
+) -> Informations:
     """Return what encoders would add (see the module).
 
     Args:
@@ -125,7 +127,7 @@ def with_information(covariance: FloatArray, information: FloatArray) -> FloatAr
     return np.asarray(root @ np.linalg.solve(np.eye(std.size) + added, root.T))
 
 
-def load_alone(problem: Problem, x: FloatArray, motor: FloatArray, load: FloatArray) -> FloatArray:
+def load_alone(problem: ClosedLoopProblem, x: FloatArray, motor: FloatArray, load: FloatArray) -> FloatArray:
     """Return what of the load's motion the motor's does not explain, ``load - H motor``, (samples, ...) as given.
 
     ``ZZ2 a + (Fv2 + F12) v + K12 q = F12 v1 + K12 q1``, the load sliding, the motor on a straight line between two
@@ -147,7 +149,7 @@ def _is_of_load(name: str) -> bool:
     return name.startswith("load_") or name in ("stiffness", "damping")
 
 
-def _left_of_load(problem: Problem, x: FloatArray) -> FloatArray | None:
+def _left_of_load(problem: ClosedLoopProblem, x: FloatArray) -> FloatArray | None:
     """Return what the motor's motion leaves of the load's answer to a force that explains the torque's residual.
 
     A white force on the motor, as large as makes the filtered torque's answer as large as the residual. None where the

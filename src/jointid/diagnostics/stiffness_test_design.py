@@ -26,7 +26,7 @@ from jointid.common.text import number
 from jointid.diagnostics.experiment_design import at_estimate, noise_of, steps
 from jointid.diagnostics.sensor_information import Noise, informations, with_information
 from jointid.diagnostics.variations import pulse_of, pulsed
-from jointid.estimation.problems.closed_loop import Problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.search.exploration import FASTEST
 from jointid.estimation.search.starts import pseudo_regular
@@ -155,7 +155,7 @@ def revealing(
     rung = replace(wide, experiment=pulsed(problem, height, width).experiment)
     step = steps(record, encoder_step)[1]
 
-    def deviation(by: Problem, values: Mapping[str, float], doubt: float, encoder: bool) -> float:
+    def deviation(by: ClosedLoopProblem, values: Mapping[str, float], doubt: float, encoder: bool) -> float:
         x = by.vector(values)
         response, columns = by.sensitivities(x)
         if response.outcome is not Outcome.FINISHED:
@@ -169,7 +169,7 @@ def revealing(
         at = [p.name for p in by.free].index("stiffness")
         return math.sqrt(max(float(known[at, at]), 0.0)) / values["stiffness"]
 
-    def told(by: Problem, bound: StiffnessBound, encoder: bool) -> Told:
+    def told(by: ClosedLoopProblem, bound: StiffnessBound, encoder: bool) -> Told:
         assert bound.frequency is not None
         progress(f"looking for what tells a mode at a load share of {bound.share:g}")
         softest = pseudo_regular(rigid, bound.frequency, bound.share)
@@ -191,7 +191,7 @@ def revealing(
     )  # fmt: skip
 
 
-def _all_free(problem: Problem) -> Problem:
+def _all_free(problem: ClosedLoopProblem) -> ClosedLoopProblem:
     """Return the problem with everything free that parts the motor from the load, also what was kept fixed."""
     parted = ("motor_", "load_", "stiffness", "damping")
     freed = tuple(replace(p, free=True) if p.name.startswith(parted) else p for p in problem.parameters)

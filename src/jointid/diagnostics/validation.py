@@ -6,7 +6,8 @@ measured one, ``||Y - Ys|| / ||Y||``. Only the motor's state at the first sample
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -15,8 +16,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Facts, common_facts
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.inverse_model import idim_channels, motion_of
-from jointid.estimation.methods.regression import least_squares
-from jointid.estimation.problems.closed_loop import Problem, initial_of, with_torque
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of, with_torque
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.result.estimate import (
     Estimate,
@@ -36,6 +36,8 @@ from jointid.records.record import Record
 from jointid.records.time_base.uniformity import Resampled
 from jointid.simulation.closed_loop import Initial, Simulation, require_finished
 from jointid.simulation.loop_input import ClosedLoop, prepare
+from jointid.solvers.gauss_newton import GaussNewton
+from jointid.solvers.solve import solve
 
 _LAGS = 40  # of the residual's autocorrelation
 _STEPS = 6  # for two numbers that act almost linearly on the torque
@@ -194,9 +196,8 @@ def _simulated(identified: IdentifiedJoint, record: Record) -> Validation:
     fixed = tuple(p.fixed(identified.values[p.name]) for p in loop.joint.parameters)
     experiment = prepare(loop, record)
     measured = record.torque.values[: experiment.samples]
-    problem = Problem(
-        loop, experiment, (*fixed, *with_torque(INITIAL_STATE, experiment, measured)), measured, filtering
-    )
+    around = with_torque(INITIAL_STATE, experiment, measured)
+    problem = ClosedLoopProblem((*fixed, *around), measured, filtering, loop, experiment)
     x, runs = _initial_fit(problem)
     run = require_finished(problem.simulate(x))
     error = problem.filtered(np.column_stack([measured - run.torque, measured]))
@@ -242,7 +243,7 @@ def _warnings(identified: IdentifiedJoint, loop: ClosedLoop) -> tuple[str, ...]:
     )
 
 
-def _initial_fit(problem: Problem) -> tuple[FloatArray, int]:
+def _initial_fit(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
     """Return the initial state that fits best, position and velocity, and the simulations it took.
 
     A motor at rest and one that moves are two problems (see `didim`), so both are solved.
@@ -251,28 +252,11 @@ def _initial_fit(problem: Problem) -> tuple[FloatArray, int]:
         start = initial_state(problem, reconstructed_position(problem))
     except MethodError:  # a law that cannot be inverted: begin on the reference, at rest
         start = {"initial_position": float(problem.experiment.inputs[0, 0]), "initial_velocity": 0.0}
-    kept = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
-    ends = [_gauss_newton(which, start) for which in (replace(problem, parameters=kept), problem)]
-    values, _, _ = min(ends, key=lambda end: end[1])
-    return problem.vector(values), sum(runs for _, _, runs in ends)
-
-
-def _gauss_newton(problem: Problem, start: dict[str, float]) -> tuple[dict[str, float], float, int]:
-    """Return the values of a problem that fit best, the norm of the error they leave, and the simulations run."""
-    names = tuple(p.name for p in problem.free)
-    x, runs = problem.vector(start), 0
-    error, J = problem.linearised(x)
-    for _ in range(_STEPS):
-        step = least_squares(-J, error, names).values
-        after, J = problem.linearised(x + step)
-        runs += 1
-        gain = np.linalg.norm(error) - np.linalg.norm(after)
-        if not gain > 0:
-            break
-        x, error = x + step, after
-        if gain < 1e-9 * np.linalg.norm(error):
-            break
-    return problem.values(x), float(np.linalg.norm(error)), runs + 1
+    problems = (problem.keeping({"initial_velocity": 0.0}), problem)
+    solver = GaussNewton(tolerance=1e-9, step_tolerance=math.inf, iterations=_STEPS, halvings=0)
+    ends = [(p, solve(p, solver, p.vector(start))) for p in problems]
+    which, best = min(ends, key=lambda end: float(np.linalg.norm(end[1].residual)))
+    return problem.vector(which.values(best.x)), sum(end.evaluations for _, end in ends)
 
 
 def _tracking(record: Record, run: Simulation, borders: tuple[int, int]) -> float | None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jointid.estimation.problems.closed_loop import Problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.parameters import TORQUE_UNIT
 from jointid.records.record import Channel, Injection, Record
 from jointid.records.signals.excitation import pulses
@@ -36,7 +36,7 @@ class Variation:
     samples: int
 
 
-def pulse_of(problem: Problem, values: Mapping[str, float]) -> tuple[float, float]:
+def pulse_of(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[float, float]:
     """Return the height (N or N m) and the width (s) of pulses that ring a joint.
 
     Five times its Coulomb friction, so that they move it from rest, and 1.2 over the cut-off long, as the twin's 20 ms
@@ -51,7 +51,7 @@ def pulse_of(problem: Problem, values: Mapping[str, float]) -> tuple[float, floa
     return _COULOMB * size, _WIDTH / problem.filtering.cutoff
 
 
-def pulsed(problem: Problem, height: float, width: float) -> Variation:
+def pulsed(problem: ClosedLoopProblem, height: float, width: float) -> Variation:
     """Return the record's own motion with pulses added to the motor's force, those it had still there.
 
     Args:
@@ -69,7 +69,7 @@ def pulsed(problem: Problem, height: float, width: float) -> Variation:
     return Variation(f"{again}pulses", said, changed, experiment.samples)
 
 
-def faster(problem: Problem, record: Record) -> Variation:
+def faster(problem: ClosedLoopProblem, record: Record) -> Variation:
     """Return the same path with twice the acceleration, so often that it lasts as long as the record did.
 
     It is simulated once, 1.4 times as fast, for less time; known pulses stay as long and as far apart as they were.

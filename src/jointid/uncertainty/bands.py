@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.uncertainty.covariance import Covariance
 
 BANDS = 8
@@ -33,8 +33,7 @@ def with_bands(covariance: Covariance, Z: FloatArray, J: FloatArray, error: Floa
 
 def band_deviations(Z: FloatArray, J: FloatArray, error: FloatArray) -> FloatArray:
     """Return standard deviations from the scores by bands of frequency, (parameters,)."""
-    norms = np.linalg.norm(Z, axis=0)
-    norms = np.where(norms > 0, norms, 1.0)
+    norms = column_norms(Z)
     rows = error.size
     spectrum = np.fft.rfft(error)
     energy = np.cumsum(np.abs(spectrum) ** 2)

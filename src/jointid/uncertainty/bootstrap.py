@@ -22,12 +22,14 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Table
 from jointid.common.errors import MethodError
 from jointid.common.text import number
 from jointid.models.parameters import Parameter
-from jointid.solvers.criterion import Criterion
+from jointid.solvers.problem import Problem
+from jointid.solvers.solve import solve
+from jointid.solvers.trust_region import TrustRegion
 from jointid.uncertainty.combination import Combination
 from jointid.uncertainty.covariance import bandwidth
 
@@ -191,35 +193,40 @@ def cell_bootstrap(
     return _drawn(parameters, x, residual, J, weights, groups.size, how, settings, refit)
 
 
-def refitted(criterion: Criterion, x: FloatArray, evaluations: int = 30, tolerance: float = 1e-8) -> Refit:
-    """Return the full refit of a criterion to a resample, from an estimate, within the bounds.
+def refitted(problem: Problem, x: FloatArray, evaluations: int = 30, tolerance: float = 1e-8) -> Refit:
+    """Return the full refit of a problem to a resample, from an estimate, within the bounds.
 
     Args:
-        criterion: what was minimised.
+        problem: that was solved.
         x: (free,) where each refit starts.
         evaluations: at most, of one refit.
         tolerance: relative, on the sum of squares and on the parameters.
     """
-    from scipy.optimize import least_squares
-
-    bounds = np.array([p.lower for p in criterion.free]), np.array([p.upper for p in criterion.free])
+    solver = TrustRegion(tolerance, evaluations, eager=False)
 
     def refit(weights: FloatArray) -> FloatArray:
-        root = np.sqrt(weights)
-
-        def residual(x: FloatArray) -> FloatArray:
-            return np.asarray(root * criterion.residual(x))
-
-        def jacobian(x: FloatArray) -> FloatArray:
-            return np.asarray(root[:, np.newaxis] * criterion.linearised(x)[1])
-
-        end = least_squares(
-            residual, x, jacobian, bounds, x_scale="jac", xtol=tolerance, ftol=tolerance, gtol=None,
-            max_nfev=evaluations,
-        )  # fmt: skip
-        return np.asarray(end.x)
+        return solve(_Weighted(problem, np.sqrt(weights)), solver, x).x
 
     return refit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Weighted:
+    """A problem with every row multiplied, (rows,)."""
+
+    problem: Problem
+    by: FloatArray
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        return self.problem.free
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        return np.asarray(self.by * self.problem.residual(x))
+
+    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        residual, J = self.problem.linearised(x)
+        return self.by * residual, self.by[:, np.newaxis] * J
 
 
 def _require(choices: int, blocks: int) -> None:
@@ -255,8 +262,7 @@ def _one_step(x: FloatArray, residual: FloatArray, J: FloatArray) -> Refit:
     digits. In these the record's own information is the identity, and what a resample has lost of it is seen.
     """
     Q, R = np.linalg.qr(J)
-    norms = np.linalg.norm(R, axis=0)
-    norms = np.where(norms > 0, norms, 1.0)
+    norms = column_norms(R)
     back = np.linalg.pinv(R / norms) / norms[:, np.newaxis]
     whole = Q.T @ residual
 

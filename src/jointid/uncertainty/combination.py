@@ -12,7 +12,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.models.parameters import Parameter, Quantity
-from jointid.solvers.criterion import Criterion
+from jointid.solvers.problem import Problem
 
 
 class Kind(StrEnum):
@@ -99,21 +99,21 @@ def physical(parameters: Sequence[Parameter], units: Mapping[str, str]) -> tuple
 
 @dataclass(frozen=True, slots=True)
 class ByCompliance:
-    """A criterion whose stiffness is searched as the compliance 1/K, in which a nearly rigid joint is nearly linear.
+    """A problem whose stiffness is searched as the compliance 1/K, in which a nearly rigid joint is nearly linear.
 
     A stiffness that a record does not show has no upper bound, which a search meets as a plain without an end; its
     compliance merely has 0 in its interval.
 
     Attributes:
-        criterion: with one free parameter that is a stiffness.
+        problem: with one free parameter that is a stiffness.
         least: the compliance that is as good as none: nothing stiffer is simulated.
     """
 
-    criterion: Criterion
+    problem: Problem
     least: float
 
     def __post_init__(self) -> None:
-        stiff = [p.name for p in self.criterion.free if p.quantity is Quantity.STIFFNESS]
+        stiff = [p.name for p in self.problem.free if p.quantity is Quantity.STIFFNESS]
         if len(stiff) != 1 or not (math.isfinite(self.least) and self.least > 0):
             raise MethodError(
                 "A compliance takes the place of the one free stiffness, and is at least a positive number; received "
@@ -123,7 +123,7 @@ class ByCompliance:
     @property
     def free(self) -> tuple[Parameter, ...]:
         """The parameters, the compliance in the place of the stiffness."""
-        found = list(self.criterion.free)
+        found = list(self.problem.free)
         stiff = found[self._at]
         lower = max(1.0 / stiff.upper, self.least)
         upper = 1.0 / stiff.lower if stiff.lower > 0 else math.inf
@@ -140,15 +140,15 @@ class ByCompliance:
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the residual, (rows,)."""
-        return self.criterion.residual(self.exchanged(x))
+        return self.problem.residual(self.exchanged(x))
 
     def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
-        residual, J = self.criterion.linearised(self.exchanged(x))
+        residual, J = self.problem.linearised(self.exchanged(x))
         J = J.copy()
         J[:, self._at] *= -1.0 / x[self._at] ** 2
         return residual, J
 
     @property
     def _at(self) -> int:
-        return [p.quantity for p in self.criterion.free].index(Quantity.STIFFNESS)
+        return [p.quantity for p in self.problem.free].index(Quantity.STIFFNESS)

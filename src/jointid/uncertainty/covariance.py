@@ -40,7 +40,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.message import Message
 
 _MOST = 2.0  # times its residual: what leaving a block out may make of it
@@ -97,8 +97,7 @@ def white(J: FloatArray, error: FloatArray) -> Covariance:
         J: (rows, parameters), the sensitivities of the prediction.
         error: (rows,) what remains; ``s^2 = ||error||^2 / (rows - parameters)``.
     """
-    norms = np.linalg.norm(J, axis=0)
-    norms = np.where(norms > 0, norms, 1.0)
+    norms = column_norms(J)
     variance = float(error @ error) / max(error.size - J.shape[1], 1)
     R = np.linalg.qr(J / norms, mode="r")  # of J' J only the square of its condition number would be left
     inverse = np.linalg.pinv(R)
@@ -123,8 +122,7 @@ def sandwich(
         equations: rows hold so many equations one after the other, which share their instants.
         series: rows of each record, where several stand one after the other.
     """
-    norms = np.linalg.norm(Z, axis=0)
-    norms = np.where(norms > 0, norms, 1.0)
+    norms = column_norms(Z)
     Z, J = Z / norms, J / norms
     spread = np.asarray(np.linalg.pinv(Z.T @ J), dtype=np.float64)
     parts = _parts(len(Z), series)
@@ -168,8 +166,7 @@ def stationary(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence
             mean left out, which a fit of an offset takes away.
         series: rows of each record, where several stand one after the other; each has a spectrum of its own.
     """
-    norms = np.linalg.norm(Z, axis=0)
-    norms = np.where(norms > 0, norms, 1.0)
+    norms = column_norms(Z)
     Z, J = Z / norms, J / norms
     spread = np.linalg.pinv(Z.T @ J)
     meat = sum(_by_spectrum(Z[part], error[part]) for part in _parts(len(Z), series))

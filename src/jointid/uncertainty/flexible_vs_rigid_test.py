@@ -30,7 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.text import number
 from jointid.uncertainty.covariance import bandwidth, residual_left_out
@@ -178,8 +178,7 @@ class _Cone:
 
 def _cones(J: FloatArray, extra: Sequence[FloatArray]) -> tuple[FloatArray, list[_Cone]]:
     """Return an orthonormal basis of the rigid parameters' columns, and the cones beside it."""
-    norms = np.linalg.norm(J, axis=0)
-    U, sizes, _ = np.linalg.svd(J / np.where(norms > 0, norms, 1.0), full_matrices=False)
+    U, sizes, _ = np.linalg.svd(J / column_norms(J), full_matrices=False)
     Q = U[:, sizes > _SINGULAR * sizes[0]]
     cones = []
     for columns in extra:
@@ -216,8 +215,7 @@ def _draws(
 ) -> FloatArray:
     """Return the statistic with the signs of the blocks turned, (draws,)."""
     count = int(block.max()) + 1
-    norms = np.linalg.norm(columns, axis=0)
-    columns = columns / np.where(norms > 0, norms, 1.0)
+    columns = columns / column_norms(columns)
     spread = np.asarray(np.linalg.pinv(columns.T @ columns), dtype=np.float64)
     noise = residual_left_out(columns, columns, left, spread, block)
     signs = np.random.default_rng(settings.seed).choice([-1.0, 1.0], size=(settings.draws, count))

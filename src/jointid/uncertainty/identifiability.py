@@ -16,7 +16,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.message import Message
 from jointid.common.text import aligned, number
 from jointid.models.parameters import Parameter, Quantity
@@ -139,8 +139,7 @@ def identifiability(
 def _directions(J: FloatArray, own: Sequence[int], scale: FloatArray) -> tuple[FloatArray, float]:
     """Return the right singular vectors of the scaled sensitivities, the rest projected off, and their condition."""
     rest = np.delete(J, own, axis=1)
-    norms = np.linalg.norm(rest, axis=0)
-    Q, _ = np.linalg.qr(rest / np.where(norms > 0, norms, 1.0))
+    Q, _ = np.linalg.qr(rest / column_norms(rest))
     columns = (J * scale)[:, own]
     R = np.linalg.qr(columns - Q @ (Q.T @ columns), mode="r")
     _, sizes, vectors = np.linalg.svd(R)

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.solvers.bounds import Bounds
 from jointid.uncertainty.covariance import Covariance, covariance_of, larger
 
 _SINGULAR = 1e-12  # of the largest: a direction of the scaled parameters that nothing tells
@@ -68,21 +69,21 @@ def total(groups: Sequence[Sums]) -> Sums:
     )  # fmt: skip
 
 
-def step_of(sums: Sums, lower: FloatArray, upper: FloatArray) -> FloatArray:
+def step_of(sums: Sums, room: Bounds) -> FloatArray:
     """Return the step that minimises ``||e + J s||^2`` within bounds on it, (free,)."""
     from scipy.optimize import lsq_linear
 
     R = root_of(sums)
-    scale = _scale(sums.A)
+    scale = scale_of(sums.A)
     columns = R / scale
     target = -np.linalg.lstsq(columns.T, sums.b / scale, rcond=None)[0]
-    found = lsq_linear(columns, target, (lower * scale, upper * scale), method="bvls")
-    return np.asarray(np.clip(found.x / scale, lower, upper))
+    found = lsq_linear(columns, target, (room.lower * scale, room.upper * scale), method="bvls")
+    return room.clip(found.x / scale)
 
 
 def root_of(sums: Sums) -> FloatArray:
     """Return what stands for the derivatives of all rows, (told directions, free): R with R'R = J'J."""
-    scale = _scale(sums.A)
+    scale = scale_of(sums.A)
     values, vectors = np.linalg.eigh(sums.A / np.outer(scale, scale))
     kept = values > _SINGULAR * values[-1]
     return np.asarray((vectors[:, kept] * np.sqrt(values[kept])).T * scale)
@@ -91,7 +92,7 @@ def root_of(sums: Sums) -> FloatArray:
 def left_out(groups: Sequence[Sums]) -> Covariance:
     """Return the covariance of an estimate whose rows err together within each of two or more groups."""
     whole = total(groups)
-    scale = _scale(whole.A)
+    scale = scale_of(whole.A)
     outer = np.outer(scale, scale)
     steps = np.array(
         [-np.linalg.pinv((whole.A - g.A) / outer, hermitian=True) @ ((whole.b - g.b) / scale) for g in groups]
@@ -108,7 +109,7 @@ def left_out(groups: Sequence[Sums]) -> Covariance:
     return Covariance(found.std / scale, found.correlation, 0)
 
 
-def _scale(A: FloatArray) -> FloatArray:
-    """Return the lengths of the columns of J."""
+def scale_of(A: FloatArray) -> FloatArray:
+    """Return the lengths of the columns of J, of which A is J'J, and 1 for a column of zeros."""
     norms = np.sqrt(np.diag(A))
     return np.where(norms > 0, norms, 1.0)

@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.message import Message
 from jointid.common.text import number
 from jointid.uncertainty.covariance import (
@@ -257,8 +257,7 @@ def by_place(Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells) -> C
     An error that is smooth over more than that is covered too little: of 2-sigma intervals 95 % hold the truth at a
     length of half a cell, 88-96 % at two and 80-98 % at four (on the EMPS motion, by simulation).
     """
-    norms = np.linalg.norm(Z, axis=0)
-    norms = np.where(norms > 0, norms, 1.0)
+    norms = column_norms(Z)
     Z, J = Z / norms, J / norms
     spread = np.asarray(np.linalg.pinv(Z.T @ J), dtype=np.float64)
     lags = where.lags

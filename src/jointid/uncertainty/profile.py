@@ -19,14 +19,18 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.text import number
-from jointid.solvers.criterion import Criterion
+from jointid.models.parameters import Parameter
+from jointid.solvers.bounds import Bounds
+from jointid.solvers.problem import Counted, Problem
+from jointid.solvers.solve import solve
+from jointid.solvers.trust_region import TrustRegion
 from jointid.uncertainty.combination import Combination
 from jointid.uncertainty.covariance import Covariance, robust
 
@@ -127,59 +131,56 @@ class _Point:
     x: FloatArray
 
 
-@dataclass(slots=True)
-class _Walk:
-    """What the fits of one profile share, and how often they asked the criterion."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Held:
+    """A problem with one more row, which holds a quantity near a value."""
 
-    criterion: Criterion
+    problem: Problem
+    weights: FloatArray
+    row: float
+    value: float
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        return self.problem.free
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        return np.append(self.problem.residual(x), self._held(x))
+
+    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        residual, J = self.problem.linearised(x)
+        return np.append(residual, self._held(x)), np.vstack([J, self.row * self.weights])
+
+    def _held(self, x: FloatArray) -> float:
+        return float(self.row * (self.weights @ x - self.value))
+
+
+@dataclass(frozen=True, slots=True)
+class _Walk:
+    """The fits of one profile."""
+
+    problem: Counted
     weights: FloatArray
     row: float
     settings: Profiling
-    evaluations: int = 0
-    bounds: tuple[FloatArray, FloatArray] = field(init=False)
-
-    def __post_init__(self) -> None:
-        free = self.criterion.free
-        self.bounds = np.array([p.lower for p in free]), np.array([p.upper for p in free])
-
-    def residual(self, x: FloatArray, value: float) -> FloatArray:
-        self.evaluations += 1
-        return np.append(self.criterion.residual(x), self.row * (self.weights @ x - value))
-
-    def jacobian(self, x: FloatArray) -> FloatArray:
-        self.evaluations += 1
-        return np.vstack([self.criterion.linearised(x)[1], self.row * self.weights])
 
     def fitted(self, x: FloatArray, value: float) -> _Point:
         """Return the best fit near a value of the quantity, from a start that may be outside the bounds."""
-        from scipy.optimize import least_squares
-
-        def residual(x: FloatArray) -> FloatArray:
-            return self.residual(x, value)
-
-        tolerance = self.settings.tolerance
-        end = least_squares(
-            residual,
-            np.minimum(np.maximum(x, self.bounds[0]), self.bounds[1]),
-            self.jacobian,
-            self.bounds,
-            x_scale="jac",
-            xtol=tolerance,
-            ftol=tolerance,
-            gtol=None,
-            max_nfev=self.settings.evaluations,
-        )
-        return _Point(float(self.weights @ end.x), float(end.fun[:-1] @ end.fun[:-1]), np.asarray(end.x))
+        solver = TrustRegion(self.settings.tolerance, self.settings.evaluations, eager=False)
+        end = solve(_Held(self.problem, self.weights, self.row, value), solver, x)
+        error = end.residual[:-1]
+        return _Point(float(self.weights @ end.x), float(error @ error), end.x)
 
     def reach(self, sign: float) -> float:
         """Return how far the parameters' bounds let the quantity go on one side, which may be infinity."""
-        up = np.where(self.weights * sign > 0, self.bounds[1], self.bounds[0])
+        bounds = Bounds.of(self.problem.free)
+        up = np.where(self.weights * sign > 0, bounds.upper, bounds.lower)
         used = self.weights != 0
         return float(np.sum(self.weights[used] * up[used]))
 
 
 def profile(
-    criterion: Criterion,
+    problem: Problem,
     x: FloatArray,
     combination: Combination,
     covariance: Covariance | None = None,
@@ -188,7 +189,7 @@ def profile(
     """Return the profile of a parameter, or of a weighted sum of parameters, about an estimate.
 
     Args:
-        criterion: what was minimised.
+        problem: that was solved.
         x: (free,) where.
         combination: the quantity; `ByCompliance` turns a stiffness into a compliance first.
         covariance: of the free parameters, to be believed; autocorrelation-robust when None.
@@ -200,8 +201,9 @@ def profile(
     from scipy.stats import t as student
 
     settings = settings or Profiling()
-    weights = combination.vector(criterion.free)
-    residual, J = criterion.linearised(x)
+    weights = combination.vector(problem.free)
+    counted = Counted(problem)
+    residual, J = counted.linearised(x)
     covariance = covariance or robust(J, J, residual)
     direction, flat = _least_rise(J, weights)
     std = covariance.std_of(weights)
@@ -209,7 +211,7 @@ def profile(
         return _alone(combination, settings, x, weights, seen=flat is not None)
     quantile = float(student.ppf(0.5 + 0.5 * settings.level, max(residual.size - x.size, 1)))
     threshold = quantile**2 * std**2 / flat
-    walk = _Walk(criterion, weights, _HELD / math.sqrt(flat), settings, 1)
+    walk = _Walk(counted, weights, _HELD / math.sqrt(flat), settings)
     centre = _Point(float(weights @ x), float(residual @ residual), np.array(x, dtype=np.float64))
     step = _FIRST * quantile * std
     below = _side(walk, centre, -1.0, step, direction, threshold)
@@ -234,14 +236,13 @@ def profile(
         ),
         (float(values[0]), float(values[-1])),
         centre.cost - lowest.cost > _IMPROVED * threshold,
-        walk.evaluations,
+        counted.evaluations,
     )
 
 
 def _least_rise(J: FloatArray, weights: FloatArray) -> tuple[FloatArray, float | None]:
     """Return how all parameters follow per unit of the quantity, and ``w' (J' J)^-1 w``; None if nothing shows it."""
-    norms = np.linalg.norm(J, axis=0)
-    norms = np.where(norms > 0, norms, 1.0)
+    norms = column_norms(J)
     _, sizes, directions = np.linalg.svd(J / norms, full_matrices=False)
     seen = sizes > _UNSEEN * sizes[0]
     along = directions @ (weights / norms)

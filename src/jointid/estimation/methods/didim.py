@@ -22,18 +22,19 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.settings import check_settings, documented, setting
 from jointid.common.text import number
-from jointid.estimation.methods.regression import solution
-from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.build_estimate import answer
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.search.descent import Descent, with_free
-from jointid.estimation.search.search import End, Limits, Search, State, Step, require_simulated
+from jointid.estimation.search.history import History, free_more
+from jointid.estimation.search.search import End, Search, State, Step, require_simulated
 from jointid.estimation.search.starts import Start, given_start, inversion_start, regular_start
 from jointid.models.controllers import REFERENCE
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
+from jointid.solvers.gauss_newton import GaussNewton
+from jointid.solvers.regression import solution as linear_solution
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
 
 _MOVING = 9.0  # times the residual's variance: what a velocity at the first sample must explain to be believed
@@ -87,9 +88,9 @@ class DIDIM:
 
 @dataclass(frozen=True, slots=True)
 class _Steps:
-    """The steps of DIDIM on a search, as functions of an iterate."""
+    """The steps of DIDIM on a problem, as functions of an iterate."""
 
-    search: Search
+    problem: ClosedLoopProblem
     form: str
 
     def regressor(self, state: State) -> FloatArray:
@@ -115,13 +116,13 @@ class _Steps:
 
     def inverse_model(self, state: State) -> FloatArray:
         """Form (11): solve ``tau = W chi`` for the joint; what surrounds it stays."""
-        problem = self.search.problem
+        problem = self.problem
         kept = problem.filtered(problem.measured - problem.fixed_torque(state.simulation))
-        chi = solution(state.W, kept, tuple(p.name for p in problem.free_joint))
+        chi = linear_solution(state.W, kept, tuple(p.name for p in problem.free_joint))
         return np.concatenate([chi, state.x[chi.size :]])
 
     def _residual(self, state: State, J: FloatArray) -> FloatArray:
-        problem = self.search.problem
+        problem = self.problem
         names = tuple(p.name for p in problem.free)
         if not np.max(np.abs(J)) < _AWAY:
             told = problem.values(state.x)
@@ -130,64 +131,64 @@ class _Steps:
                 f"With the joint that torque and motion give ({joint}) the declared loop is not stable, and the real "
                 "one was; check the gain and unit of the torque channel, and the gains of the controller."
             )
-        return np.asarray(state.x + solution(J, state.error, names))
+        return np.asarray(state.x + linear_solution(J, state.error, names))
 
 
-def _begun(search: Search, settings: DIDIM, start: Start) -> tuple[State, int]:
+def _begun(search: Search, problem: ClosedLoopProblem, settings: DIDIM, start: Start) -> tuple[State, int]:
     """Return where a search stands after its iterations on scaled gains, and how many these were."""
-    steps = _Steps(search, settings.form)
+    steps = _Steps(problem, settings.form)
     nominal = start.nominal_inertia
     scaled = settings.scaled_iterations if nominal else 0
 
     def scale(x: FloatArray) -> float:
-        return search.problem.values(x)["inertia"] / nominal if nominal else 1.0
+        return problem.values(x)["inertia"] / nominal if nominal else 1.0
 
-    x = search.problem.vector(start.values)
-    state = search.evaluate(x, scale(x) if scaled else 1.0)
-    search.note(state, None)
+    x = problem.vector(start.values)
+    state = search.evaluate(problem, x, scale(x) if scaled else 1.0)
+    search.note(problem, state, None)
     for count in range(1, scaled + 1):
         require_simulated(state)
         x = steps.inverse_model(state)
-        after = search.evaluate(x, scale(x) if count < scaled else 1.0)
-        search.note(after, state)
+        after = search.evaluate(problem, x, scale(x) if count < scaled else 1.0)
+        search.note(problem, after, state)
         state = after
     return state, scaled
 
 
-def _solve(search: Search, settings: DIDIM, state: State, step: Step, limits: Limits, most: int) -> End:
-    """Repeat a step on the true gains until the limits are kept, and where it does not lead there the exact one."""
-    end = search.repeat(state, step, limits, most, _WORSE)
+def _solve(
+    search: Search, problem: ClosedLoopProblem, settings: DIDIM, state: State, step: Step, solver: GaussNewton
+) -> End:
+    """Repeat a step on the true gains until nothing changes, and where it does not lead there the exact one."""
+    end = search.repeat(problem, state, step, solver)
     if end.converged or settings.form == "paper":
         return end
     # Where the torque stands at its limit, or the loop is slow, the regressor is no approximation of the Jacobian.
     search.progress("the regressor does not lead there; going on with the output sensitivities")
-    exact = _Steps(search, settings.form).exact
-    return search.repeat(end.state, exact, limits, settings.iterations, 1.0 + settings.tolerance)
+    exact = replace(solver, iterations=settings.iterations, worst=1.0 + settings.tolerance)
+    return search.repeat(problem, end.state, _Steps(problem, settings.form).exact, exact)
 
 
-def _searched(problem: Problem, search: Search, settings: DIDIM, start: Start) -> End:
+def _searched(problem: ClosedLoopProblem, search: Search, settings: DIDIM, start: Start) -> End:
     """Search from a start, the motor at rest at the first sample, or moving where that is better."""
     free, residual = settings.initial_state == "free", settings.form == "residual"
-    steps = _Steps(search, settings.form)
-    limits = Limits(settings.tolerance, settings.step_tolerance, foreseen=free and residual)
-    state, scaled = _begun(search, settings, start)
+    rest = _at_rest(problem, settings)
+    step = _Steps(rest, settings.form).regressor
+    state, scaled = _begun(search, rest, settings, start)
     most = max(settings.iterations - scaled, 1)
+    solver = GaussNewton(settings.tolerance, settings.step_tolerance, most, foreseen=free and residual, worst=_WORSE)
     if not free:
-        return _solve(search, settings, state, steps.regressor, limits, most)
-    near = replace(limits, change=max(limits.change, _NEAR), step=max(limits.step, _NEAR))
+        return _solve(search, rest, settings, state, step, solver)
+    near = replace(solver, tolerance=max(solver.tolerance, _NEAR), step_tolerance=max(solver.step_tolerance, _NEAR))
     begun = len(search.trace)
-    resting = _solve(search, settings, state, steps.regressor, near, most)
+    resting = _solve(search, rest, settings, state, step, near)
     if resting.reproduced:
         return resting
-    left = max(most - (len(search.trace) - begun), 1)
-    moving = _moving(problem, search, settings, resting.state, start, limits)
-    rough = resting.converged and near != limits
+    left = replace(solver, iterations=max(most - (len(search.trace) - begun), 1))
+    moving = _moving(problem, rest, search, settings, resting.state, start, solver)
+    rough = resting.converged and near != solver
     if rough and not (moving and _explains(moving, (1.0 - _SURE) * resting.state.norm)):
-        resting = _solve(search, settings, resting.state, steps.regressor, limits, left)
-    if moving is None or not _explains(moving, resting.state.norm):
-        return resting
-    search.problem = problem
-    return moving
+        resting = _solve(search, rest, settings, resting.state, step, left)
+    return moving if moving and _explains(moving, resting.state.norm) else resting
 
 
 def _explains(moving: End, rest: float) -> bool:
@@ -195,9 +196,8 @@ def _explains(moving: End, rest: float) -> bool:
     return rest**2 - moving.state.norm**2 > _MOVING * rest**2 / moving.state.error.size
 
 
-def _known(search: Search, state: State) -> Uncertainty:
+def _known(problem: ClosedLoopProblem, state: State) -> Uncertainty:
     """Return what is known of the free parameters (see the module)."""
-    problem = search.problem
     names = [p.name for p in problem.free]
     return uncertainty(state.Z, state.J, state.error, problem.cells(state.simulation), names, problem.torque_unit)
 
@@ -236,14 +236,14 @@ def identify_didim(
             raise
         progress(f"from a regular start instead: {error}")
         start, began = regular_start(problem), "regular"
-    search = Search(_at_rest(problem, settings), progress)
+    search = Search(problem.size, progress)
     end = _searched(problem, search, settings, start)
     if settings.free:
         end, known = _with_free(search, end, settings)
     else:
-        known = _known(search, end.state)
+        known = _known(end.problem, end.state)
     state = end.state
-    found = answer(record, search.problem, state.x, state.simulation, (end.stop, end.converged), known, state.J)
+    found = answer(record, end.problem, state.x, state.simulation, (end.stop, end.converged), known, state.J)
     form = "the paper's form (11)" if settings.form == "paper" else "residual form"
     return found.amended(
         settings={"variant": f"DIDIM in {form} from {'an' if began == 'inversion' else 'a'} {began} start"},
@@ -253,43 +253,46 @@ def identify_didim(
 
 def _with_free(search: Search, end: End, settings: DIDIM) -> tuple[End, Uncertainty]:
     """Go on by least squares with more of what surrounds the joint free; what is known is that of least squares."""
-    descent = Descent(search.problem, search.progress)
-    x, stop, converged = with_free(descent, end.state.x, settings.free, settings.tolerance)
-    search.problem = problem = descent.problem
-    search.simulations += descent.simulations + 1
-    error, slopes = descent.linearised(x)
-    run, names = problem.simulate(x), [p.name for p in problem.free]
+    history, state = History(search.progress), end.state
+    solved = free_more(end.problem, state.x, settings.free, settings.tolerance, history)
+    problem, solution = solved.problem, solved.solution
+    search.simulations += history.tally.evaluations + 1
+    error, slopes = history.counted(problem).linearised(solution.x)
+    run, names = problem.simulate(solution.x), [p.name for p in problem.free]
     known = uncertainty(slopes, slopes, error, problem.cells(run), names, problem.torque_unit)
     W = slopes[:, : end.state.W.shape[1]]
-    return End(State(x, run, error, W, slopes, end.state.scales), stop, converged), known
+    after = State(solution.x, run, error, W, slopes, state.scales)
+    return End(problem, after, solution.message, solution.converged), known
 
 
-def _at_rest(problem: Problem, settings: DIDIM) -> Problem:
+def _at_rest(problem: ClosedLoopProblem, settings: DIDIM) -> ClosedLoopProblem:
     """Return the problem with the motor at rest at the first sample."""
     known = {"initial_velocity": 0.0}
     if settings.initial_state == "reference":
         known["initial_position"] = float(problem.experiment.inputs[0, REFERENCE])
-    kept = tuple(p.fixed(known[p.name]) if p.name in known else p for p in problem.parameters)
-    return replace(problem, parameters=kept)
+    return problem.keeping(known)
 
 
 def _moving(
-    problem: Problem, search: Search, settings: DIDIM, resting: State, start: Start, limits: Limits
+    problem: ClosedLoopProblem,
+    rest: ClosedLoopProblem,
+    search: Search,
+    settings: DIDIM,
+    resting: State,
+    start: Start,
+    solver: GaussNewton,
 ) -> End | None:
     """Return the answer for a motor that moves at the first sample; None where the loop cannot be simulated so.
 
     Friction makes them two problems: a motor that slips a little before it sticks is not near one that stands, so
     no search gets from one to the other.
     """
-    at_rest = search.problem
     velocity = {"initial_velocity": start.values["initial_velocity"]}
-    search.problem = problem
+    solver = replace(solver, iterations=settings.iterations)
     try:
-        state = search.evaluate(problem.vector(at_rest.values(resting.x) | velocity))
-        search.note(state, None)
-        return _solve(search, settings, state, _Steps(search, settings.form).newton, limits, settings.iterations)
+        state = search.evaluate(problem, problem.vector(rest.values(resting.x) | velocity))
+        search.note(problem, state, None)
+        return _solve(search, problem, settings, state, _Steps(problem, settings.form).newton, solver)
     except MethodError:  # a wrong guess of the velocity may make the loop impossible to simulate
         search.progress("the motor cannot have been moving at the first sample")
         return None
-    finally:
-        search.problem = at_rest

@@ -11,10 +11,11 @@ squares is biased (`instruments` tests that, and mends it where the record has a
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -23,7 +24,8 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.settings import check_settings, documented, setting
 from jointid.estimation.methods.endogeneity import Judgement, judged
-from jointid.estimation.problems.drive_side_problem import CURRENT_LAG, MotionProblem, motion_problem
+from jointid.estimation.problems.base import RecordProblem
+from jointid.estimation.problems.drive_side import CURRENT_LAG, DriveSideProblem, motion_problem
 from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
 from jointid.estimation.result.estimate import (
     Checks,
@@ -43,7 +45,11 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.drive_side import LOAD_STATE, DriveSide
-from jointid.solvers.levenberg_marquardt import Bottom, descend
+from jointid.solvers.bounds import Bounds
+from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
+from jointid.solvers.multistart import Multistart
+from jointid.solvers.solution import Solution, Step, Watch
+from jointid.solvers.solve import solve
 from jointid.uncertainty.bands import band_words, with_bands
 from jointid.uncertainty.covariance import Covariance, sandwich, words
 
@@ -127,13 +133,14 @@ def identify_drive_side(
     around = settings.surroundings(record.torque.sample_time)
     problem = motion_problem(record, closing, filtering, parameters, around)
     starts, simulations = _starts(problem, settings)
-    bottom = descend(problem, starts, settings.tolerance, progress)
-    bottom = replace(bottom, evaluations=bottom.evaluations + simulations)
-    verdict = judged(record, problem, bottom, settings.instruments, progress)
-    return _answer(record, problem, bottom, verdict)
+    solver = Multistart(LevenbergMarquardt(settings.tolerance))
+    solution = solve(problem, solver, np.array(starts), reported(progress))
+    solution = replace(solution, evaluations=solution.evaluations + simulations)
+    verdict = judged(record, problem, solution, settings.instruments, progress)
+    return _answer(record, problem, solution, verdict)
 
 
-def _starts(problem: MotionProblem, settings: DriveSideFit) -> tuple[list[FloatArray], int]:
+def _starts(problem: DriveSideProblem, settings: DriveSideFit) -> tuple[list[FloatArray], int]:
     """Return the best few starts, and the simulations they took (see the module)."""
     if problem.joint.model == "rigid":
         return [_vector(problem, _linear(problem, None)[1])], 1
@@ -158,7 +165,7 @@ def _starts(problem: MotionProblem, settings: DriveSideFit) -> tuple[list[FloatA
     return [_vector(problem, tried[i][1]) for i in best], len(grid)
 
 
-def _linear(problem: MotionProblem, frequency: float | None) -> tuple[float, dict[str, float]]:
+def _linear(problem: DriveSideProblem, frequency: float | None) -> tuple[float, dict[str, float]]:
     """Return what a joint with that motor-locked frequency leaves of the torque, and its parameters: one regression.
 
     The load is frictionless and weighs nothing in the simulation, so that its inertia multiplies one column; what it
@@ -202,17 +209,17 @@ def _told(p: Parameter, names: Sequence[str], value: float) -> Parameter:
     return replace(p, free=True) if p.name in names else p.fixed(value)
 
 
-def _vector(problem: MotionProblem, found: Mapping[str, float]) -> FloatArray:
+def _vector(problem: DriveSideProblem, found: Mapping[str, float]) -> FloatArray:
     """Return a start: what the user gives goes before what was found."""
     given = {p.name: p.start for p in problem.parameters if p.start is not None}
     return problem.vector({**found, **given})
 
 
-def _answer(record: Record, problem: MotionProblem, bottom: Bottom, verdict: Judgement) -> Estimate:
+def _answer(record: Record, problem: DriveSideProblem, solution: Solution, verdict: Judgement) -> Estimate:
     """Return the estimate: of least squares, or of the instruments where these were preferred."""
     assert record.torque is not None
-    covariance = verdict.covariance or covariance_of(bottom)
-    x = bottom.x if verdict.x is None else verdict.x
+    covariance = verdict.covariance or covariance_of(solution)
+    x = solution.x if verdict.x is None else verdict.x
     values, predicted = problem.values(x), problem.predicted(x)
     error = problem.residual(x)
     spread = dict(zip((p.name for p in problem.free), map(float, covariance.std), strict=True))
@@ -230,7 +237,7 @@ def _answer(record: Record, problem: MotionProblem, bottom: Bottom, verdict: Jud
     resting = 1 - float(np.mean(problem.weights))
     rest = f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
     warnings = (
-        *warnings_of(problem, x, covariance, lost, bottom),
+        *warnings_of(problem, x, covariance, lost, solution),
         *((rest,) if resting > _RESTING else ()),
         *verdict.warnings,
         *poor_fit(filtered_error),
@@ -252,10 +259,10 @@ def _answer(record: Record, problem: MotionProblem, bottom: Bottom, verdict: Jud
             rows=error.size,
             conditioning=None,
             initial=None,
-            trace=trace_of(problem, bottom),
-            simulations=bottom.evaluations + verdict.simulations,
-            stop=bottom.stop,
-            converged=bottom.converged,
+            trace=trace_of(problem, solution),
+            simulations=solution.evaluations + verdict.simulations,
+            stop=solution.message,
+            converged=solution.converged,
         ),
         checks=Checks(warnings=warnings),
         data=Data(
@@ -276,37 +283,30 @@ def _answer(record: Record, problem: MotionProblem, bottom: Bottom, verdict: Jud
     )
 
 
-def covariance_of(bottom: Bottom) -> Covariance:
+def covariance_of(solution: Solution) -> Covariance:
     """Return the covariance of a least-squares estimate, by rows and by bands of frequency."""
-    return with_bands(sandwich(bottom.J, bottom.J, bottom.error), bottom.J, bottom.J, bottom.error)
+    return with_bands(
+        sandwich(solution.jacobian, solution.jacobian, solution.residual),
+        solution.jacobian,
+        solution.jacobian,
+        solution.residual,
+    )
 
 
-class Judged(Protocol):
-    """What is asked of a problem for the answer: its criterion, names and values."""
+def reported(progress: Progress) -> Watch:
+    """Return what tells the residual of every step."""
+    numbers = itertools.count(1)
 
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        """The parameters that are identified."""
+    def watch(step: Step) -> None:
+        progress(f"iteration {next(numbers)}: residual {step.norm:.6g}")
 
-    @property
-    def filtering(self) -> Filtering:
-        """As used."""
-
-    @property
-    def sample_time(self) -> float:
-        """Of the record, seconds."""
-
-    def values(self, x: FloatArray) -> dict[str, float]:
-        """Return every parameter by name."""
-
-    def vector(self, values: Mapping[str, float]) -> FloatArray:
-        """Return the free parameters of `values`."""
+    return watch
 
 
-def trace_of(problem: Judged, bottom: Bottom) -> tuple[Iteration, ...]:
+def trace_of(problem: RecordProblem, solution: Solution) -> tuple[Iteration, ...]:
     """Return every step of a descent."""
     lines: list[Iteration] = []
-    for number, (x, norm) in enumerate(zip(bottom.path, bottom.norms, strict=True)):
+    for number, (x, norm) in enumerate((step.x, step.norm) for step in solution.trace):
         change = step = None
         if lines:
             before = problem.vector(lines[-1].values)
@@ -323,11 +323,11 @@ def unsure(values: Mapping[str, float], spread: Mapping[str, float]) -> tuple[st
 
 
 def warnings_of(
-    problem: Judged, x: FloatArray, covariance: Covariance, lost: Sequence[str], bottom: Bottom
+    problem: RecordProblem, x: FloatArray, covariance: Covariance, lost: Sequence[str], solution: Solution
 ) -> tuple[str, ...]:
     """Return what the reader of an answer must know of the search and the parameters."""
     found = [f"{name} is not identifiable from this record: its interval holds 0" for name in lost]
-    if not bottom.converged:
+    if not solution.converged:
         found.append("the search did not converge; the values are where it stopped")
     names = [p.name for p in problem.free]
     found += [
@@ -335,10 +335,14 @@ def warnings_of(
         for p, std in zip(problem.free, covariance.std, strict=True)
         if 2 * std > p.upper - p.lower
     ]
-    near = 1e-6 * np.maximum(np.abs(x), np.linalg.norm(bottom.error) / np.linalg.norm(bottom.J, axis=0).clip(1e-300))
-    for p, value, gap in zip(problem.free, x, near, strict=True):
-        if value <= p.lower + gap or value >= p.upper - gap:
-            found.append(f"{p.name} is at its bound, where it does not follow the record")
+    columns = np.linalg.norm(solution.jacobian, axis=0).clip(1e-300)
+    near = 1e-6 * np.maximum(np.abs(x), np.linalg.norm(solution.residual) / columns)
+    held = Bounds.of(problem.free).reached(x, near)
+    found += [
+        f"{p.name} is at its bound, where it does not follow the record"
+        for p, at in zip(problem.free, held, strict=True)
+        if at
+    ]
     found += [
         f"{names[i]} and {names[j]} are hard to tell apart in this record "
         f"(correlation {covariance.correlation[i, j]:+.3f})"

@@ -18,24 +18,22 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress
-from jointid.estimation.problems.drive_side_problem import MotionProblem
+from jointid.estimation.problems.drive_side import DriveSideProblem
+from jointid.models.parameters import Parameter
 from jointid.records.record import Record
 from jointid.records.signals.filtering import decimate
 from jointid.simulation.drive_side import LOAD_STATE, PARTS, prescribed_motion
-from jointid.solvers.levenberg_marquardt import Bottom
+from jointid.solvers.instrumental_variables import InstrumentalSolution, InstrumentalVariables, projection
+from jointid.solvers.solution import Solution
+from jointid.solvers.solve import solve
 from jointid.uncertainty.bands import with_bands
 from jointid.uncertainty.covariance import Covariance, bandwidth, sandwich
 
 _MEMORY = 40  # rows of the filtered torque that a response goes back
-_ITERATIONS = 25
-_STEP = 0.05  # of the standard deviations: a step to stop at
-_WHOLE = 6  # steps; then halves of them, since where the load's direction flips they may go round in circles
-_LONGEST = 0.3  # of an inertia or the stiffness: the longest step
 _ACCEPTED = 0.01  # a contrast that noise alone would reach less often is none of noise
 _BLIND = 0.05  # of a parameter: a bias that a test should be able to see
 _ANY = 10.0  # of a parameter: a bias beyond this is of any size
@@ -62,32 +60,15 @@ class Judgement:
     probability: float | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Instrumental:
-    """The solution of ``Z' e = 0``.
-
-    Attributes:
-        x: all free parameters; moving: those that were solved for, the others being at a bound.
-        error: residual; J, Z: its derivatives along the measured and the known motion, (rows, moving).
-        steps: that were taken; converged: whether the last was small enough.
-    """
-
-    x: FloatArray
-    moving: NDArray[np.bool_]
-    error: FloatArray
-    J: FloatArray
-    Z: FloatArray
-    steps: int
-    converged: bool
-
-
-def judged(record: Record, problem: MotionProblem, bottom: Bottom, instruments: str, progress: Progress) -> Judgement:
+def judged(
+    record: Record, problem: DriveSideProblem, solution: Solution, instruments: str, progress: Progress
+) -> Judgement:
     """Test a least-squares estimate for endogeneity, and prefer the instruments where it fails.
 
     Args:
         record: whose reference and injected signal are the instruments.
         problem: that was solved.
-        bottom: its least-squares solution.
+        solution: its least-squares solution.
         instruments: "tested", "always" or "never".
         progress: is told the probability.
 
@@ -104,18 +85,18 @@ def judged(record: Record, problem: MotionProblem, bottom: Bottom, instruments: 
                 f'{", ".join(record.channels)}: log one of them, or use instruments = "never".'
             )
         return Judgement(warnings=(_UNTESTED,))
-    found = solved(problem, _Shadow.of(record, problem), bottom)
+    found = solve_with_instruments(InstrumentedProblem.of(record, problem), solution.x)
     if not found.converged or not np.isin([p.name for p in problem.free], _PHYSICAL)[found.moving].any():
-        return Judgement(warnings=(_NOT_CONVERGED,), channels=channels, simulations=3 * found.steps)
-    probability, blind = contrast(problem, bottom, found)
+        return Judgement(warnings=(_NOT_CONVERGED,), channels=channels, simulations=3 * len(found.trace))
+    probability, blind = contrast(problem, solution, found)
     progress(f"instruments from {' and '.join(channels)}: probability of the contrast {probability:.2g}")
     biased = probability < _ACCEPTED
-    warnings = [_words(problem, bottom, found, probability)] if biased else []
+    warnings = [_words(problem, solution, found, probability)] if biased else []
     if blind > _BLIND:
         size = f"by {100 * blind:.0f} %" if blind < _ANY else "of any size"
         tested = "" if biased else f", and a bias of least squares {size} would not have been noticed"
         warnings.append(f"the instruments are weak: they know less than least squares{tested}")
-    verdict = Judgement(None, None, tuple(warnings), channels, 3 * found.steps, probability)
+    verdict = Judgement(None, None, tuple(warnings), channels, 3 * len(found.trace), probability)
     if not (biased or instruments == "always"):
         return verdict
     return replace(verdict, x=found.x, covariance=_covariance(found))
@@ -131,25 +112,45 @@ _UNTESTED = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class _Shadow:
-    """The problem along the motions that the known signals explain: the first holds in the second half of the rows."""
+@dataclass(frozen=True, slots=True, eq=False)
+class InstrumentedProblem:
+    """The problem along the measured motion, its instruments along the motions that the known signals explain.
 
-    halves: tuple[MotionProblem, MotionProblem]
+    Attributes:
+        problem: along the measured motion.
+        halves: along the others; the first holds in the second half of the rows.
+    """
+
+    problem: DriveSideProblem
+    halves: tuple[DriveSideProblem, DriveSideProblem]
 
     @classmethod
-    def of(cls, record: Record, problem: MotionProblem) -> _Shadow:
+    def of(cls, record: Record, problem: DriveSideProblem) -> InstrumentedProblem:
+        """Return the problem with the instruments that a record's known signals give."""
         motions = [prescribed_motion(known, problem.sample_time) for known in known_motions(record, problem)]
-        return cls((replace(problem, motion=motions[0]), replace(problem, motion=motions[1])))
+        return cls(problem, (replace(problem, motion=motions[0]), replace(problem, motion=motions[1])))
 
-    def sensitivities(self, x: FloatArray) -> FloatArray:
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters that are identified."""
+        return self.problem.free
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the residual, (rows,)."""
+        return self.problem.residual(x)
+
+    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the residual, (rows,), and its derivatives, (rows, free), along the measured motion."""
+        return self.problem.linearised(x)
+
+    def instruments(self, x: FloatArray) -> FloatArray:
         """Return Z, (rows, free)."""
         first, second = (half.linearised(x)[1] for half in self.halves)
         middle = len(first) // 2
         return np.concatenate([second[:middle], first[middle:]])
 
 
-def known_motions(record: Record, problem: MotionProblem) -> tuple[FloatArray, FloatArray]:
+def known_motions(record: Record, problem: DriveSideProblem) -> tuple[FloatArray, FloatArray]:
     """Return the motor position that reference and injected signal explain, (samples,): by each half's responses."""
     position, sample_time = problem.motion.position[::PARTS], problem.sample_time
     base, W = _past(record, problem, position)
@@ -163,7 +164,7 @@ def known_motions(record: Record, problem: MotionProblem) -> tuple[FloatArray, F
     return base + W @ responses[0], base + W @ responses[1]
 
 
-def _past(record: Record, problem: MotionProblem, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _past(record: Record, problem: DriveSideProblem, position: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return what the motor follows at once, (samples,), and the past of the known signals, (samples, columns)."""
     size, sample_time = position.size, problem.sample_time
     base, signals = np.full(size, float(np.mean(position))), []
@@ -190,62 +191,37 @@ def _resampled(values: FloatArray, period: float, size: int, sample_time: float)
     return np.asarray(np.interp(at, np.arange(values.size), values), dtype=np.float64)
 
 
-def solved(problem: MotionProblem, shadow: _Shadow, bottom: Bottom) -> Instrumental:
-    """Solve ``Z' e = 0`` by Newton's steps from a least-squares solution, within the bounds.
+def solve_with_instruments(problem: InstrumentedProblem, start: FloatArray) -> InstrumentalSolution:
+    """Solve ``Z' e = 0`` from a least-squares solution.
 
     The load's first state is left where least squares has it: a few rows know of it, and they are no instruments.
     """
     names = [p.name for p in problem.free]
-    lower, upper = (np.array([getattr(p, side) for p in problem.free]) for side in ("lower", "upper"))
-    physical, load_state = np.isin(names, _PHYSICAL), np.isin(names, LOAD_STATE)
-    x, error, J = bottom.x.copy(), bottom.error, bottom.J
-    converged, steps = False, 0
-    while True:
-        Z = shadow.sensitivities(x)
-        moving = ~load_state & (np.linalg.norm(Z, axis=0) > 0) & (np.linalg.norm(J, axis=0) > 0)
-        while True:
-            step = np.zeros(x.size)
-            step[moving] = -_projection(Z[:, moving], J[:, moving]) @ error
-            outwards = ((x <= lower) & (step < 0)) | ((x >= upper) & (step > 0))
-            if not np.any(outwards):
-                break
-            moving &= ~outwards
-        if converged or steps == _ITERATIONS:
-            return Instrumental(x, moving, error, J[:, moving], Z[:, moving], steps, converged)
-        near = physical & (x != 0)  # at a bound of 0 there is no sign to keep
-        far = float(np.max(np.abs(step[near]) / np.abs(x[near]), initial=0.0))
-        step *= min(1.0, _LONGEST / max(far, 1e-300))  # a joint of another sign cannot be simulated
-        step *= 0.5 if steps >= _WHOLE else 1.0
-        after = np.minimum(np.maximum(x + step, lower), upper)
-        std = sandwich(Z[:, moving], J[:, moving], error).std
-        converged = bool(np.all(np.abs(after - x)[moving] <= _STEP * std))
-        x = after
-        error, J = problem.linearised(x)
-        steps += 1
+    solver = InstrumentalVariables(_deviations, kept=np.isin(names, LOAD_STATE), signed=np.isin(names, _PHYSICAL))
+    found = solve(problem, solver, start)
+    assert isinstance(found, InstrumentalSolution)
+    return found
 
 
-def contrast(problem: MotionProblem, bottom: Bottom, found: Instrumental) -> tuple[float, float]:
+def _deviations(Z: FloatArray, J: FloatArray, error: FloatArray) -> FloatArray:
+    return sandwich(Z, J, error).std
+
+
+def contrast(problem: DriveSideProblem, solution: Solution, found: InstrumentalSolution) -> tuple[float, float]:
     """Return how probable the contrast of both estimates is by noise alone, and the relative bias it cannot see."""
     from scipy.special import gammaincc
 
-    J, Z, error = found.J, found.Z, found.error
-    influences = (_projection(J, J) - _projection(Z, J)) * error
+    J, Z, error = found.jacobian[:, found.moving], found.instruments[:, found.moving], found.residual
+    influences = (projection(J, J) - projection(Z, J)) * error
     names = np.array([p.name for p in problem.free])[found.moving]
     chosen = np.flatnonzero(np.isin(names, _PHYSICAL))
     spread = _long_run(influences[chosen].T)
-    difference = (bottom.x - found.x)[found.moving][chosen]
+    difference = (solution.x - found.x)[found.moving][chosen]
     scale = np.sqrt(np.diag(spread))
     scaled = spread / np.outer(scale, scale)
     statistic = float((difference / scale) @ np.linalg.pinv(scaled, rcond=1e-8) @ (difference / scale))
     blind = float(np.max(2 * scale / np.abs(found.x[found.moving][chosen])))
     return float(gammaincc(0.5 * chosen.size, 0.5 * statistic)), blind
-
-
-def _projection(Z: FloatArray, J: FloatArray) -> FloatArray:
-    """Return ``(Z' J)^-1 Z'``, (parameters, rows), with columns of one size: their units differ by powers of ten."""
-    of_Z, of_J = np.linalg.norm(Z, axis=0), np.linalg.norm(J, axis=0)
-    scaled = np.linalg.pinv((Z / of_Z).T @ (J / of_J)) @ (Z / of_Z).T
-    return np.asarray(scaled / of_J[:, np.newaxis])
 
 
 def _long_run(scores: FloatArray) -> FloatArray:
@@ -258,20 +234,21 @@ def _long_run(scores: FloatArray) -> FloatArray:
     return np.asarray(found)
 
 
-def _covariance(found: Instrumental) -> Covariance:
+def _covariance(found: InstrumentalSolution) -> Covariance:
     """Return the covariance of all free parameters; one at a bound has no deviation."""
-    inner = with_bands(sandwich(found.Z, found.J, found.error), found.Z, found.J, found.error)
+    Z, J = found.instruments[:, found.moving], found.jacobian[:, found.moving]
+    inner = with_bands(sandwich(Z, J, found.residual), Z, J, found.residual)
     whole, together = np.zeros(found.moving.size), np.eye(found.moving.size)
     whole[found.moving] = inner.std
     together[np.ix_(found.moving, found.moving)] = inner.correlation
     return Covariance(whole, together, inner.bandwidth)
 
 
-def _words(problem: MotionProblem, bottom: Bottom, found: Instrumental, probability: float) -> str:
+def _words(problem: DriveSideProblem, solution: Solution, found: InstrumentalSolution, probability: float) -> str:
     """Return what a test that failed means for the answer."""
     names = [p.name for p in problem.free]
     off = [
-        f"{name} by {100 * (bottom.x[i] / found.x[i] - 1):+.1f} %"
+        f"{name} by {100 * (solution.x[i] / found.x[i] - 1):+.1f} %"
         for i, name in enumerate(names)
         if name in _PHYSICAL and found.moving[i] and found.x[i]
     ]

@@ -22,20 +22,23 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.progress import Progress, silent
 from jointid.common.settings import check_settings, documented, setting
-from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.result.build_estimate import answer
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.stiffness_identifiability import Visibility, visible
-from jointid.estimation.search.descent import Descent, by_simplex, reason, refined, with_free
 from jointid.estimation.search.exploration import rigid_estimate
-from jointid.estimation.search.multistart import End, by_least_squares, by_nelder_mead, or_moving
+from jointid.estimation.search.history import History, Solved, free_more, least_squares
+from jointid.estimation.search.multistart import by_least_squares, or_moving, simplex_start
 from jointid.estimation.search.starts import resting_position
 from jointid.models.joints import FlexibleJoint, acts_on_whole
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
+from jointid.solvers.nelder_mead import NelderMead, sizes_of
+from jointid.solvers.problem import Counted
+from jointid.solvers.solve import Solver, solve
 from jointid.uncertainty.combination import Combination, Kind
 from jointid.uncertainty.covariance import Covariance
 from jointid.uncertainty.identifiability import Known
@@ -134,16 +137,18 @@ def identify_flexible(
     rigid = rigid_estimate(record, loop, settings.rigid_cutoff, progress)
     problem = torque_problem(record, loop, filtering, parameters, _at_rest(record, settings))
     problem = problem if loop.joint.gravity is None else _hanging(problem)
-    descent = Descent(problem, progress)
-    end, simulations = _searched(descent, record, loop, rigid, filtering, settings)
+    history = History(progress)
+    solved, simulations = _searched(problem, record, loop, rigid, filtering, settings, history)
+    starts = solved.solution.starts
     if settings.free:
-        end = End(*with_free(descent, end.x, settings.free, stopping_tolerance(settings)), end.led)
-    problem, x = descent.problem, end.x
-    error, J = descent.linearised(x)
+        tolerance = stopping_tolerance(settings)
+        solved = free_more(solved.problem, solved.solution.x, settings.free, tolerance, history)
+    problem, x = solved.problem, solved.solution.x
+    error, J = history.counted(problem).linearised(x)
     run = problem.simulate(x)
-    descent.simulations += 1
-    stop, converged = end.stop, end.converged
-    if np.linalg.norm(error) > _NOTHING * descent.size:
+    history.tally.evaluations += 1
+    stop, converged = solved.solution.message, solved.solution.converged
+    if np.linalg.norm(error) > _NOTHING * problem.size:
         stop, converged = f"no answer: the search ended where the model explains little of the torque ({stop})", False
     names = [p.name for p in problem.free]
     known = uncertainty(J, J, error, problem.cells(run), names, problem.torque_unit)
@@ -151,54 +156,56 @@ def identify_flexible(
     how = "Nelder-Mead" if paper else "least squares"
     if settings.statistics == "inverse-model":
         found = answer(record, problem, x, run, (stop, converged), known, J)
-        descent.simulations += 1
+        history.tally.evaluations += 1
         found = with_paper_statistics(found, inverse_model_covariance(problem, x, error), len(problem.free_joint))
     else:
-        spring = visible(problem, x, known, end.led, progress)
-        descent.simulations += spring.simulations
+        spring = visible(problem, x, known, starts, progress)
+        history.tally.evaluations += spring.simulations
         found = answer(record, problem, x, run, (stop, converged), known, J, spring.rigid_error)
         found = found.amended(checks={"verdicts": (*found.checks.verdicts, spring.verdict)})
         found = found if spring.shown else refused(found, spring)
     variant = f"DIDIM by {how} {'from the pseudo-regular start' if paper else 'from a grid of starts'}"
     return found.amended(
         settings={"variant": variant},
-        fit={"trace": tuple(descent.trace), "simulations": descent.simulations + simulations},
+        fit={"trace": tuple(history.trace), "simulations": history.tally.evaluations + simulations},
     )
 
 
 def _searched(
-    descent: Descent, record: Record, loop: ClosedLoop, rigid: Estimate, filtering: Filtering, settings: FlexibleDIDIM
-) -> tuple[End, int]:
+    problem: ClosedLoopProblem,
+    record: Record,
+    loop: ClosedLoop,
+    rigid: Estimate,
+    filtering: Filtering,
+    settings: FlexibleDIDIM,
+    history: History,
+) -> tuple[Solved, int]:
     """Return where the search ends, from a rough rigid joint or lower ones, and the simulations that these took."""
     paper, tolerance = settings.minimiser == "nelder-mead", stopping_tolerance(settings)
-    problem, progress = descent.problem, descent.progress
 
-    def down(start: FloatArray) -> End:
-        if paper:
-            return End(*by_simplex(descent, start, tolerance, settings.simulations, settings.restarts))
-        found = refined(descent, start, tolerance)
-        return End(np.asarray(found.x), *reason(found.status, found.nfev, tolerance))
+    def solved_from(rigid: Estimate) -> tuple[Solved, Solver[Counted]]:
+        if not paper:
+            found = by_least_squares(problem, filtering, rigid, settings.frequency, tolerance, history)
+            return found, least_squares(found.problem, tolerance)
+        start = simplex_start(problem, rigid, settings.frequency, history)
+        simplex = NelderMead(tolerance, settings.simulations, settings.restarts, sizes_of(start), problem.size)
+        return history.solve(problem, simplex, start), simplex
 
-    def solved(rigid: Estimate) -> End:
-        if paper:
-            return by_nelder_mead(descent, rigid, settings.frequency, down)
-        return by_least_squares(descent, filtering, rigid, settings.frequency, tolerance)
-
-    end = solved(rigid)
+    solved, solver = solved_from(rigid)
     assert rigid.settings.filtering.cutoff is not None
     edge, simulations = rigid.settings.filtering.cutoff, rigid.fit.simulations
     for lower in () if paper or settings.rigid_cutoff else _LOWER:
-        if np.linalg.norm(descent.residual(end.x)) <= _NOTHING * descent.size:
+        left = history.counted(solved.problem).residual(solved.solution.x)
+        if np.linalg.norm(left) <= _NOTHING * solved.problem.size:
             break
         # A mode near the cut-off of the rigid start makes it a poor one, and all that is explored from it.
-        progress("the search ended where the model explains little; beginning again, below a lower frequency")
-        descent.problem = problem
-        rigid = rigid_estimate(record, loop, edge / lower, progress)
+        history.progress("the search ended where the model explains little; beginning again, below a lower frequency")
+        rigid = rigid_estimate(record, loop, edge / lower, history.progress)
         simulations += rigid.fit.simulations
-        end = solved(rigid)
+        solved, solver = solved_from(rigid)
     if rigid["initial_velocity"].free:  # below its resonance the axis seemed to move at the first sample
-        end = or_moving(descent, end, rigid, not paper, down)
-    return end, simulations
+        solved = or_moving(solved, rigid, not paper, solver, history)
+    return solved, simulations
 
 
 def refused(estimate: Estimate, spring: Visibility) -> Estimate:
@@ -258,14 +265,13 @@ def _at_rest(record: Record, settings: FlexibleDIDIM) -> tuple[Parameter, ...]:
     return known, velocity.fixed(0.0)
 
 
-def _hanging(problem: Problem) -> Problem:
+def _hanging(problem: ClosedLoopProblem) -> ClosedLoopProblem:
     """Return the problem with the motor, at the first sample, where its load makes it hang."""
     home = resting_position(problem)
-    begun = (replace(p, start=home) if p.name == "initial_position" else p for p in problem.parameters)
-    return replace(problem, parameters=tuple(begun))
+    return problem.changed({p.name: replace(p, start=home) for p in problem.parameters if p.name == "initial_position"})
 
 
-def inverse_model_covariance(problem: Problem, x: FloatArray, error: FloatArray) -> Covariance:
+def inverse_model_covariance(problem: ClosedLoopProblem, x: FloatArray, error: FloatArray) -> Covariance:
     """Return the paper's covariance of the joint's free parameters, ``s^2 (W' W)^-1`` with W on the simulated motion.
 
     It is that of a regression on W, which is not what torque-only identification solves: for a flexible joint the
@@ -283,9 +289,9 @@ def inverse_model_covariance(problem: Problem, x: FloatArray, error: FloatArray)
     return Covariance(np.sqrt(variance) * roots / norms, inverse / np.outer(roots, roots), 0)
 
 
-def refined_least_squares(problem: Problem, start: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
+def refined_least_squares(
+    problem: ClosedLoopProblem, start: FloatArray, tolerance: float
+) -> tuple[FloatArray, FloatArray]:
     """Return the least-squares parameters near a start, and the sensitivities there, filtered (rows, parameters)."""
-    descent = Descent(problem, silent)
-    descent.scales = np.where(start != 0.0, np.abs(start), 1.0)
-    found = refined(descent, start, tolerance)
-    return np.asarray(found.x), -np.asarray(found.jac)
+    solution = solve(problem, least_squares(problem, tolerance), start)
+    return solution.x, -solution.jacobian

@@ -19,7 +19,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.estimation.methods.regression import Fit, least_squares
+from jointid.solvers.regression import Fit, least_squares
 from jointid.uncertainty.covariance import Covariance, sandwich
 
 _PULL = 10.0  # deviations in units of which the pull of a homogeneous equation stays below one

@@ -1,7 +1,7 @@
 """The problem an estimator solves: a vector of free parameters in, the filtered torque error and its slopes out.
 
 It owns the record, what closes the loop around the joint, the filter that torque and Jacobian go through alike, and
-which parameters are free: those of the joint, then those of what surrounds it (`surroundings`).
+which parameters are free: those of the joint, then those of what surrounds it (`nuisance_parameters`).
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
+from jointid.estimation.problems.base import FAILED, RecordProblem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITIAL_TORQUE, of_law, surrounding
 from jointid.models.controllers import number, with_numbers
-from jointid.models.joints import RigidJoint
+from jointid.models.joints import Joint, RigidJoint
 from jointid.models.parameters import TORQUE_UNIT, Parameter
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all
@@ -26,7 +27,6 @@ from jointid.simulation.sensitivities import Sensitivities, simulate_sensitiviti
 from jointid.uncertainty.position_dependent_error import Cells, cells
 
 _FLOOR = 1e-3  # a parameter smaller than this share of the torque is measured against that share
-_FAILED = 1e3  # times the torque: the error of a candidate that cannot be simulated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,45 +43,35 @@ class _Candidate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Problem:
-    """The torque of one record against one loop; a `criterion.Criterion`.
+class ClosedLoopProblem(RecordProblem):
+    """The torque of one record against one loop, simulated from its reference.
+
+    The filter's borders are left out of the reported error, not of the residual, because the first samples hold what is
+    known of the initial state and no position is differentiated.
 
     Attributes:
         loop, experiment: what is simulated.
-        parameters: all of the joint, then of what surrounds it.
-        measured: (samples,) raw torque.
-        filtering: resolved; its borders are left out of the reported error, not of the residual, because the
-            first samples hold what is known of the initial state and no position is differentiated.
     """
 
     loop: ClosedLoop
     experiment: LoopInput
-    parameters: tuple[Parameter, ...]
-    measured: FloatArray
-    filtering: Filtering
 
     @property
-    def free(self) -> tuple[Parameter, ...]:
-        """The parameters that are identified."""
-        return tuple(p for p in self.parameters if p.free)
+    def joint(self) -> Joint:
+        """What is identified."""
+        return self.loop.joint
+
+    @property
+    def sample_time(self) -> float:
+        """Of the torque, seconds."""
+        return self.experiment.sample_time
 
     @property
     def torque_unit(self) -> str:
         """Of the residual."""
-        return self.loop.joint.torque_unit or TORQUE_UNIT[self.loop.joint.kind]
+        return self.joint.torque_unit or TORQUE_UNIT[self.joint.kind]
 
-    @property
-    def units(self) -> dict[str, str]:
-        """Of every parameter, by name."""
-        return {p.name: self.loop.joint.unit(p) for p in self.parameters}
-
-    @property
-    def free_joint(self) -> tuple[Parameter, ...]:
-        """Those of them that belong to the joint; they come first."""
-        own = {p.name for p in self.loop.joint.parameters}
-        return tuple(p for p in self.free if p.name in own)
-
-    def freeing(self, *names: str) -> Problem:
+    def freeing(self, *names: str) -> ClosedLoopProblem:
         """Return the same problem with more of what surrounds the joint free.
 
         Raises:
@@ -91,19 +81,9 @@ class Problem:
         kept = tuple(p for p in self.parameters if p.name not in names)
         return replace(self, parameters=(*kept, *new))
 
-    def values(self, x: FloatArray) -> dict[str, float]:
-        """Return every parameter by name, the fixed ones too."""
-        given = {p.name: p.start for p in self.parameters if not p.free}
-        found = dict(zip((p.name for p in self.free), map(float, x), strict=True))
-        return {p.name: found[p.name] if p.free else float(given[p.name] or 0.0) for p in self.parameters}
-
-    def vector(self, values: Mapping[str, float]) -> FloatArray:
-        """Return the free parameters of `values`, in order; one that is not there starts as declared."""
-        return np.array([values.get(p.name, p.start or 0.0) for p in self.free])
-
     def filtered(self, columns: FloatArray) -> FloatArray:
         """Return signals, (samples,) or (samples, columns), through the problem's own filter."""
-        return decimate_all([columns], self.filtering, self.experiment.sample_time)[0]
+        return decimate_all([columns], self.filtering, self.sample_time)[0]
 
     def simulate(self, x: FloatArray) -> Simulation:
         """Return the loop's run with these parameters, its torque as the log should show it."""
@@ -148,7 +128,7 @@ class Problem:
         Where the candidate cannot be simulated the derivatives are 0.
         """
         c = self._candidate(x)
-        own = [p.name for p in self.loop.joint.parameters]
+        own = [p.name for p in self.joint.parameters]
         names = [p.name for p in self.free if p.name not in ("drive_gain", "log_gain", "log_delay")]
         scaled = any(p.name == "drive_gain" for p in self.free)
         wanted = [*names, *(name for name in own if scaled and name not in names)]
@@ -180,14 +160,14 @@ class Problem:
 
     def seen(self, run: Simulation | Response, *columns: FloatArray) -> tuple[FloatArray, ...]:
         """Return the filtered torque error of a run, (rows,), and raw columns through the same filter, at once."""
-        return tuple(decimate_all([self._left(run), *columns], self.filtering, self.experiment.sample_time))
+        return tuple(decimate_all([self._left(run), *columns], self.filtering, self.sample_time))
 
     def _left(self, run: Simulation | Response) -> FloatArray:
         error = self.measured - run.torque
         if run.outcome is not Outcome.FINISHED:
             # The earlier it failed the worse: a search must see which way to go.
             size = float(np.sqrt(np.mean(self.measured**2)))
-            error = np.full_like(error, _FAILED * size * (2.0 - run.finished))
+            error = np.full_like(error, FAILED * size * (2.0 - run.finished))
         return error
 
     def cells(self, simulation: Simulation) -> Cells:
@@ -198,18 +178,18 @@ class Problem:
 
     def regressor(self, simulation: Simulation) -> FloatArray:
         """Return the inverse-dynamic columns of the free joint parameters on a run, raw, (samples, parameters)."""
-        if not isinstance(self.loop.joint, RigidJoint):
+        if not isinstance(self.joint, RigidJoint):
             raise MethodError(
                 "The inverse-dynamic regressor of a simulated flexible joint is no approximation of its Jacobian "
                 "(the load is not controlled); identify the joint as rigid, at low frequency."
             )
-        columns, own = self.loop.joint.regressor(simulation.motor)[0], self.loop.joint.parameters
+        columns, own = self.joint.regressor(simulation.motor)[0], self.joint.parameters
         free = [p.free for p in self.parameters[: len(own)]]
         return columns if all(free) else np.asarray(columns[:, free])
 
     def fixed_torque(self, simulation: Simulation) -> FloatArray:
         """Return the torque that the joint's fixed parameters take on a run, (samples,)."""
-        joint = self.loop.joint
+        joint = self.joint
         assert isinstance(joint, RigidJoint)
         kept = [0.0 if p.free else p.start or 0.0 for p in self.parameters[: len(joint.parameters)]]
         return np.asarray(joint.regressor(simulation.motor)[0] @ np.array(kept))
@@ -222,12 +202,12 @@ class Problem:
             columns: (rows, free of the joint) of the torque, filtered.
             size: norm of the torque, filtered.
         """
-        norms = np.linalg.norm(columns, axis=0)
-        return np.asarray(np.maximum(np.abs(x[: norms.size]), _FLOOR * size / np.where(norms > 0, norms, 1.0)))
+        norms = column_norms(columns)
+        return np.asarray(np.maximum(np.abs(x[: norms.size]), _FLOOR * size / norms))
 
     def _candidate(self, x: FloatArray) -> _Candidate:
         values = self.values(x)
-        own = {p.name for p in self.loop.joint.parameters}
+        own = {p.name for p in self.joint.parameters}
         gain = values.get("drive_gain", 1.0)
         numbers = {n: v for n, v in values.items() if n not in own and of_law(n)}
         loop, experiment = self.loop, self.experiment
@@ -243,15 +223,15 @@ class Problem:
         """Return the torque with the gain of the log, and as much later as its stamps are wrong."""
         if c.log_delay == 0.0:
             return torque if c.log_gain == 1.0 else c.log_gain * torque
-        whole, part = _split(c.log_delay / self.experiment.sample_time)
+        whole, part = _split(c.log_delay / self.sample_time)
         return c.log_gain * ((1 - part) * _shifted(torque, whole) + part * _shifted(torque, whole + 1))
 
     def _slope(self, torque: FloatArray, c: _Candidate) -> FloatArray:
         """Return the derivative of the shown torque by the log's delay."""
-        whole, _ = _split(c.log_delay / self.experiment.sample_time)
+        whole, _ = _split(c.log_delay / self.sample_time)
         if c.log_delay == 0.0:  # between two samples the shown torque has one slope, on a sample the mean of two
-            return c.log_gain * (_shifted(torque, 1) - _shifted(torque, -1)) / (2 * self.experiment.sample_time)
-        return c.log_gain * (_shifted(torque, whole + 1) - _shifted(torque, whole)) / self.experiment.sample_time
+            return c.log_gain * (_shifted(torque, 1) - _shifted(torque, -1)) / (2 * self.sample_time)
+        return c.log_gain * (_shifted(torque, whole + 1) - _shifted(torque, whole)) / self.sample_time
 
 
 def _split(samples: float) -> tuple[int, float]:
@@ -285,7 +265,7 @@ def torque_problem(
     filtering: Filtering,
     parameters: tuple[Parameter, ...],
     surroundings: Sequence[Parameter] = INITIAL_STATE,
-) -> Problem:
+) -> ClosedLoopProblem:
     """Return the problem of reproducing a record's torque by simulating the loop from its reference.
 
     Raises:
@@ -297,12 +277,12 @@ def torque_problem(
     require_free(parameters)
     experiment = prepare(loop, record)
     measured = record.torque.values[: experiment.samples]
-    return Problem(
-        loop,
-        experiment,
+    return ClosedLoopProblem(
         (*parameters, *with_torque(surroundings, experiment, measured)),
         measured,
         filtering.resolved(experiment.sample_time, loop.joint.model),
+        loop,
+        experiment,
     )
 
 

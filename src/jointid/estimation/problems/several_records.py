@@ -1,96 +1,34 @@
-"""Several records in one criterion: each is a problem of its own, and their parameters are one or belong to one.
+"""Several records in one problem: the sum of the problems of each, whose parameters are one or belong to one.
 
-A parameter of a record is the one that all records share, or that plus a number that is known (a mass that was added to
-the load, say), or its own. The motor's first state is always its own; so is a number of the controller that the records
-declare differently. The residuals stand one after the other, each through a filter of a few taps that makes its record
-count for what it is worth: one over its level, or what makes its noise white (`whitening`).
+The motor's first state is always a record's own; so is a number of the controller that the records declare differently.
+Each record's rows go through a filter of a few taps that makes it count for what it is worth: one over its level, or
+what makes its noise white (`whitening`).
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.estimation.problems.closed_loop import Problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.nuisance_parameters import INITIAL, of_law
+from jointid.estimation.problems.sum import SumProblem, filter_rows
 from jointid.models.parameters import Parameter
 from jointid.simulation.closed_loop import Simulation
 
 _WHITE = 0.01  # of a residual's variance
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Several:
-    """The torque of several records; a `criterion.Criterion`.
-
-    Attributes:
-        problems: one for each record.
-        free: the parameters that are identified: those that are shared, then those of each record, called
-            ``name@number`` with the number of the record, from 1.
-        places: for each record, where each of its free parameters stands among those, (its free,).
-        added: for each record, what is known to come on top of each, (its free,).
-        weights: for each record, the taps of the filter its rows go through, (taps,).
-    """
-
-    problems: tuple[Problem, ...]
-    free: tuple[Parameter, ...]
-    places: tuple[NDArray[np.intp], ...]
-    added: tuple[FloatArray, ...]
-    weights: tuple[FloatArray, ...]
-
-    def of_record(self, x: FloatArray, number: int) -> FloatArray:
-        """Return the free parameters of one record, numbered from 0, in its own problem's order."""
-        return np.asarray(x[self.places[number]] + self.added[number])
-
-    def vector(self, found: Sequence[FloatArray]) -> FloatArray:
-        """Return the parameters that several records' own come from: means of those that are shared, within bounds."""
-        total, count = np.zeros(len(self.free)), np.zeros(len(self.free))
-        for place, added, own in zip(self.places, self.added, found, strict=True):
-            np.add.at(total, place, own - added)
-            np.add.at(count, place, 1.0)
-        lower, upper = (np.array([getattr(p, side) for p in self.free]) for side in ("lower", "upper"))
-        return np.clip(total / count, lower, upper)
-
-    def weighing(self, weights: Sequence[FloatArray]) -> Several:
-        """Return the same criterion with other weights, see `whitening`; they are made relative to their mean.
-
-        The residual keeps the unit of the torque that way.
-        """
-        mean = math.sqrt(sum(float(taps[0]) ** -2 for taps in weights) / len(weights))
-        return replace(self, weights=tuple(mean * taps for taps in weights))
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        """Return the weighted residuals, one record after the other, (rows,)."""
-        each = [through(taps, p.residual(self.of_record(x, k))) for k, (p, taps) in enumerate(self._weighted)]
-        return np.concatenate(each)
-
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
-        errors, slopes = [], []
-        for k, (problem, taps) in enumerate(self._weighted):
-            error, J = problem.linearised(self.of_record(x, k))
-            errors.append(through(taps, error))
-            slopes.append(np.zeros((error.size, len(self.free))))
-            slopes[-1][:, self.places[k]] = through(taps, J)
-        return np.concatenate(errors), np.concatenate(slopes)
-
-    @property
-    def _weighted(self) -> list[tuple[Problem, FloatArray]]:
-        return list(zip(self.problems, self.weights, strict=True))
-
-
 def several(
-    problems: Sequence[Problem],
+    problems: Sequence[ClosedLoopProblem],
     own: Sequence[Sequence[str]] | None = None,
     added: Sequence[Mapping[str, float]] | None = None,
-) -> Several:
-    """Return the criterion of several records; their residuals weigh alike, see `Several.weighing`.
+) -> SumProblem[ClosedLoopProblem]:
+    """Return the criterion of several records; their residuals weigh alike, see `SumProblem.weighing`.
 
     Args:
         problems: one for each record, of one model of joint.
@@ -118,7 +56,7 @@ def several(
     for problem, each, more in zip(problems, labels, added, strict=True):
         for p, label in zip(problem.free, each, strict=True):
             members[label].append(_less(p, more.get(p.name, 0.0)))
-    return Several(
+    return SumProblem(
         tuple(problems),
         tuple(_common(label, members[label]) for label in order),
         tuple(np.array([order.index(label) for label in each], dtype=np.intp) for each in labels),
@@ -127,7 +65,7 @@ def several(
     )
 
 
-def _require_known(problem: Problem, own: Sequence[str], added: Mapping[str, float], number: int) -> None:
+def _require_known(problem: ClosedLoopProblem, own: Sequence[str], added: Mapping[str, float], number: int) -> None:
     known = [p.name for p in problem.parameters]
     for name in (*own, *added):
         if name not in known:
@@ -140,7 +78,7 @@ def _require_known(problem: Problem, own: Sequence[str], added: Mapping[str, flo
 
 
 def _require_scale(
-    problems: Sequence[Problem], own: Sequence[Sequence[str]], added: Sequence[Mapping[str, float]]
+    problems: Sequence[ClosedLoopProblem], own: Sequence[Sequence[str]], added: Sequence[Mapping[str, float]]
 ) -> None:
     """Refuse a free gain of the drive where a change of it is made good by one of all of the joint's parameters."""
     if not any(p.name == "drive_gain" for problem in problems for p in problem.free):
@@ -157,7 +95,7 @@ def _require_scale(
         )
 
 
-def _apart(problems: Sequence[Problem], own: Sequence[Sequence[str]]) -> list[set[str]]:
+def _apart(problems: Sequence[ClosedLoopProblem], own: Sequence[Sequence[str]]) -> list[set[str]]:
     """Return, for each record, the names of its free parameters that it shares with no other."""
     starts: dict[str, set[float | None]] = {}
     for problem in problems:
@@ -207,18 +145,10 @@ def whitening(error: FloatArray, level: float, order: int) -> FloatArray:
         return np.array([1.0 / level])
     toeplitz = lags[np.abs(np.subtract.outer(np.arange(order), np.arange(order)))]
     taps = np.concatenate([[1.0], -np.linalg.solve(toeplitz, lags[1:])])
-    return np.asarray(taps * np.linalg.norm(error) / (level * np.linalg.norm(through(taps, error))))
+    return np.asarray(taps * np.linalg.norm(error) / (level * np.linalg.norm(filter_rows(taps, error))))
 
 
-def through(taps: FloatArray, columns: FloatArray) -> FloatArray:
-    """Return signals, (rows,) or (rows, columns), through a filter; before the first row there was nothing."""
-    found = taps[0] * columns
-    for lag, tap in enumerate(taps[1:], 1):
-        found[lag:] += tap * columns[:-lag]
-    return np.asarray(found)
-
-
-def at_rows(problem: Problem, run: Simulation) -> tuple[FloatArray, FloatArray]:
+def at_rows(problem: ClosedLoopProblem, run: Simulation) -> tuple[FloatArray, FloatArray]:
     """Return the motor's position and velocity at the instants of the residual's rows, each (rows,)."""
     keep, samples = problem.filtering.decimation, run.motor_position.size
     assert keep is not None

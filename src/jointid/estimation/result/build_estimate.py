@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.problems.closed_loop import Problem, initial_of
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
 from jointid.estimation.result.estimate import (
     Checks,
     Data,
@@ -23,6 +23,7 @@ from jointid.estimation.result.estimate import (
 from jointid.estimation.result.params import EstimatedParameter, Params
 from jointid.records.record import Record
 from jointid.simulation.closed_loop import Simulation
+from jointid.solvers.bounds import Bounds
 from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.position_dependent_error import Uncertainty
 from jointid.uncertainty.residual_tests import residual_report
@@ -39,7 +40,7 @@ _AT_LIMIT = 0.01  # of the periods: more is said
 
 def answer(
     record: Record,
-    problem: Problem,
+    problem: ClosedLoopProblem,
     x: FloatArray,
     run: Simulation,
     end: tuple[str, bool],
@@ -128,17 +129,16 @@ def answer(
     )
 
 
-def _touched(problem: Problem, x: FloatArray) -> tuple[str, ...]:
+def _touched(problem: ClosedLoopProblem, x: FloatArray) -> tuple[str, ...]:
     """Return the names of the parameters that a bound holds."""
     scale = np.where(x != 0.0, np.abs(x), np.max(np.abs(x)) * 1e-6)
-    return tuple(
-        p.name
-        for p, value, gap in zip(problem.free, x, 1e-6 * scale, strict=True)
-        if value <= p.lower + gap or value >= p.upper - gap
-    )
+    held = Bounds.of(problem.free).reached(x, 1e-6 * scale)
+    return tuple(p.name for p, at in zip(problem.free, held, strict=True) if at)
 
 
-def _warnings(problem: Problem, run: Simulation, known: Uncertainty, converged: bool, left: float) -> tuple[str, ...]:
+def _warnings(
+    problem: ClosedLoopProblem, run: Simulation, known: Uncertainty, converged: bool, left: float
+) -> tuple[str, ...]:
     found = [] if converged else ["the search did not converge; the values are where it stopped"]
     if run.at_limit > _AT_LIMIT:
         found.append(

@@ -13,7 +13,6 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented
 from jointid.common.errors import MethodError, RecordError
-from jointid.estimation.methods.regression import Conditioning
 from jointid.estimation.result import shortcuts
 from jointid.estimation.result.params import EstimatedParameter, Params
 from jointid.estimation.result.record_fit import RecordFit, Windows
@@ -26,6 +25,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.records.time_base.uniformity import Resampled
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import ClosedLoop
+from jointid.solvers.regression import Conditioning
 from jointid.uncertainty.endogeneity_test import ChiSquareTest
 from jointid.uncertainty.identifiability import Identifiability
 from jointid.uncertainty.position_dependent_error import Repeatable

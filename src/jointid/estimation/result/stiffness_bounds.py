@@ -16,11 +16,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.problems.closed_loop import Problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.search.exploration import crossover
 from jointid.models.joints import split_by_mode
 from jointid.models.parameters import Parameter, Quantity
 from jointid.records.signals.filtering import Filtering
+from jointid.solvers.bounds import Bounds
+from jointid.solvers.solve import solve
+from jointid.solvers.trust_region import TrustRegion
 from jointid.uncertainty.covariance import robust, white
 from jointid.uncertainty.verdict import StiffnessBound
 
@@ -28,7 +31,7 @@ _BAND = 0.15  # of the sampling frequency, in which a bound is looked for: modes
 _SOFTEST, _STIFFEST = 0.5, 6.0  # modes that are tried, times the crossover of the loop and the fitted band
 _STEPS = 10  # between them
 _HALVINGS = 3  # of the last step
-_FEW = 6  # evaluations of one of these fits
+_SOLVER = TrustRegion(1e-4, evaluations=6, cost_tolerance=1e-5, eager=False)
 _QUANTILE = 2.706  # of chi-square with one degree of freedom, at 90 %: one side of it is passed by one in twenty
 
 
@@ -39,7 +42,7 @@ class _AtMode:
     Free are the whole inertia, and what is free beside inertias, spring, damper and the load's friction.
     """
 
-    problem: Problem
+    problem: ClosedLoopProblem
     share: float
     mode: float
 
@@ -50,9 +53,9 @@ class _AtMode:
         return whole, *(p for p in self.problem.free if not _is_held(p))
 
     @property
-    def freed(self) -> Problem:
+    def freed(self) -> ClosedLoopProblem:
         """The problem with everything free, so that every derivative is there."""
-        return replace(self.problem, parameters=tuple(replace(p, free=True) for p in self.problem.parameters))
+        return self.problem.all_free()
 
     def values(self, x: FloatArray) -> dict[str, float]:
         """Return every parameter of the flexible problem."""
@@ -73,6 +76,9 @@ class _AtMode:
         """Return the residual, (rows,), and its derivatives, (rows, free)."""
         problem = self.freed
         error, J = problem.linearised(problem.vector(self.values(x)))
+        if not np.isfinite(np.vdot(J, J)):
+            # The derivatives of a diverging loop overflow when they are squared; there is no way down from it.
+            return error, np.zeros((error.size, len(self.free)))
         by = {p.name: J[:, i] for i, p in enumerate(problem.free)}
         whole = sum(share * by[name] for name, share in self._inertial(1.0).items())
         return error, np.column_stack([whole, *(by[p.name] for p in self.free[1:])])
@@ -93,26 +99,15 @@ class _End:
 
 def _held(held: _AtMode, start: FloatArray) -> _End:
     """Return the best joint with its mode and share held; of an unstable loop, a cost beyond all others."""
-    from scipy.optimize import least_squares
-
-    lower, upper = (np.array([getattr(p, side) for p in held.free]) for side in ("lower", "upper"))
-    inside = np.clip(start, lower + 1e-6 * np.abs(start), upper - 1e-6 * np.abs(start))
-
-    def jacobian(x: FloatArray) -> FloatArray:
-        J = held.linearised(x)[1]
-        # The derivatives of a diverging loop overflow when they are squared; there is no way down from it.
-        return J if np.isfinite(np.vdot(J, J)) else np.zeros_like(J)
-
-    error, slopes = held.linearised(inside)
-    if not slopes.any():  # nothing can be simulated there, so nothing leads away from it
-        return _End(inside, float(error @ error), 1)
-    found = least_squares(
-        held.residual, inside, jacobian, (lower, upper), x_scale="jac", xtol=1e-4, ftol=1e-5, gtol=None, max_nfev=_FEW
-    )
-    return _End(np.asarray(found.x), 2 * float(found.cost), 1 + int(found.nfev + (found.njev or 0)))
+    bounds = Bounds.of(held.free)
+    inside = np.clip(start, bounds.lower + 1e-6 * np.abs(start), bounds.upper - 1e-6 * np.abs(start))
+    end = solve(held, _SOLVER, inside)
+    return _End(end.x, float(end.residual @ end.residual), end.evaluations)
 
 
-def bounded(problem: Problem, rigid: Mapping[str, float], share: float, found: float) -> tuple[StiffnessBound, int]:
+def bounded(
+    problem: ClosedLoopProblem, rigid: Mapping[str, float], share: float, found: float
+) -> tuple[StiffnessBound, int]:
     """Return the softest spring at a load share, and the simulations it took to find.
 
     The mode that a search found, though refused, is tried beside the others: between two of them it would be missed,

@@ -25,10 +25,10 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.message import Message
 from jointid.common.progress import Progress
-from jointid.estimation.problems.closed_loop import Problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.stiffness_bounds import bounded
-from jointid.estimation.search.descent import Descent, refined
 from jointid.estimation.search.exploration import FASTEST, frequency_of
+from jointid.estimation.search.history import History, least_squares
 from jointid.models.joints import FlexibleJoint, split_by_mode
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.loop_input import ClosedLoop
@@ -88,7 +88,7 @@ class Visibility:
 
 
 def visible(
-    problem: Problem,
+    problem: ClosedLoopProblem,
     x: FloatArray,
     known: Uncertainty,
     together: tuple[int, int],
@@ -135,7 +135,7 @@ def visible(
 
 
 def _doubts(
-    problem: Problem, x: FloatArray, known: Uncertainty, rigid_error: FloatArray, together: tuple[int, int]
+    problem: ClosedLoopProblem, x: FloatArray, known: Uncertainty, rigid_error: FloatArray, together: tuple[int, int]
 ) -> list[str]:
     """Return why the spring that was found is not to be believed, whatever a test says."""
     found = []
@@ -165,17 +165,17 @@ class _Solved:
     simulations: int
 
 
-def _solved(problem: Problem, values: Mapping[str, float], progress: Progress) -> _Solved:
-    descent = Descent(problem, progress)
-    found = refined(descent, problem.vector(values), 1e-8)
-    return _Solved(np.asarray(found.x), descent.simulations)
+def _solved(problem: ClosedLoopProblem, values: Mapping[str, float], progress: Progress) -> _Solved:
+    history = History(progress)
+    found = history.solve(problem, least_squares(problem, 1e-8), problem.vector(values)).solution
+    return _Solved(found.x, found.evaluations)
 
 
 def _quietly(_: str) -> None:
     """Say nothing of a fit that is only a means."""
 
 
-def _rigid(problem: Problem, values: Mapping[str, float]) -> tuple[Problem, _Solved]:
+def _rigid(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[ClosedLoopProblem, _Solved]:
     """Return the problem of a rigid joint on the same band, solved."""
     flexible = problem.loop.joint
     assert isinstance(flexible, FlexibleJoint)
@@ -193,7 +193,7 @@ def _total(values: Mapping[str, float], name: str) -> float:
     return values[name] if name in values else values[f"motor_{name}"] + values[f"load_{name}"]
 
 
-def _split(problem: Problem, rigid: Mapping[str, float], share: float, frequency: float) -> dict[str, float]:
+def _split(problem: ClosedLoopProblem, rigid: Mapping[str, float], share: float, frequency: float) -> dict[str, float]:
     """Return a flexible joint of a rigid one: its friction on the motor's side, a spring for a mode there."""
     values = {p.name: rigid.get(p.name, 0.0) for p in problem.parameters}
     values |= {f"motor_{name}": value for name, value in rigid.items() if f"motor_{name}" in values}
@@ -201,11 +201,11 @@ def _split(problem: Problem, rigid: Mapping[str, float], share: float, frequency
     return values | split_by_mode(whole, share, frequency)
 
 
-def _springs(problem: Problem, rigid: Mapping[str, float], error: FloatArray) -> list[FloatArray]:
+def _springs(problem: ClosedLoopProblem, rigid: Mapping[str, float], error: FloatArray) -> list[FloatArray]:
     """Return what springs would do to the residual, each (rows, 1), at some load shares and modes."""
     cutoff = problem.filtering.cutoff
     assert cutoff is not None
-    free = replace(problem, parameters=tuple(replace(p, free=True) for p in problem.parameters))
+    free = problem.all_free()
 
     def bent(at: tuple[float, float]) -> FloatArray:
         values = _split(problem, rigid, at[0], at[1] * cutoff)
@@ -216,7 +216,7 @@ def _springs(problem: Problem, rigid: Mapping[str, float], error: FloatArray) ->
     return [(one - error)[:, np.newaxis] for one in tried if np.linalg.norm(one) < size]  # the others are unstable
 
 
-def _profiled(problem: Problem, x: FloatArray, known: Uncertainty) -> tuple[Profile | None, list[str]]:
+def _profiled(problem: ClosedLoopProblem, x: FloatArray, known: Uncertainty) -> tuple[Profile | None, list[str]]:
     """Return the profile of the compliance, where its interval is not narrow anyway, and what is wrong with it."""
     names = [p.name for p in problem.free]
     if "stiffness" not in names:

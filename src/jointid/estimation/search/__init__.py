@@ -1,1 +1,1 @@
-"""The search for the parameters: descents, starts and multistart."""
+"""The search for the parameters: its history, starts and multistart."""

@@ -19,7 +19,7 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress
 from jointid.estimation.methods.didim import DIDIM, identify_didim
-from jointid.estimation.problems.closed_loop import Problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.nuisance_parameters import INITIAL
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.search.starts import pseudo_regular
@@ -99,7 +99,7 @@ def frequencies_to_try(law: SampledLaw, inertia: float, sample_time: float) -> l
 
 
 def explored(
-    problem: Problem, rigid: Mapping[str, float], frequencies: Sequence[float], progress: Progress
+    problem: ClosedLoopProblem, rigid: Mapping[str, float], frequencies: Sequence[float], progress: Progress
 ) -> tuple[list[tuple[float, dict[str, float]]], int]:
     """Return starts as (free-free frequency, values), best first, and the simulations it took.
 
@@ -136,7 +136,7 @@ def explored(
     return [(frequency_of(own), own)] * usable + starts, len(costs) + 1
 
 
-def started(problem: Problem, rigid: Mapping[str, float], frequency: float, share: float) -> dict[str, float]:
+def started(problem: ClosedLoopProblem, rigid: Mapping[str, float], frequency: float, share: float) -> dict[str, float]:
     """Return the start (13) for the free parameters, within their bounds, with the fixed ones as they are."""
     fixed = {p.name: p.start or 0.0 for p in problem.parameters if not p.free}
     state = {p.name: p.start or 0.0 for p in problem.parameters if p.name in INITIAL}
@@ -149,7 +149,7 @@ def frequency_of(values: Mapping[str, float]) -> float:
     return frequencies(values)["free_free"]
 
 
-def _inside(problem: Problem, values: dict[str, float]) -> dict[str, float]:
+def _inside(problem: ClosedLoopProblem, values: dict[str, float]) -> dict[str, float]:
     """Return the values a little inside their bounds, by a thousandth of their size or of what would be one."""
     found = dict(values)
     force = float(np.std(problem.measured))
@@ -163,11 +163,11 @@ def _inside(problem: Problem, values: dict[str, float]) -> dict[str, float]:
     return found
 
 
-def _cost(problem: Problem, values: Mapping[str, float]) -> float:
+def _cost(problem: ClosedLoopProblem, values: Mapping[str, float]) -> float:
     """Return the norm of the error; infinite where the loop is as good as unstable."""
     cost = float(np.linalg.norm(problem.residual(problem.vector(values))))
     return cost if cost < 10 * np.linalg.norm(problem.filtered(problem.measured)) else math.inf
 
 
-def _costs(problem: Problem, rigid: Mapping[str, float], grid: list[tuple[float, float]]) -> list[float]:
+def _costs(problem: ClosedLoopProblem, rigid: Mapping[str, float], grid: list[tuple[float, float]]) -> list[float]:
     return in_threads(lambda at: _cost(problem, started(problem, rigid, *at)), grid)

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.inverse_model import InverseModel, inverse_model
-from jointid.estimation.methods.regression import least_squares
-from jointid.estimation.problems.closed_loop import Problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import POSITION, REFERENCE, invert
 from jointid.models.joints import RigidJoint, acts_on_whole
 from jointid.records.record import Channel, Tap, Timing
 from jointid.simulation.loop_input import known_memory
+from jointid.solvers.regression import least_squares
 
 _DAMPING = 0.02  # of a flexible mode, to begin with (ours: the paper gives none)
 _SETTLED = 5.0  # periods of the position filter's cut-off after which a fault is forgotten
@@ -38,7 +38,7 @@ class Start:
     nominal_inertia: float | None
 
 
-def reconstructed_position(problem: Problem) -> FloatArray:
+def reconstructed_position(problem: ClosedLoopProblem) -> FloatArray:
     """Return the motor position the known controller must have seen to put out the logged torque, (samples,).
 
     ``position = reference - C^-1(torque)``: no guess is needed, and because the controller's gain is large the result
@@ -64,7 +64,7 @@ def reconstructed_position(problem: Problem) -> FloatArray:
     return invert(law, command, inputs, state, element)[:: experiment.every][: experiment.samples]
 
 
-def _command(problem: Problem) -> FloatArray:
+def _command(problem: ClosedLoopProblem) -> FloatArray:
     """Return the controller's output as the log shows it, (samples,), without what is added behind its limit."""
     experiment = problem.experiment
     whole = np.all(experiment.lags == experiment.lags[0])
@@ -85,7 +85,7 @@ def _command(problem: Problem) -> FloatArray:
     return np.asarray(output - added[:: experiment.every][: output.size])
 
 
-def initial_state(problem: Problem, position: FloatArray) -> dict[str, float]:
+def initial_state(problem: ClosedLoopProblem, position: FloatArray) -> dict[str, float]:
     """Return where a reconstructed motion begins: a line through its first usable samples."""
     law = problem.experiment.law
     skip, sample_time = law.order // problem.experiment.every + 1, problem.experiment.sample_time
@@ -94,7 +94,7 @@ def initial_state(problem: Problem, position: FloatArray) -> dict[str, float]:
     return {"initial_position": float(value - slope * skip * sample_time), "initial_velocity": float(slope)}
 
 
-def resting_position(problem: Problem) -> float:
+def resting_position(problem: ClosedLoopProblem) -> float:
     """Return where a motor at rest has the controller put out the first logged torque; else its reference.
 
     A proportional loop lets a load that weighs something sag by the torque that carries it, over its gain. A search
@@ -103,7 +103,7 @@ def resting_position(problem: Problem) -> float:
     return beginning_position(problem, 0.0)
 
 
-def beginning_position(problem: Problem, velocity: float) -> float:
+def beginning_position(problem: ClosedLoopProblem, velocity: float) -> float:
     """Return where a motor that moves uniformly has the controller put out the first logged torque; else its reference.
 
     Args:
@@ -121,7 +121,7 @@ def beginning_position(problem: Problem, velocity: float) -> float:
     return float(asked / gain) if gain != 0.0 else home
 
 
-def inversion_start(problem: Problem) -> Start:
+def inversion_start(problem: ClosedLoopProblem) -> Start:
     """Return what IDIM finds on the reconstructed position: nearly what it finds on a measured one."""
     joint, position = _rigid(problem), reconstructed_position(problem)
     command = _command(problem)
@@ -130,7 +130,7 @@ def inversion_start(problem: Problem) -> Start:
     return Start(_kept(problem, found | initial_state(problem, position)), None)
 
 
-def regular_start(problem: Problem, given: dict[str, float] | None = None) -> Start:
+def regular_start(problem: ClosedLoopProblem, given: dict[str, float] | None = None) -> Start:
     """Return a regular inertia and no friction, or the given values, with the controller's gains to be scaled.
 
     The loop of an inertia that is `n` times too large, under gains that are `n` times too large, moves like the real
@@ -149,7 +149,7 @@ def regular_start(problem: Problem, given: dict[str, float] | None = None) -> St
     return Start(_kept(problem, regular | (given or {})), nominal)
 
 
-def given_start(problem: Problem) -> Start:
+def given_start(problem: ClosedLoopProblem) -> Start:
     """Return the starts the parameters carry; those without one begin as in `regular_start`."""
     given = {p.name: p.start for p in problem.parameters if p.start is not None}
     if given.get("inertia", 1.0) <= 0:
@@ -177,7 +177,7 @@ def pseudo_regular(rigid: Mapping[str, float], frequency: float, share: float = 
     return start | {"stiffness": reduced * rate**2, "damping": 2 * _DAMPING * reduced * rate}
 
 
-def _unlimited(problem: Problem) -> NDArray[np.bool_]:
+def _unlimited(problem: ClosedLoopProblem) -> NDArray[np.bool_]:
     """Return where the law can be turned round: away from its limit, and from what the filter smears of it.
 
     Where nothing would be left, everything: a poor start is better than none.
@@ -195,7 +195,7 @@ def _unlimited(problem: Problem) -> NDArray[np.bool_]:
 
 
 def _regressed(
-    problem: Problem,
+    problem: ClosedLoopProblem,
     joint: RigidJoint,
     torque: FloatArray,
     position: FloatArray,
@@ -220,12 +220,12 @@ def _regressed(
     return dict(zip(names, map(float, found), strict=True))
 
 
-def _kept(problem: Problem, values: dict[str, float]) -> dict[str, float]:
+def _kept(problem: ClosedLoopProblem, values: dict[str, float]) -> dict[str, float]:
     """Return the values with every fixed parameter at what it is fixed to."""
     return values | {p.name: p.start or 0.0 for p in problem.parameters if not p.free}
 
 
-def _rigid(problem: Problem) -> RigidJoint:
+def _rigid(problem: ClosedLoopProblem) -> RigidJoint:
     if not isinstance(problem.loop.joint, RigidJoint):
         raise MethodError("This start is for a rigid joint; identify the joint as rigid first.")
     return problem.loop.joint

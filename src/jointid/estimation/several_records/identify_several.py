@@ -27,11 +27,11 @@ from jointid.common.progress import Progress
 from jointid.estimation.identify_record import Method, identify_record
 from jointid.estimation.methods.cross_axis import record_warnings
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITIAL_TORQUE
 from jointid.estimation.problems.several_records import several
 from jointid.estimation.result.estimate import Estimate, fingerprint
-from jointid.estimation.several_records.per_record_fit import BySelf, by_itself, descended, starts, whitened
+from jointid.estimation.several_records.per_record_fit import SOLVER, BySelf, by_itself, starts, whitened
 from jointid.estimation.several_records.record_layout import Arrangement
 from jointid.estimation.several_records.settings import SeveralRecords, Weighting
 from jointid.estimation.several_records.summarise import concluded
@@ -39,6 +39,7 @@ from jointid.models.parameters import Parameter, adjusted
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
+from jointid.solvers.solve import solve
 
 
 def identify_several(
@@ -75,8 +76,8 @@ def identify_several(
     gain = _gain(chosen, alone)
     progress(f"{len(records)} records together, {len(criterion.free)} parameters")
     found = [problem.vector(one.acting(gain)) for problem, one in zip(problems, alone, strict=True)]
-    end = descended(criterion, criterion.vector(found))
-    progress(end.stop)
+    end = solve(criterion, SOLVER, criterion.vector(found))
+    progress(end.message)
     simulations = sum(estimate.fit.simulations for estimate in estimates) + sum(one.simulations for one in alone)
     found_together = concluded(records, chosen, criterion, end, alone, simulations, how)
     about = [
@@ -100,7 +101,7 @@ def _require_different(records: Sequence[Record]) -> None:
 
 def _problem(
     record: Record, estimate: Estimate, loop: ClosedLoop, changes: Mapping[str, Parameter], free: Sequence[str]
-) -> Problem:
+) -> ClosedLoopProblem:
     """Return a record's problem, the motor at its first sample resting or moving as its own identification found it."""
     found = {p.name: p for p in estimate.params}
     state = tuple(

@@ -10,46 +10,25 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.estimation.problems.closed_loop import Problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.several_records import at_rows, several, whitening
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.search.descent import reason
 from jointid.models.parameters import TORQUE_UNIT
-from jointid.solvers.criterion import Criterion
-from jointid.solvers.levenberg_marquardt import arrived
+from jointid.solvers.solution import Solution
+from jointid.solvers.solve import solve
+from jointid.solvers.trust_region import TrustRegion
 from jointid.uncertainty.covariance import bandwidth
 from jointid.uncertainty.position_dependent_error import Repeatable, Uncertainty, cells, uncertainty
 
-if TYPE_CHECKING:
-    from scipy.optimize import OptimizeResult
+SOLVER = TrustRegion(1e-10, evaluations=100)
+"""Of one record, and of several together."""
 
-_TOLERANCE, _EVALUATIONS = 1e-10, 100
 _NOTHING_LEFT = 1e-6  # of the torque: a residual below it is rounding, and no level
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class End:
-    """Where a descent ended.
-
-    Attributes:
-        x: the free parameters there.
-        error, J: the residual and its derivatives, (rows,) and (rows, free).
-        stop: why, in a sentence; converged: whether that is a good end.
-        evaluations: it took.
-    """
-
-    x: FloatArray
-    error: FloatArray
-    J: FloatArray
-    stop: str
-    converged: bool
-    evaluations: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,8 +46,8 @@ class BySelf:
         simulations: that this took.
     """
 
-    problem: Problem
-    end: End
+    problem: ClosedLoopProblem
+    end: Solution
     error: FloatArray
     level: float
     weights: FloatArray
@@ -87,19 +66,18 @@ class BySelf:
         return {n: gain * v if n in own else v for n, v in self.values.items()} | {"drive_gain": gain}
 
 
-def by_itself(problem: Problem, values: Mapping[str, float]) -> BySelf:
+def by_itself(problem: ClosedLoopProblem, values: Mapping[str, float]) -> BySelf:
     """Fit one record, all of its rows weighing the same.
 
     Args:
         problem: of the record.
         values: where to begin, by name.
     """
-    lower, upper = bounds(problem)
-    end = descended(problem, np.clip(problem.vector(values), lower, upper))
-    level = float(np.linalg.norm(end.error)) / math.sqrt(max(end.error.size - end.x.size, 1))
+    end = solve(problem, SOLVER, problem.vector(values))
+    level = float(np.linalg.norm(end.residual)) / math.sqrt(max(end.residual.size - end.x.size, 1))
     judged, level = _judged(problem, end), max(level, _nothing(problem))
     weights = np.array([1.0 / level])
-    return BySelf(problem, end, end.error, level, weights, judged, judged.repeatable, end.evaluations + 1)
+    return BySelf(problem, end, end.residual, level, weights, judged, judged.repeatable, end.evaluations + 1)
 
 
 def whitened(one: BySelf) -> BySelf:
@@ -107,20 +85,20 @@ def whitened(one: BySelf) -> BySelf:
     if one.level <= _nothing(one.problem):
         return one
     weights = whitening(one.error, one.level, bandwidth(one.error.size))
-    end = descended(several([one.problem]).weighing([weights]), one.end.x)
+    end = solve(several([one.problem]).weighing([weights]), SOLVER, one.end.x)
     error, judged, used = one.problem.residual(end.x), _judged(one.problem, end), end.evaluations + 2
     return replace(one, end=end, error=error, weights=weights, uncertainty=judged, simulations=one.simulations + used)
 
 
-def _nothing(problem: Problem) -> float:
+def _nothing(problem: ClosedLoopProblem) -> float:
     """Return the level of a residual that is as good as none."""
     return _NOTHING_LEFT * float(np.sqrt(np.mean(problem.filtered(problem.measured) ** 2)))
 
 
-def _judged(problem: Problem, end: End) -> Uncertainty:
+def _judged(problem: ClosedLoopProblem, end: Solution) -> Uncertainty:
     where, joint = cells(*at_rows(problem, problem.simulate(end.x))), problem.loop.joint
     unit = joint.torque_unit or TORQUE_UNIT[joint.kind]
-    return uncertainty(end.J, end.J, end.error, where, [p.name for p in problem.free], unit)
+    return uncertainty(end.jacobian, end.jacobian, end.residual, where, [p.name for p in problem.free], unit)
 
 
 def starts(estimates: Sequence[Estimate]) -> list[dict[str, float]]:
@@ -138,50 +116,3 @@ def starts(estimates: Sequence[Estimate]) -> list[dict[str, float]]:
             "identify the joint as rigid, or record a motion that shows it."
         )
     return [anywhere | each for each in every]
-
-
-def bounds(criterion: Criterion) -> tuple[FloatArray, FloatArray]:
-    """Return the lower and the upper bounds of the free parameters, each (free,)."""
-    return np.array([p.lower for p in criterion.free]), np.array([p.upper for p in criterion.free])
-
-
-def descended(criterion: Criterion, x: FloatArray) -> End:
-    """Go down from x by bounded least squares with the exact Jacobian."""
-    from scipy.optimize import least_squares
-
-    walk = _Walk(criterion)
-    error, J = walk.residual(x), walk.jacobian(x)
-    if arrived(criterion.free, x, error, J, _TOLERANCE):
-        return End(x, error, J, *reason(2, 1, _TOLERANCE), walk.evaluations)
-
-    def step(intermediate_result: OptimizeResult) -> None:
-        at = intermediate_result.x
-        if arrived(criterion.free, at, walk.residual(at), walk.jacobian(at), _TOLERANCE):
-            raise StopIteration
-
-    end = least_squares(
-        walk.residual, x, walk.jacobian, bounds(criterion), x_scale="jac", xtol=_TOLERANCE, ftol=_TOLERANCE, gtol=None,
-        max_nfev=_EVALUATIONS, callback=step,
-    )  # fmt: skip
-    stop, converged = reason(end.status, end.nfev, _TOLERANCE)
-    return End(np.asarray(end.x), np.asarray(end.fun), np.asarray(end.jac), stop, converged, walk.evaluations)
-
-
-class _Walk:
-    """A criterion that, asked for both residual and derivatives at one point, is evaluated once, and counted."""
-
-    def __init__(self, criterion: Criterion) -> None:
-        self.criterion, self.evaluations = criterion, 0
-        self._last: tuple[FloatArray, tuple[FloatArray, FloatArray]] | None = None
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        return self._linearised(x)[0]
-
-    def jacobian(self, x: FloatArray) -> FloatArray:
-        return self._linearised(x)[1]
-
-    def _linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        if self._last is None or not np.array_equal(self._last[0], x):
-            self.evaluations += 1
-            self._last = (x.copy(), self.criterion.linearised(x))
-        return self._last[1]

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.estimation.problems.closed_loop import initial_of
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
 from jointid.estimation.problems.nuisance_parameters import INITIAL
-from jointid.estimation.problems.several_records import Several, at_rows
+from jointid.estimation.problems.several_records import at_rows
+from jointid.estimation.problems.sum import SumProblem
 from jointid.estimation.result.estimate import (
     Checks,
     Data,
@@ -23,10 +24,12 @@ from jointid.estimation.result.estimate import (
 from jointid.estimation.result.params import EstimatedParameter, Params
 from jointid.estimation.result.record_fit import RecordFit
 from jointid.estimation.several_records.heterogeneity import Agreement, Alone, agreement
-from jointid.estimation.several_records.per_record_fit import BySelf, End, bounds
+from jointid.estimation.several_records.per_record_fit import BySelf
 from jointid.estimation.several_records.record_layout import Arrangement
 from jointid.models.parameters import Parameter, Quantity
 from jointid.records.record import Record
+from jointid.solvers.bounds import Bounds
+from jointid.solvers.solution import Solution
 from jointid.uncertainty.covariance import Covariance, covariance_of
 from jointid.uncertainty.position_dependent_error import Uncertainty, cells, uncertainty
 
@@ -38,8 +41,8 @@ _PHYSICAL = (Quantity.INERTIA, Quantity.STIFFNESS)  # what no joint has none of
 def concluded(
     records: Sequence[Record],
     arranged: Arrangement,
-    criterion: Several,
-    end: End,
+    criterion: SumProblem[ClosedLoopProblem],
+    end: Solution,
     alone: Sequence[BySelf],
     simulations: int,
     weighting: str,
@@ -100,8 +103,8 @@ class _Ended:
 
     records: Sequence[Record]
     arranged: Arrangement
-    criterion: Several
-    end: End
+    criterion: SumProblem[ClosedLoopProblem]
+    end: Solution
     alone: Sequence[BySelf]
 
     @property
@@ -116,10 +119,14 @@ class _Ended:
 
     def judged(self) -> Uncertainty:
         """Return what is known of the errors, before the records are compared."""
-        runs = [p.simulate(self.criterion.of_record(self.end.x, k)) for k, p in enumerate(self.criterion.problems)]
+        runs = [p.simulate(self.criterion.of_member(self.end.x, k)) for k, p in enumerate(self.criterion.problems)]
         seen = [at_rows(p, run) for p, run in zip(self.criterion.problems, runs, strict=True)]
         where = cells(np.concatenate([at for at, _ in seen]), np.concatenate([speed for _, speed in seen]))
-        J, error, unit = self.end.J, self.end.error, self.arranged.joint.torque_unit or self.arranged.torque_unit
+        J, error, unit = (
+            self.end.jacobian,
+            self.end.residual,
+            self.arranged.joint.torque_unit or self.arranged.torque_unit,
+        )
         return uncertainty(J, J, error, where, self.names, unit, [at.size for at, _ in seen])
 
     def agreement(self) -> Agreement:
@@ -132,8 +139,8 @@ class _Ended:
         units = {name: unit for name, unit in shared.items() if name not in told | {"drive_gain"}}
         each = []
         for k, one in enumerate(self.alone):
-            lower, upper = bounds(one.problem)
-            inside = (one.end.x > lower) & (one.end.x < upper) & (one.uncertainty.covariance.std > 0)
+            held = Bounds.of(one.problem.free).reached(one.end.x)
+            inside = ~held & (one.uncertainty.covariance.std > 0)
             rows = {p.name: p for p in self.by_itself(k)}
             free = [p.name for p in one.problem.free]
             kept = [i for i, name in enumerate(free) if name in units and inside[i] and name in self.sharing(k)]
@@ -193,14 +200,14 @@ class _Ended:
             filtered_error=float(np.linalg.norm(np.concatenate(errors)) / np.linalg.norm(np.concatenate(sizes))),
             rows=sum(share.rows for share in shares),
             simulations=simulations + (self.end.evaluations + 2) * len(shares),
-            stop=self.end.stop,
+            stop=self.end.message,
             converged=self.end.converged,
         )
 
     def share(self, number: int) -> RecordFit:
         """Return what a record says by itself, and how well the common model explains it."""
         problem, record, one = self.criterion.problems[number], self.records[number], self.alone[number]
-        x = self.criterion.of_record(self.end.x, number)
+        x = self.criterion.of_member(self.end.x, number)
         values, predicted, size = (
             problem.values(x),
             problem.torque(x),
@@ -237,9 +244,7 @@ class _Ended:
         for p, value, std in zip(free, self.end.x, covariance.std, strict=True):
             if p.quantity in _PHYSICAL and value <= 2 * std:
                 found.append(f"{p.name} is not identifiable from these records: its interval holds 0")
-        lower, upper = bounds(self.criterion)
-        near = 1e-6 * np.abs(self.end.x)
-        held = (self.end.x <= lower + near) | (self.end.x >= upper - near)
+        held = Bounds.of(free).reached(self.end.x, 1e-6 * np.abs(self.end.x))
         found += [f"{p.name} is at its bound, where it does not follow the records" for p in np.array(free)[held]]
         told = [i for i, p in enumerate(free) if p.name.partition("@")[0] not in INITIAL]
         found += [

@@ -22,7 +22,7 @@ from jointid.common.progress import Progress
 from jointid.estimation.identify_record import Method, default_method, identify_record
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
-from jointid.estimation.problems.closed_loop import Problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Checks, Data, Estimate, Fit, Settings, poor_fit
 from jointid.estimation.result.params import EstimatedParameter, Params
 from jointid.estimation.result.record_fit import Windows
@@ -36,6 +36,7 @@ from jointid.records.reading.chunks import Chunk, LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
+from jointid.solvers.bounds import Bounds
 from jointid.uncertainty.covariance import Covariance, larger
 from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.jackknife import left_out, root_of, total
@@ -121,7 +122,9 @@ def _started(
     raise refusal or MethodError("In no window of this record does the axis move; give another record.")
 
 
-def _concluded(source: LongRecord, first: Record, model: Model, problem: Problem, end: End, length: int) -> Estimate:
+def _concluded(
+    source: LongRecord, first: Record, model: Model, problem: ClosedLoopProblem, end: End, length: int
+) -> Estimate:
     """Return the answer that the last pass makes."""
     assert first.torque is not None
     found, joint = end.found, model.loop.joint
@@ -133,8 +136,8 @@ def _concluded(source: LongRecord, first: Record, model: Model, problem: Problem
     shown = [p for p in problem.parameters if p.name in own or p.free]
     at_limit = float(np.mean([w.at_limit for w in found.windows]))
     error = math.sqrt(sums.square / sums.size) if sums.size > 0 else 0.0
-    lower, upper = (np.array([getattr(p, side) for p in problem.free]) for side in ("lower", "upper"))
-    held = [p.name for p, at in zip(problem.free, (end.x <= lower) | (end.x >= upper), strict=True) if at]
+    reached = Bounds.of(problem.free).reached(end.x)
+    held = [p.name for p, at in zip(problem.free, reached, strict=True) if at]
     warnings = [f"{name} is at its bound, where it does not follow the record" for name in held]
     if at_limit > _AT_LIMIT:
         warnings.append(
@@ -212,7 +215,9 @@ def _covariance(found: Pass, repeated: Repeatable) -> tuple[Covariance, str]:
     return covariance, said
 
 
-def _row(p: Parameter, value: float, std: float | None, problem: Problem, of_joint: bool) -> EstimatedParameter:
+def _row(
+    p: Parameter, value: float, std: float | None, problem: ClosedLoopProblem, of_joint: bool
+) -> EstimatedParameter:
     physical = p.quantity in (Quantity.INERTIA, Quantity.STIFFNESS)
     told = std is not None and not (physical and value <= 2 * std)
     return EstimatedParameter(

@@ -22,8 +22,9 @@ from jointid.estimation.several_records.heterogeneity import Alone, agreement
 from jointid.estimation.streaming.drift import DriftTest, Segment, Trend
 from jointid.estimation.streaming.window import Window
 from jointid.models.parameters import Parameter
+from jointid.solvers.bounds import Bounds
 from jointid.uncertainty.covariance import covariance_of
-from jointid.uncertainty.jackknife import step_of, total
+from jointid.uncertainty.jackknife import scale_of, step_of, total
 
 _MOST = 24  # segments
 _WINDOWS = 3  # in a segment at least, for each parameter
@@ -99,10 +100,9 @@ class _Fit:
     @classmethod
     def of(cls, windows: Sequence[Window], x: FloatArray) -> _Fit:
         """Return the fit of some windows, a step from x."""
-        anywhere, sums = np.full(x.size, np.inf), total([w.sums for w in windows])
-        step = step_of(sums, -anywhere, anywhere)
-        norms = np.sqrt(np.diag(sums.A))
-        scale = np.where(norms > 0, norms, 1.0)
+        sums = total([w.sums for w in windows])
+        step = step_of(sums, Bounds.none(x.size))
+        scale = scale_of(sums.A)
         values, vectors = np.linalg.eigh(sums.A / np.outer(scale, scale))
         kept = values > _SINGULAR * values[-1]
         roots = np.where(kept, 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0)

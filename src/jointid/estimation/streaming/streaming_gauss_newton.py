@@ -12,8 +12,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress
@@ -21,6 +19,7 @@ from jointid.estimation.streaming.position_bins import Place, Places
 from jointid.estimation.streaming.window import Model, NotSimulatedError, Window, looked_at, moves
 from jointid.models.parameters import Parameter
 from jointid.records.reading.chunks import LongRecord
+from jointid.solvers.bounds import Bounds
 from jointid.uncertainty.jackknife import Sums, step_of, total
 
 SPARSE = 16
@@ -150,8 +149,8 @@ class Passes:
             NotSimulatedError: a window cannot be simulated at x.
             MethodError: in no window does the axis move.
         """
-        lower, upper = (np.array([getattr(p, side) for p in self.free]) for side in ("lower", "upper"))
-        x, every, whole, before = np.clip(x, lower, upper), SPARSE, 0, _Before()
+        bounds = Bounds.of(self.free)
+        x, every, whole, before = bounds.clip(x), SPARSE, 0, _Before()
         for number in range(1, _PASSES + 1):
             found = self._passed(x, every, before)
             whole += every == 1
@@ -166,7 +165,7 @@ class Passes:
                 raise MethodError("In no window of this record does the axis move; give another record.")
             sums = total([w.sums for w in found.windows])
             level = sums.square / sums.rows
-            step = step_of(sums, lower - x, upper - x)
+            step = step_of(sums, bounds.around(x))
             far = math.sqrt(float(step @ sums.A @ step) / level) if level > 0 else 0.0
             there = far < _THERE or level <= _rounding(sums)  # where nothing is left, nothing is a deviation
             if not found.ended or (every == 1 and there):

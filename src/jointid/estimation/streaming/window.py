@@ -17,7 +17,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITIAL_TORQUE
 from jointid.estimation.search.starts import beginning_position
 from jointid.estimation.streaming.position_bins import Place, Places
@@ -52,7 +52,7 @@ class Model:
     filtering: Filtering
     settling: int
 
-    def problem(self, record: Record, disturbed: float = 0.0) -> Problem:
+    def problem(self, record: Record, disturbed: float = 0.0) -> ClosedLoopProblem:
         """Return the problem of one window, with its state at the first sample kept.
 
         Args:
@@ -71,8 +71,7 @@ class Model:
         velocity += disturbed * float(np.std(np.diff(inputs[:, REFERENCE]))) / period
         position = beginning_position(replace(problem, measured=np.full(1, torque)), velocity)
         values = {"initial_position": position, "initial_velocity": velocity, "initial_torque": torque}
-        begun = (p.fixed(values[p.name]) if p.name in values else p for p in problem.parameters)
-        return replace(problem, parameters=tuple(begun))
+        return problem.keeping(values)
 
 
 def settling_of(model: Model, record: Record, values: Mapping[str, float]) -> int:
@@ -125,7 +124,7 @@ def moves(record: Record) -> bool:
     return record.injected is not None or float(np.ptp(record.reference.values)) > 0
 
 
-def motion(problem: Problem) -> tuple[FloatArray, FloatArray]:
+def motion(problem: ClosedLoopProblem) -> tuple[FloatArray, FloatArray]:
     """Return the reference's position and velocity at the log's instants, (samples,) each."""
     experiment = problem.experiment
     position = experiment.inputs[experiment.looked // experiment.lengths.size, REFERENCE]

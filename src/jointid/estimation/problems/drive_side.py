@@ -10,7 +10,6 @@ both sides alike and before the filter, which would smear them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +17,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.estimation.methods.inverse_model import motor_torque
+from jointid.estimation.problems.base import FAILED, RecordProblem
 from jointid.estimation.problems.closed_loop import require_free
 from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
 from jointid.models.joints import Joint
@@ -47,52 +47,34 @@ _LOAD_PARAMETERS = (
 _REST = 0.02  # of the root mean square speed: a motor slower than that ...
 _LONG = 3  # ... for so many samples rests, or sticks as it turns round: there friction takes what it must
 _REACH = 3  # samples on each side that the window smears a rest over
-_FAILED = 1e3  # times the torque: the error of a candidate that cannot be simulated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MotionProblem:
-    """The torque of one record along its own motor motion; a `criterion.Criterion`.
+class DriveSideProblem(RecordProblem):
+    """The torque of one record along its own motor motion; the torque is through `signals.windowed_torque`.
+
+    The filter's borders are left out before it is applied. Beside the joint's parameters there are those of
+    `LOAD_STATE`, ``log_delay`` and ``current_lag``.
 
     Attributes:
         joint: what is identified.
         motion: of the motor, prescribed.
-        parameters: all of the joint, then `LOAD_STATE`, ``log_delay`` and ``current_lag``.
-        measured: (samples,) torque through the window of `signals.windowed_torque`.
         weights: (samples,) 0 where the motor rests, else 1.
-        filtering: resolved; its borders are left out before it is applied.
         leads: whether the log shows the torque before its ``current_lag``, as a command does; else behind it.
         sample_time: seconds.
     """
 
     joint: Joint
     motion: PrescribedMotion
-    parameters: tuple[Parameter, ...]
-    measured: FloatArray
     weights: FloatArray
-    filtering: Filtering
     leads: bool
     sample_time: float
-
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        """The parameters that are identified."""
-        return tuple(p for p in self.parameters if p.free)
 
     @property
     def inside(self) -> slice:
         """The samples that are compared."""
         before, after = self.filtering.borders
         return slice(before, self.measured.size - after)
-
-    def values(self, x: FloatArray) -> dict[str, float]:
-        """Return every parameter by name, the fixed ones too."""
-        found = dict(zip((p.name for p in self.free), map(float, x), strict=True))
-        return {p.name: found.get(p.name, p.start or 0.0) for p in self.parameters}
-
-    def vector(self, values: Mapping[str, float]) -> FloatArray:
-        """Return the free parameters of `values`, in order; one that is not there starts as declared."""
-        return np.array([values.get(p.name, p.start or 0.0) for p in self.free])
 
     def filtered(self, columns: FloatArray) -> FloatArray:
         """Return signals, (samples,) or (samples, columns), weighted, through the problem's own filter."""
@@ -115,7 +97,7 @@ class MotionProblem:
         return self.filtered(error), -self.filtered(slopes)
 
     def _failed(self) -> FloatArray:
-        return np.full_like(self.measured, _FAILED * float(np.sqrt(np.mean(self.measured**2))))
+        return np.full_like(self.measured, FAILED * float(np.sqrt(np.mean(self.measured**2))))
 
     def _seen(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
         """Return the prediction, (samples,), its derivatives, (samples, names), and whether it could be simulated."""
@@ -165,7 +147,7 @@ def motion_problem(
     filtering: Filtering,
     parameters: tuple[Parameter, ...],
     surroundings: tuple[Parameter, ...] = (),
-) -> MotionProblem:
+) -> DriveSideProblem:
     """Return the problem of reproducing a record's torque along its motor motion.
 
     Args:
@@ -188,13 +170,13 @@ def motion_problem(
     given = {p.name: p for p in surroundings}
     around = tuple(given.get(p.name, p) for p in (LOG_DELAY, CURRENT_LAG))
     measured = window_torque(replace(torque, values=torque.values[:size]))
-    return MotionProblem(
-        closing.joint,
-        motion,
+    return DriveSideProblem(
         (*parameters, *_load_state(closing.joint, motion), *around),
         measured,
-        weights_of(motion),
         filtering,
+        closing.joint,
+        motion,
+        weights_of(motion),
         record.tap is not Tap.MEASURED,
         sample_time,
     )

@@ -10,9 +10,10 @@ import pytest
 from scipy.signal import lfilter
 
 from jointid.common.errors import MethodError
-from jointid.estimation.problems.closed_loop import Problem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
-from jointid.estimation.problems.several_records import Several, several, through, whitening
+from jointid.estimation.problems.several_records import several, whitening
+from jointid.estimation.problems.sum import SumProblem, filter_rows
 from jointid.models.joints import RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Record
@@ -38,18 +39,20 @@ def driven(axis: Twin, loop: ClosedLoop, values: dict[str, float]) -> Record:
 
 def problem_of(
     axis: Twin, values: dict[str, float], free: Sequence[str] = (), loop: ClosedLoop | None = None
-) -> Problem:
+) -> ClosedLoopProblem:
     state = (replace(INITIAL_STATE[0], start=0.0), INITIAL_STATE[1].fixed(0.0))
     loop = loop or axis.loop
     return torque_problem(driven(axis, loop, values), loop, Filtering(), loop.joint.parameters, state).freeing(*free)
 
 
-def two(axis: Twin, free: Sequence[str] = (), loop: ClosedLoop | None = None) -> tuple[list[Problem], dict[str, float]]:
+def two(
+    axis: Twin, free: Sequence[str] = (), loop: ClosedLoop | None = None
+) -> tuple[list[ClosedLoopProblem], dict[str, float]]:
     heavier = axis.truth | {"load_inertia": axis.truth["load_inertia"] + 10.0}
     return [problem_of(axis, axis.truth, free), problem_of(axis, heavier, free, loop)], heavier
 
 
-def at(criterion: Several, values: dict[str, float]) -> np.ndarray:
+def at(criterion: SumProblem, values: dict[str, float]) -> np.ndarray:
     """The free parameters of that value, those of a record under their plain name too."""
     plain = [p.name.partition("@")[0] for p in criterion.free]
     return np.array([values.get(p.name, values.get(name, 0.0)) for p, name in zip(criterion.free, plain, strict=True)])
@@ -64,7 +67,7 @@ def test_the_truth_of_both_leaves_nothing(axis: Twin) -> None:
     size = np.linalg.norm(problems[0].filtered(problems[0].measured))
     assert np.linalg.norm(criterion.residual(x)) <= 1e-9 * size
     assert np.linalg.norm(several(problems).residual(x)) > 0.01 * size  # without the 10 kg that were added
-    assert criterion.of_record(x, 1)[5] == x[5] + 10.0
+    assert criterion.of_member(x, 1)[5] == x[5] + 10.0
 
 
 def test_an_own_parameter_moves_its_record_alone(axis: Twin) -> None:
@@ -158,8 +161,8 @@ def test_what_cannot_be_is_refused(axis: Twin) -> None:
 def test_whitening_makes_white_what_is_coloured() -> None:
     noise = lfilter([1.0], [1.0, -1.2, 0.5], np.random.default_rng(3).standard_normal(20_000))
     level = float(np.std(noise))
-    white = through(whitening(noise, level, 9), noise)
+    white = filter_rows(whitening(noise, level, 9), noise)
     assert np.std(white) == pytest.approx(1.0, rel=1e-3)
     assert np.max(np.abs([white[lag:] @ white[:-lag] for lag in range(1, 9)])) <= 0.1 * (white @ white)
     assert whitening(noise, level, 0) == pytest.approx([1.0 / level])
-    assert through(np.array([1.0, 2.0]), np.eye(3)) == pytest.approx(np.eye(3) + 2.0 * np.eye(3, k=-1))
+    assert filter_rows(np.array([1.0, 2.0]), np.eye(3)) == pytest.approx(np.eye(3) + 2.0 * np.eye(3, k=-1))

@@ -1,0 +1,78 @@
+"""What problems of one record share: values and vectors by name, parameters kept and freed; and their sum."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from jointid.estimation.problems.base import RecordProblem
+from jointid.estimation.problems.sum import SumProblem
+from jointid.models.joints import Joint, RigidJoint
+from jointid.models.parameters import Parameter, Quantity
+from jointid.records.signals.filtering import Filtering
+from jointid.solvers.gauss_newton import GaussNewton
+from jointid.solvers.solve import solve
+
+Array = np.ndarray
+TIME = np.linspace(0.0, 1.0, 50)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Line(RecordProblem):
+    """``measured = a + b t``, as the smallest problem that there is."""
+
+    @property
+    def joint(self) -> Joint:
+        return RigidJoint()
+
+    def filtered(self, columns: Array) -> Array:
+        return columns
+
+    def residual(self, x: Array) -> Array:
+        values = self.values(x)
+        return self.measured - values["a"] - values["b"] * TIME
+
+    def linearised(self, x: Array) -> tuple[Array, Array]:
+        columns = {"a": np.ones_like(TIME), "b": TIME}
+        return self.residual(x), -np.column_stack([columns[p.name] for p in self.free])
+
+
+def line(a: float, b: float) -> Line:
+    parameters = (Parameter("a", "a", Quantity.FORCE, start=0.5), Parameter("b", "b", Quantity.FORCE))
+    return Line(parameters, a + b * TIME, Filtering())
+
+
+def test_values_and_vector_are_each_others_inverse() -> None:
+    problem = line(1.0, 2.0)
+    assert problem.values(np.array([3.0, 4.0])) == {"a": 3.0, "b": 4.0}
+    assert list(problem.vector({"b": 4.0})) == [0.5, 4.0]
+    kept = problem.keeping({"a": 1.0, "unknown": 9.0})
+    assert [p.name for p in kept.free] == ["b"]
+    assert kept.values(np.array([4.0])) == {"a": 1.0, "b": 4.0}
+    assert list(kept.vector({"a": 7.0, "b": 4.0})) == [4.0]
+    assert [p.name for p in kept.all_free().free] == ["a", "b"]
+    assert [p.name for p in problem.free] == ["a", "b"]  # it is another problem, and this one is as it was
+
+
+def test_one_verb_solves_it() -> None:
+    end = solve(line(1.0, 2.0), GaussNewton(size=1.0), np.zeros(2))
+    assert end.x == pytest.approx([1.0, 2.0])
+    kept = solve(line(1.0, 2.0).keeping({"a": 1.0}), GaussNewton(size=1.0), np.zeros(1))
+    assert kept.x == pytest.approx([2.0])
+
+
+def test_a_sum_shares_what_is_one_and_adds_what_is_known() -> None:
+    first, second = line(1.0, 2.0), line(5.0, 2.5)
+    shared = replace(first.parameters[1], name="b")
+    apart = tuple(replace(first.parameters[0], name=f"a@{k}") for k in (1, 2))
+    added = (np.zeros(2), np.array([0.0, 0.5]))
+    together = SumProblem(
+        (first, second), (shared, *apart), (np.array([1, 0]), np.array([2, 0])), added, (np.ones(1),) * 2
+    )
+    end = solve(together, GaussNewton(size=1.0), np.zeros(3))
+    assert end.x == pytest.approx([2.0, 1.0, 5.0])
+    assert together.of_member(end.x, 1) == pytest.approx([5.0, 2.5])
+    assert together.vector([np.array([1.0, 1.0]), np.array([5.0, 3.5])]) == pytest.approx([2.0, 1.0, 5.0])
+    assert end.residual.size == 2 * TIME.size

@@ -1,0 +1,223 @@
+"""One table of problems through every solver that applies: certified regressions, bounds, cliffs, and every status."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError
+from jointid.models.parameters import Parameter, Quantity
+from jointid.solvers.gauss_newton import GaussNewton
+from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
+from jointid.solvers.multistart import Multistart
+from jointid.solvers.nelder_mead import NelderMead
+from jointid.solvers.problem import Counted
+from jointid.solvers.solution import Solution, Status, Step
+from jointid.solvers.solve import Solver, solve
+from jointid.solvers.trust_region import TrustRegion
+from tests.solvers.nist import REGRESSIONS, Array, Certified
+
+TIGHT = 1e-13
+LEAST_SQUARES: dict[str, Solver] = {
+    "trust region": TrustRegion(TIGHT, 2000),
+    "trust region, in units of the start": TrustRegion(TIGHT, 2000, size=1.0),
+    "trust region, lazy": TrustRegion(TIGHT, 2000, eager=False),
+    "Levenberg-Marquardt": LevenbergMarquardt(TIGHT, 2000),
+}
+DIGITS = 6.0  # of the worst parameter; the hardest, MGH09, gives 6.4
+RUNS_AWAY = {("Levenberg-Marquardt", "BoxBOD", 0), ("Levenberg-Marquardt", "Eckerle4", 0)}
+"""From far away a whole Gauss-Newton step leads to where nothing can be evaluated; a trust region does not take it."""
+
+
+@pytest.mark.parametrize("regression", REGRESSIONS, ids=lambda r: r.name)
+def test_the_data_are_those_that_were_certified(regression: Certified) -> None:
+    residual = regression.residual(np.array(regression.values))
+    assert residual @ residual == pytest.approx(regression.square, rel=1e-9)
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["far", "near"])
+@pytest.mark.parametrize("regression", REGRESSIONS, ids=lambda r: r.name)
+@pytest.mark.parametrize("name", LEAST_SQUARES)
+def test_least_squares_gives_the_certified_digits(name: str, regression: Certified, which: int) -> None:
+    if (name, regression.name, which) in RUNS_AWAY:
+        return
+    end = solve(regression, LEAST_SQUARES[name], np.array(regression.starts[which]))
+    assert regression.digits(end.x) > DIGITS
+    assert end.converged
+    assert end.residual @ end.residual == pytest.approx(regression.square, rel=1e-9)
+    assert end.jacobian == pytest.approx(regression.linearised(end.x)[1], rel=1e-9)
+
+
+@pytest.mark.parametrize("regression", [r for r in REGRESSIONS if r.name in ("Misra1a", "DanWood", "Rat42", "MGH09")])
+def test_a_simplex_gives_them_too(regression: Certified) -> None:
+    size = float(np.linalg.norm(regression.y))
+    end = solve(regression, NelderMead(1e-9, 20000, size=size), np.array(regression.starts[1]))
+    assert regression.digits(end.x) > DIGITS
+    assert end.status is Status.STEP_AND_COST
+
+
+@pytest.mark.parametrize("regression", REGRESSIONS, ids=lambda r: r.name)
+def test_whole_steps_give_them_from_nearby(regression: Certified) -> None:
+    end = solve(regression, GaussNewton(1e-10, 1e-6, iterations=100), np.array(regression.starts[1]))
+    assert regression.digits(end.x) > DIGITS
+    assert end.status is Status.STEP_AND_COST
+
+
+@dataclass(frozen=True)
+class Rosenbrock:
+    """Rosenbrock's valley as residuals, with bounds; and columns of sizes 1e12 apart."""
+
+    lower: float = -np.inf
+    upper: float = np.inf
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("x", "x", Quantity.FORCE, lower=self.lower, upper=self.upper),
+            Parameter("y", "y", Quantity.FORCE),
+        )
+
+    def residual(self, x: Array) -> Array:
+        return self.linearised(x)[0]
+
+    def linearised(self, x: Array) -> tuple[Array, Array]:
+        a, b = x[0], x[1] * 1e12
+        return np.array([10 * (b - a * a), 1 - a]), np.array([[-20 * a, 1e13], [-1.0, 0.0]])
+
+
+START = np.array([-1.2, 1e-12])
+
+
+@pytest.mark.parametrize("name", LEAST_SQUARES)
+def test_a_curved_valley_is_followed_to_its_end(name: str) -> None:
+    end = solve(Rosenbrock(), LEAST_SQUARES[name], START)
+    assert end.converged
+    assert end.x == pytest.approx([1.0, 1e-12], rel=1e-6)
+    assert end.evaluations < 120
+    norms = [step.norm for step in end.trace]
+    assert all(after <= before for before, after in itertools.pairwise(norms))
+
+
+@pytest.mark.parametrize("name", LEAST_SQUARES)
+def test_a_bound_that_holds_is_reached(name: str) -> None:
+    end = solve(Rosenbrock(upper=0.5), LEAST_SQUARES[name], START)
+    assert end.x == pytest.approx([0.5, 0.25e-12], rel=1e-6)
+    assert end.converged
+    if name == "Levenberg-Marquardt":  # a trust region ends within the bounds, as near as its tolerance
+        assert end.x[0] == 0.5
+
+
+@pytest.mark.parametrize("name", LEAST_SQUARES)
+def test_a_start_beyond_the_bounds_is_brought_within(name: str) -> None:
+    end = solve(Rosenbrock(upper=0.5), LEAST_SQUARES[name], np.array([3.0, 1e-12]))
+    assert end.x == pytest.approx([0.5, 0.25e-12], rel=1e-6)
+
+
+@dataclass(frozen=True)
+class Sum(Rosenbrock):
+    """Only the sum of both parameters is seen."""
+
+    def linearised(self, x: Array) -> tuple[Array, Array]:
+        sizes = np.array([1.0, 2.0, 3.0])
+        return sizes * (4.0 - x[0] - x[1]), np.outer(-sizes, [1.0, 1.0])
+
+
+@pytest.mark.parametrize("name", LEAST_SQUARES)
+def test_parameters_that_cannot_be_told_apart_do_no_harm(name: str) -> None:
+    end = solve(Sum(), LEAST_SQUARES[name], np.array([1.0, 0.5]))
+    assert end.converged
+    assert end.x.sum() == pytest.approx(4.0)
+    assert np.abs(end.x).max() < 10.0
+
+
+def test_gauss_newton_names_what_cannot_be_told_apart() -> None:
+    with pytest.raises(MethodError, match="x, y cannot be told apart"):
+        solve(Sum(), GaussNewton(), np.array([1.0, 0.5]))
+
+
+@dataclass(frozen=True)
+class Cliff(Rosenbrock):
+    """It cannot be evaluated, and is large, before its lowest point."""
+
+    def linearised(self, x: Array) -> tuple[Array, Array]:
+        if x[0] > 0.0:
+            return np.full(2, 1e6), np.zeros((2, 2))
+        return super().linearised(x)
+
+
+def test_a_cliff_is_no_minimum() -> None:
+    end = solve(Cliff(), LevenbergMarquardt(1e-10), START)
+    assert not end.converged
+    assert "not converged" in end.message
+    assert end.x[0] <= 0.0
+
+
+@pytest.mark.parametrize("solver", [*LEAST_SQUARES.values(), GaussNewton(), NelderMead()], ids=str)
+def test_nothing_leads_away_from_where_nothing_can_be_evaluated(solver: Solver) -> None:
+    start = np.array([2.0, 1e-12])
+    end = solve(Cliff(), solver, start)
+    assert end.status is Status.NOT_EVALUABLE
+    assert not end.converged
+
+
+def test_several_starts_say_how_many_agree() -> None:
+    end = solve(Rosenbrock(), Multistart(LevenbergMarquardt(1e-10)), np.array([START, [2.0, 4e-12]]))
+    assert end.starts == (2, 2)
+    assert "(2 of 2 starts end there)" in end.message
+    apart = solve(Cliff(), Multistart(LevenbergMarquardt(1e-10)), np.array([START, [2.0, 4e-12]]))
+    assert apart.starts == (1, 2)
+    assert apart.x[0] <= 0.0
+
+
+@dataclass(frozen=True)
+class Overshooting(Rosenbrock):
+    """Its derivatives are too small, so that a step goes beyond the other side."""
+
+    def linearised(self, x: Array) -> tuple[Array, Array]:
+        return np.array([x[0], x[1], 0.0]), np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]) / 2.05
+
+
+def provoke(status: Status) -> Solution:
+    """Return a solution that ends so."""
+    first = REGRESSIONS[0]
+    far, reproducible = np.array(first.starts[0]), replace(first, y=first.y - first.residual(np.array(first.values)))
+    return {
+        Status.STEP: lambda: solve(REGRESSIONS[0], LevenbergMarquardt(1e-3), far),
+        Status.COST: lambda: solve(Rosenbrock(), TrustRegion(), START),
+        Status.STEP_AND_COST: lambda: solve(Rosenbrock(), NelderMead(), START),
+        Status.EXACT: lambda: solve(reproducible, GaussNewton(TIGHT, size=100.0), far),
+        Status.STALLED: lambda: solve(Overshooting(), GaussNewton(worst=2.0), np.ones(2)),
+        Status.EVALUATION_LIMIT: lambda: solve(Rosenbrock(), TrustRegion(evaluations=3), START),
+        Status.NO_DESCENT: lambda: solve(Cliff(), LevenbergMarquardt(1e-10, 500), START),
+        Status.NOT_EVALUABLE: lambda: solve(Cliff(), TrustRegion(), np.array([2.0, 1e-12])),
+    }[status]()
+
+
+@pytest.mark.parametrize("status", Status)
+def test_every_status_is_met_and_says_what_to_do(status: Status) -> None:
+    assert provoke(status).status is status
+    assert status.sentence
+    assert bool(status.advice) != status.converged
+
+
+def test_evaluations_are_those_counted_and_steps_are_told() -> None:
+    calls: list[Array] = []
+
+    @dataclass(frozen=True)
+    class Watched(Rosenbrock):
+        def linearised(self, x: Array) -> tuple[Array, Array]:
+            calls.append(x)
+            return super().linearised(x)
+
+    told: list[Step] = []
+    end = solve(Watched(), TrustRegion(), START, told.append)
+    assert end.evaluations == len(calls)
+    assert tuple(told) == end.trace
+    counted = Counted(Watched())
+    first = solve(counted, TrustRegion(evaluations=4), START)
+    second = solve(counted, TrustRegion(), first.x)
+    assert counted.evaluations == first.evaluations + second.evaluations
+    assert end.trace[-1].evaluations <= end.evaluations
