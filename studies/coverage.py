@@ -145,5 +145,5 @@ def _identified(axis: Twin) -> _Run:
         repeats=known.repeatable.significant,
         sum_held=abs(viscous.value - sum(axis.truth[name] for name in _VISCOUS)) <= 2 * viscous.std,
         correlation=float(known.covariance.correlation[motor, load]),
-        inseparable=any(said.startswith("Fv1 and Fv2 are known by their sum") for said in told.sentences),
+        inseparable=any(one.values.get("parameters") == ["motor_viscous", "load_viscous"] for one in told.limitations),
     )

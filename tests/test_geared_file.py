@@ -261,7 +261,7 @@ def test_the_commands_say_the_side(folder: Path, capsys: pytest.CaptureFixture[s
         assert end.value.code == 0
         return capsys.readouterr().out
 
-    side = f"transmission: {TURNED_SCREW}\n"
+    side = f"{TURNED_SCREW}\n"
     assert side.endswith(
         "10 mm per turn, turned round, without loss (efficiency taken as 1); values are on the load side\n"
     )

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from jointid.common.errors import RecordError
+from jointid.common.errors import ExtraError, RecordError
 from jointid.common.text import interval, number
 from jointid.estimation.methods.regression import Conditioning, least_squares
 from jointid.estimation.result.estimate import (
@@ -90,30 +91,70 @@ ESTIMATE = Estimate(
 
 TABLE = """\
 Rigid joint, DIDIM in residual form from an inversion start, of run 1
-read: torque, reference
+read          torque, reference
 
-symbol  parameter              value  2 sigma  sigma %  unit
--------------------------------------------------------------
-ZZ      inertia               94.903     0.22     0.12  kg
-Fv      viscous               207.53      2.5     0.60  N s/m
-Fc      coulomb             > 12.500        -        -  N
-offset  offset                     0    fixed        -  N
-q(0)    initial position  3.2000e-07  4.4e-06   687.50  m
+symbol  parameter     value  2 sigma  sigma %  unit
+----------------------------------------------------
+ZZ      inertia      94.903     0.22     0.12  kg
+Fv      viscous      207.53      2.5     0.60  N s/m
+Fc      coulomb    > 12.500        -        -  N
+offset  offset            0    fixed        -  N
 
 torque error  4.0000 % raw (50 + 50 samples at the ends left out), 3.9700 % filtered (31 rows)
+
+warning       something to know"""
+
+DETAILS = """
 effort        1 iterations, 14 simulations
 stopped       converged: nothing changes any more
 intervals     for a white residual
-warning       something to know"""
+"""
 
 
 def test_the_table_to_the_letter() -> None:
     assert str(ESTIMATE) == TABLE
+    assert ESTIMATE.summary() == TABLE
+    assert DETAILS in ESTIMATE.summary(details=True)
+
+
+def test_a_notebook_shows_the_table_and_no_tag_of_a_name() -> None:
+    html = ESTIMATE.amended(data={"record": "<script>alert(1)</script>"})._repr_html_()
+    assert "<script" not in html
+    assert '<th scope="row">ZZ</th><td class=text>inertia</td><td>94.903</td>' in html
+
+
+def test_an_estimate_is_saved_as_the_command_writes_it(tmp_path: Path) -> None:
+    path = ESTIMATE.save(tmp_path / "out.json")
+    assert path.read_text(encoding="utf-8") == answers.dumps(ESTIMATE.to_dict())
+    assert ESTIMATE.to_dict() == answers.estimate_answer(ESTIMATE)
+    with pytest.raises(RecordError, match="cannot be written"):
+        ESTIMATE.save(tmp_path / "nowhere" / "out.json")
+
+
+def test_a_data_frame_has_a_row_for_each_parameter() -> None:
+    pytest.importorskip("pandas")
+    frame = ESTIMATE.to_dataframe()
+    assert list(frame.index) == [p.name for p in ESTIMATE.params]
+    assert frame.loc["inertia", "value"] == ESTIMATE["inertia"].value
+    assert tuple(frame.loc["inertia", ["lower", "upper"]]) == ESTIMATE["inertia"].interval
+    assert np.isnan(frame.loc["coulomb", "value"])
+
+
+def test_without_pandas_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ExtraError, match=r"jointid\[dataframe\]"):
+        ESTIMATE.to_dataframe()
+
+
+def test_the_figure_of_the_torque_is_at_hand() -> None:
+    assert [axes.get_ylabel() for axes in ESTIMATE.plot.torque().axes] == ["force [N]", "force [N]"]
 
 
 def test_conditioning_is_printed_three_ways() -> None:
     regressed = ESTIMATE.amended(fit={"conditioning": Conditioning(25.98830347, 4.33, 12.294)})
-    assert "conditioning  25.9883 raw, 4.33 normalised, 12.29 scaled by the parameters" in str(regressed)
+    assert "conditioning  25.9883 raw, 4.33 normalised, 12.29 scaled by the parameters" in regressed.summary(
+        details=True
+    )
 
 
 def test_a_parameter_is_found_by_name_or_symbol() -> None:

@@ -50,9 +50,11 @@ def test_two_frictions_are_known_by_their_sum() -> None:
     assert difference.std > 10 * total.std
     assert total.verdict == "well"
     assert difference.verdict == "poorly"
-    assert len(found.sentences) == 1
-    assert found.sentences[0].startswith(f"Fv1 and Fv2 are known by their sum: 201.0 +- {2 * total.std:.1f} N s/m; ")
-    assert f"apart Fv1 only to +- {2 * covariance.std[0]:.0f}, " in found.sentences[0]
+    assert len(found.limitations) == 1
+    assert found.limitations[0].words.startswith(
+        f"Fv1 and Fv2 are known by their sum: 201.0 +- {2 * total.std:.1f} N s/m; "
+    )
+    assert f"apart Fv1 only to +- {2 * covariance.std[0]:.0f}, " in found.limitations[0].words
     assert not found.undetermined
 
 
@@ -77,7 +79,7 @@ def test_the_directions_are_those_of_the_scaled_information() -> None:
 def test_what_is_well_known_apart_needs_no_sentence() -> None:
     J = sensitivities(2.0)
     found = identifiability(FRICTIONS, UNITS, X, J, white(J, residual()))
-    assert not found.sentences
+    assert not found.limitations
     assert [known.verdict for known in found.parameters] == ["well", "well", "well"]
 
 
@@ -85,7 +87,7 @@ def test_what_must_be_positive_and_is_not_told_from_zero_is_named() -> None:
     J = sensitivities(0.01)
     found = identifiability(FRICTIONS, UNITS, X, J, white(J, residual()))
     assert found.undetermined == ("motor_viscous", "load_viscous")
-    assert any(sentence.startswith("Fv1 is not told from 0") for sentence in found.sentences)
+    assert any(one.code == "not_significant" and one.words.startswith("Fv1 is not") for one in found.limitations)
     assert found.parameters[0].verdict == "not"
     free = tuple(replace(p, lower=-np.inf) for p in FRICTIONS)
     assert not identifiability(free, UNITS, X, J, white(J, residual())).undetermined
@@ -101,9 +103,9 @@ def test_two_of_different_units_are_known_by_a_weighted_sum() -> None:
     )
     covariance = white(J, random.standard_normal(3000))
     found = identifiability(parameters, {"coulomb": "N", "stiffness": "N/m"}, np.array([20.0, 2e5]), J, covariance)
-    assert found.sentences[0].startswith("Fc and K12 are known by Fc + 1.0")
+    assert found.limitations[0].words.startswith("Fc and K12 are known by Fc + 1.0")
     best = np.array([1.0, -covariance.correlation[0, 1] * covariance.std[0] / covariance.std[1]])
-    assert f"+- {2 * covariance.std_of(best):.2g} N; apart Fc only to +- " in found.sentences[0]
+    assert f"+- {2 * covariance.std_of(best):.2g} N; apart Fc only to +- " in found.limitations[0].words
 
 
 def test_the_table_to_the_letter() -> None:

@@ -130,7 +130,7 @@ def test_the_widening_covers_what_repeats() -> None:
     assert np.all(widened >= 0.90)
     assert np.all(robust <= 0.88)
     assert all(one.repeatable.significant for one in found)
-    assert "widened for what repeats" in found[0].sentences[0]
+    assert "widened for what repeats" in found[0].basis
 
 
 def test_by_place_is_the_textbook_s_for_noise() -> None:

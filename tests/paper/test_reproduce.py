@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from jointid.common.document import Document, Heading, Paragraph, Picture, Table
 from jointid.common.errors import RecordError
-from jointid.output.report.document import Document, Heading, Paragraph, Picture, Table
 from jointid.output.report.page import page as html
 from jointid.output.report.page import save
 from jointid.output.report.reproduction import reproduction_document

@@ -280,9 +280,9 @@ def test_every_answer_says_that_its_record_was_resampled(saved: Saved) -> None:
     estimate = ji.identify(record, loop)
     for name, value in truth.items():
         assert estimate[name].value == pytest.approx(value, rel=1e-3), name
-    assert 'resampled: to 1 ms (torque hold, reference hold); stamps of "t" 1 ms, off by up to 0.1' in str(estimate)
+    assert 'resampled     to 1 ms (torque hold, reference hold); stamps of "t" 1 ms, off by up to 0.1' in str(estimate)
     check = ji.validate(estimate, record)
-    assert "resampled: to 1 ms" in str(check)
+    assert "resampled     to 1 ms" in str(check)
     for answer in (ji.estimate_answer(estimate)["record"], ji.validation_answer(check)):
         told = json.loads(json.dumps(answer))["resampled"]
         assert told["sample_time"] == T

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
+from jointid.common.message import Message
 from jointid.diagnostics.minimum_detectable_change import detectable
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
@@ -33,7 +34,7 @@ from jointid.tuning.settings import Tuning
 from jointid.tuning.tune import tune
 from jointid.tuning.tuned import Tuned
 from jointid.tuning.worst_case import joint_set
-from jointid.uncertainty.verdict import StiffnessBound, Verdict
+from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 from studies.margins import random_drive, true_margins
 
 PERIOD = 1e-3
@@ -295,7 +296,7 @@ def without_stiffness(estimate: Estimate) -> Estimate:
         replace(p, value=None, stderr=None) if p.name.startswith(parted) else p for p in estimate.params
     )  # fmt: skip
     assert estimate.checks.known is not None
-    sums = tuple(one for one in estimate.checks.known.physical if one.combination.name.startswith("total"))
+    sums = tuple(one for one in estimate.checks.known.physical if one.combination.kind == "sum")
     bounds = (StiffnessBound(0.3, 8e5, 30.0), StiffnessBound(0.5, None, None))
     return estimate.amended(
         params={"rows": lost}, checks={"known": replace(estimate.checks.known, physical=sums), "bounds": bounds}
@@ -321,7 +322,10 @@ def test_of_a_refused_stiffness_the_worst_is_over_all_springs_that_are_left(esti
 
 
 def test_a_model_or_a_loop_in_doubt_is_said_before_its_gains_are_used(estimate: Estimate) -> None:
-    doubts = (Verdict("fit", False, "32 % remains"), Verdict("loop", False, "kv is larger than declared"))
+    doubts = (
+        Verdict(Subject.FIT, Status.FAILED, (Message(Reason.TORQUE_UNEXPLAINED, "32 % remains"),)),
+        Verdict(Subject.LOOP, Status.FAILED, (Message(Reason.LOOP_NOT_AS_DECLARED, "kv is larger than declared"),)),
+    )
     said = tune(estimate.amended(checks={"verdicts": doubts}), Tuning(notch=False)).notes
     assert "the model does not explain the torque, so all of this may be of another joint: 32 % remains" in said
     assert "loop or log are not as declared, and all of this is of the declared one: kv is larger than declared" in said

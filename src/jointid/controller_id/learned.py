@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from jointid.common.arrays import FloatArray
-from jointid.common.text import aligned, number
+from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph, Table, common_facts
+from jointid.common.text import number
 from jointid.controller_id.limitations import Equivalence, Limitation
 from jointid.controller_id.structures import Structure
 from jointid.models.controllers import Controller
 from jointid.models.transmission import Transmission
-from jointid.records.time_base.uniformity import Resampled, resampled_lines
+from jointid.records.time_base.uniformity import Resampled
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +50,7 @@ class Alternative:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LearnedLoop:
+class LearnedLoop(Documented):
     """A controller, learned from a record.
 
     Attributes:
@@ -106,27 +107,31 @@ class LearnedLoop:
         """The descriptions of the equivalent laws."""
         return tuple(one.description if isinstance(one, Equivalence) else str(one) for one in self.equivalent)
 
-    def __str__(self) -> str:
-        """Return the tables and the limitations."""
-        rows = [(n.name, number(n.value, 6), number(2 * n.std, 2), _percent(n)) for n in self.numbers]
-        lines = [f"{self.record}: {self.structure}"]
-        lines += resampled_lines(self.resampled)
+    def document(self, *, details: bool = False) -> Document:
+        """Return the numbers, the other structures, and what the record cannot tell; there are no further details."""
+        del details
+        facts = common_facts(self.resampled, None)
         if self.equivalent:
-            lines.append(f"equivalent laws: {'; '.join(self.equivalent_laws)}")
-        lines += ["", aligned(("parameter", "value", "2 sigma", "%"), rows, (False, True, True, True)), ""]
-        lines.append(
+            facts = (*facts, ("equivalent laws", "; ".join(self.equivalent_laws)))
+        numbers = tuple((n.name, number(n.value, 6), number(2 * n.std, 2), _percent(n)) for n in self.numbers)
+        residual = (
             f"residual {number(self.rms, 3)} {self.torque_unit} rms, {100 * self.share:.2g} % of the torque; noise of "
             f"the torque {number(self.torque_noise, 2)} {self.torque_unit}, of the position "
             f"{number(self.position_noise, 2)} {self.position_unit}; informative up to {number(self.band, 3)} Hz"
         )
-        if self.alternatives:
-            others = [
-                (str(one.structure), f"{one.worse:+.1f}", f"{100 * one.apart:.2g}", "yes" if one.alike else "no")
-                for one in self.alternatives
-            ]
-            header = ("other structure", "criterion difference", "torque difference, %", "indistinguishable")
-            lines += ["", aligned(header, others, (False, True, True, False))]
-        return "\n".join([*lines, "", *map(str, self.limitations)])
+        others = tuple(
+            (str(one.structure), f"{one.worse:+.1f}", f"{100 * one.apart:.2g}", "yes" if one.alike else "no")
+            for one in self.alternatives
+        )
+        header = ("other structure", "criterion difference", "torque difference, %", "indistinguishable")
+        blocks: list[Block] = [
+            *([Facts(facts)] if facts else []),
+            Table(("parameter", "value", "2 sigma", "%"), numbers),
+            Paragraph(residual),
+            *([Table(header, others, words=(0, 3))] if others else []),
+            *([Listing(tuple(map(str, self.limitations)))] if self.limitations else []),
+        ]
+        return Document(f"{self.record}: {self.structure}", tuple(blocks))
 
 
 def _percent(one: LearnedNumber) -> str:

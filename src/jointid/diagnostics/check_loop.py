@@ -11,7 +11,7 @@ from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL
 from jointid.estimation.result.estimate import Estimate
 from jointid.records.record import Record
-from jointid.uncertainty.verdict import Verdict
+from jointid.uncertainty.verdict import Status, Subject, Verdict, not_tested
 
 
 def check_loop(estimate: Estimate, record: Record, settings: LoopTests | None = None) -> LoopCheck:
@@ -76,8 +76,8 @@ def looked_at(estimate: Estimate, record: Record) -> tuple[Estimate, LoopCheck |
     if estimate.settings.loop is None:
         return estimate, None
     if any(p.value is None for p in estimate.params):
-        verdict = Verdict("loop", None, "not looked at, since the joint is not known; identify it as rigid")
+        verdict = not_tested(Subject.LOOP, "not looked at, since the joint is not known; identify it as rigid")
         return estimate.amended(checks={"verdicts": (*estimate.checks.verdicts, verdict)}), None
     check = check_loop(estimate, record)
-    verdict = Verdict("loop", check.as_declared, "; ".join(check.sentences))
+    verdict = Verdict(Subject.LOOP, Status.of(check.as_declared), check.reasons)
     return estimate.amended(checks={"verdicts": (*estimate.checks.verdicts, verdict)}), check

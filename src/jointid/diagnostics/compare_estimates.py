@@ -12,8 +12,9 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from jointid.common.document import Document, Documented, Facts, Listing, Table
 from jointid.common.errors import MethodError
-from jointid.common.text import aligned, number
+from jointid.common.text import number
 
 LEVEL = 0.05
 """Share of pairs of estimates with nothing changed in which something is called changed, at most."""
@@ -95,7 +96,7 @@ class Changed:
 
 
 @dataclass(frozen=True, slots=True)
-class ReportComparison:
+class ReportComparison(Documented):
     """What changed between two estimates.
 
     Attributes:
@@ -134,21 +135,20 @@ class ReportComparison:
         told = [_told(row) for row in self.changed]
         return (f"{len(told)} of {tested} quantities changed: {'; '.join(told)}.", *self.notes)
 
-    def __str__(self) -> str:
-        """Return sentences and table."""
+    def document(self, *, details: bool = False) -> Document:
+        """Return the table and the sentences; there are no further details."""
+        del details
         header = ("quantity", "A", "B", "B - A", "2 sigma", "unit", "p", "")
-        table = aligned(header, [self._row(row) for row in self.rows], (False, *[True] * 4, False, True, False))
         errors = " and ".join(f"{100 * told.error:.2f} %" for told in (self.before, self.after))
-        lines = [
-            f"A  {self.before.label}, of {self.before.record}",
-            f"B  {self.after.label}, of {self.after.record}",
-            "",
-            table,
-            "",
-            f"torque error {errors}; p is Holm's, for all of them together",
-            *self.sentences,
-        ]
-        return "\n".join(lines)
+        sources = tuple(
+            (name, f"{told.label}, of {told.record}") for name, told in (("A", self.before), ("B", self.after))
+        )
+        blocks = (
+            Facts((*sources, ("torque error", errors))),
+            Table(header, tuple(map(self._row, self.rows)), "p is Holm's, for all of them together", words=(0, 5, 7)),
+            Listing(self.sentences),
+        )
+        return Document("Two estimates of one joint, compared", blocks)
 
     def _row(self, row: Changed) -> tuple[str, ...]:
         p = "-" if row.p_value is None else _p(row.p_value)

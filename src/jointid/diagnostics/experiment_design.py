@@ -19,16 +19,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph, Table, common_facts
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
-from jointid.common.text import aligned, number
+from jointid.common.text import number
 from jointid.diagnostics.sensor_information import Noise, informations, usual_step, with_information
 from jointid.diagnostics.variations import Variation, faster, pulse_of, pulsed
 from jointid.estimation.problems.closed_loop import Problem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITIAL_TORQUE
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.models.parameters import POSITION_UNIT
-from jointid.models.transmission import Transmission, transmission_lines
+from jointid.models.transmission import Transmission
 from jointid.records.record import Record, Tap
 from jointid.records.signals.encoder_step import find_encoder_step
 from jointid.simulation.closed_loop import Outcome
@@ -53,7 +54,7 @@ class Prediction:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Advice:
+class Advice(Documented):
     """What sensors and motions would do to an estimate.
 
     Attributes:
@@ -101,29 +102,26 @@ class Advice:
             f"+- {number(2 * after, 2)} {self.units[name]}"
         )
 
-    def __str__(self) -> str:
-        """Return a table for sensors and one for tests, then a sentence each."""
+    def document(self, *, details: bool = False) -> Document:
+        """Return a table for sensors, one for tests, and a sentence each; there are no further details."""
+        del details
         where = {
             "loop": "a force inside the loop: the log is the controller's output",
             "log": "the log's own noise",
         }[self.noise]
-        parts = [
-            f"What would narrow the intervals of {self.record}; 2 sigma, predicted",
-            f"the torque's residual is taken to be {where}",
-            *transmission_lines(self.transmission),
-        ]
+        facts = common_facts(None, self.transmission)
+        blocks: list[Block] = [Paragraph(f"the torque's residual is taken to be {where}")]
+        blocks += [Facts(facts)] if facts else []
         for kind, group in (("torque and", self.sensors), ("torque from", self.tests)):
             header = ("symbol", "reported", *(f"{kind} {one.name}" for one in group), "unit")
-            parts.append(aligned(header, [self._row(name, group) for name in self.std], (False, *self._right(group))))
-        return "\n\n".join([*parts, "\n".join(self.sentences)])
+            rows = tuple(self._row(name, group) for name in self.std)
+            blocks.append(Table(header, rows, words=(0, len(header) - 1)))
+        title = f"What would narrow the intervals of {self.record}; 2 sigma, predicted"
+        return Document(title, (*blocks, Listing(self.sentences)))
 
     def _row(self, name: str, group: tuple[Prediction, ...]) -> tuple[str, ...]:
         told = (number(2 * one.std[name] if one.std else None, 2) for one in group)
         return self.symbols[name], number(2 * self.std[name], 2), *told, self.units[name]
-
-    @staticmethod
-    def _right(group: tuple[Prediction, ...]) -> tuple[bool, ...]:
-        return True, *(True for _ in group), False
 
 
 def advise(

@@ -13,12 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, common_facts
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.estimation.problems.closed_loop import Problem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import surrounding
 from jointid.estimation.result.estimate import Estimate, fingerprint
-from jointid.models.transmission import Transmission, transmission_lines
+from jointid.models.transmission import Transmission
 from jointid.records.record import Record
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.criterion import Criterion
@@ -32,7 +33,7 @@ _LEAST = 1e-4  # of the compliance: less is as good as none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Intervals:
+class Intervals(Documented):
     """What other roads say of an estimate.
 
     Attributes:
@@ -47,11 +48,15 @@ class Intervals:
     over_place: Bootstrap | None
     transmission: Transmission | None = None
 
-    def __str__(self) -> str:
-        """Return them one after the other."""
-        drawn = [str(one) for one in (self.over_time, self.over_place) if one is not None]
-        profiles = ["\n".join(map(str, self.profiles))] if self.profiles else []
-        return "\n\n".join([*transmission_lines(self.transmission), *profiles, *drawn])
+    def document(self, *, details: bool = False) -> Document:
+        """Return profiles and bootstraps one after the other; there are no further details."""
+        del details
+        facts = common_facts(None, self.transmission)
+        blocks: list[Block] = [Facts(facts)] if facts else []
+        blocks += [Listing(tuple(map(str, self.profiles)))] if self.profiles else []
+        drawn = [one.document() for one in (self.over_time, self.over_place) if one is not None]
+        parts = (block for each in drawn for block in (Heading(each.title), *each.blocks))
+        return Document("Intervals, by other ways than the covariance", (*blocks, *parts))
 
 
 def intervals(

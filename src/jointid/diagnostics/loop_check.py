@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from jointid.common.text import aligned, number
+from jointid.common.document import Document, Documented, Listing, Table
+from jointid.common.message import Message
+from jointid.common.text import number
 from jointid.diagnostics.fault_signatures import INJECTED_GAIN, LIMIT, OFFSET, PRESLIDING, STRIBECK
 from jointid.models.transmission import Side
+from jointid.uncertainty.verdict import Reason
 
 _SLIGHT = 0.5  # of a deviation: a smaller change of a parameter is not worth a word
 _TOLD = 3  # parameters whose change is told in a sentence
@@ -70,7 +73,7 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True)
-class LoopCheck:
+class LoopCheck(Documented):
     """Whether the loop and the log are as declared.
 
     Attributes:
@@ -95,22 +98,30 @@ class LoopCheck:
         return not self.findings
 
     @property
-    def sentences(self) -> tuple[str, ...]:
-        """What was found, one sentence each; one that says so where nothing was."""
+    def reasons(self) -> tuple[Message, ...]:
+        """What was found, one message each; one that says so where nothing was."""
         if self.findings:
-            return tuple(self._told(finding) for finding in self.findings)
+            return tuple(Message(Reason.LOOP_NOT_AS_DECLARED, self._told(f), _values(f)) for f in self.findings)
         least = min((s.p_value for s in self.suspects), default=1.0)
         tested = ", ".join(s.words for s in self.suspects)
-        return (f"loop and log are as declared as far as this record shows ({tested}: p >= {number(least, 2)})",)
+        said = f"loop and log are as declared as far as this record shows ({tested}: p >= {number(least, 2)})"
+        return (Message(Reason.LOOP_AS_DECLARED, said, {"p_value": least}),)
 
-    def __str__(self) -> str:
-        """Return the sentences, and the table of all tests."""
-        table = aligned(
-            ("suspect", "more than declared", "2 sigma", "statistic", "p"),
-            [_row(s) for s in self.suspects],
-            (False, True, True, True, True),
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The words of the reasons."""
+        return tuple(map(str, self.reasons))
+
+    def document(self, *, details: bool = False) -> Document:
+        """Return what was found, and the table of all tests; there are no further details."""
+        del details
+        return Document("Controller and log", (Listing(self.sentences), self.table()))
+
+    def table(self, caption: str = "") -> Table:
+        """Return the table of all tests, each as if nothing else were wrong."""
+        return Table(
+            ("suspect", "more than declared", "2 sigma", "statistic", "p"), tuple(map(_row, self.suspects)), caption
         )
-        return "\n".join([*self.sentences, "", table])
 
     def _told(self, finding: Finding) -> str:
         s = finding.suspect
@@ -152,6 +163,11 @@ class LoopCheck:
         percent = f"{number(100 * abs(s.size) / scale, 2)} +- {number(200 * s.std / scale, 2)} %"
         what = {"log_gain": "the logged torque", INJECTED_GAIN: "the injected signal"}.get(s.name, s.name)
         return f"{what} is {percent} {'larger' if s.size > 0 else 'smaller'} than declared"
+
+
+def _values(finding: Finding) -> dict[str, object]:
+    s = finding.suspect
+    return {"suspect": s.name, "alike": list(s.alike), "more_than_declared": s.size, "std": s.std, "p_value": s.p_value}
 
 
 def _row(s: Suspect) -> tuple[str, ...]:

@@ -14,9 +14,10 @@ from itertools import combinations
 
 import numpy as np
 
+from jointid.common.document import Block, Document, Documented, Facts, Listing, Table, common_facts
 from jointid.common.errors import JointidError
 from jointid.common.progress import Progress, silent
-from jointid.common.text import aligned, number
+from jointid.common.text import number
 from jointid.estimation.identify import identify
 from jointid.estimation.identify_record import Method
 from jointid.estimation.methods.didim import DIDIM
@@ -27,7 +28,6 @@ from jointid.estimation.result.params import EstimatedParameter
 from jointid.models.friction import friction_named
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
-from jointid.models.transmission import transmission_lines
 from jointid.records.checks.record_checks import check_record
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -52,7 +52,7 @@ class Compared:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
+class Comparison(Documented):
     """What the methods found in one record.
 
     Attributes:
@@ -72,19 +72,21 @@ class Comparison:
         """What those found that could run, by name."""
         return {method.name: method.estimate for method in self.methods if method.estimate is not None}
 
-    def __str__(self) -> str:
-        """Return the table, what each method read, and what is to be said of them."""
+    def document(self, *, details: bool = False) -> Document:
+        """Return the table, what each method read, and where they differ; there are no further details."""
+        del details
         found = self.estimates
-        lines = [f"{self.model.capitalize()} joint by every method that {self.record} allows; value +- 2 sigma"]
-        lines += [*transmission_lines(next((e.settings.joint.transmission for e in found.values()), None)), ""]
-        if found:
-            lines += [_table(self), ""]
-        lines += [f"{name} reads {', '.join(estimate.data.channels)}" for name, estimate in found.items()]
+        title = f"{self.model.capitalize()} joint by every method that {self.record} allows; value +- 2 sigma"
+        facts = common_facts(None, next((e.settings.joint.transmission for e in found.values()), None))
+        lines = [f"{name} reads {', '.join(estimate.data.channels)}" for name, estimate in found.items()]
         lines += [f"{m.name} cannot run: {m.refusal}" for m in self.methods if m.estimate is None]
         for name, estimate in found.items():
             lines += [f"{name}, {test.name}: {test.sentence}" for test in estimate.checks.tests]
         agreed = ["no two methods differ by more than their intervals allow"] if len(found) > 1 else []
-        return "\n".join([*lines, *(self.disagreements or agreed)])
+        listing = Listing((*lines, *(self.disagreements or agreed)))
+        blocks: list[Block] = [Facts(facts)] if facts else []
+        blocks += [_table(self)] if found else []
+        return Document(title, (*blocks, listing))
 
 
 def compare(
@@ -191,7 +193,7 @@ def _interval(p: EstimatedParameter | None) -> str:
     return number(p.value) + (f" +- {number(2 * p.stderr, 2)}" if p.stderr is not None else "" if p.free else " fixed")
 
 
-def _table(comparison: Comparison) -> str:
+def _table(comparison: Comparison) -> Table:
     found = comparison.estimates
     seconds = {method.name: method.seconds for method in comparison.methods}
     symbols: dict[str, tuple[str, str]] = {}
@@ -200,10 +202,10 @@ def _table(comparison: Comparison) -> str:
     rows = []
     for name, (symbol, unit) in symbols.items():
         lines = [next((p for p in e.params if p.name == name), None) for e in found.values()]
-        rows.append([symbol, unit, *map(_interval, lines)])
+        rows.append((symbol, unit, *map(_interval, lines)))
     of_each = found.values()
-    rows.append(["torque error, raw", "%", *(f"{100 * e.fit.relative_error:.2f}" for e in of_each)])
-    rows.append(["filtered", "%", *(f"{100 * e.fit.filtered_error:.2f}" for e in of_each)])
-    rows.append(["simulations", "", *(str(e.fit.simulations) for e in of_each)])
-    rows.append(["time", "s", *(f"{seconds[name]:.1f}" for name in found)])
-    return aligned(["", "unit", *found], rows, [False, False, *(True for _ in found)])
+    rows.append(("torque error, raw", "%", *(f"{100 * e.fit.relative_error:.2f}" for e in of_each)))
+    rows.append(("filtered", "%", *(f"{100 * e.fit.filtered_error:.2f}" for e in of_each)))
+    rows.append(("simulations", "", *(str(e.fit.simulations) for e in of_each)))
+    rows.append(("time", "s", *(f"{seconds[name]:.1f}" for name in found)))
+    return Table(("", "unit", *found), tuple(rows), words=(0, 1))

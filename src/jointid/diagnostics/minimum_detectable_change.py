@@ -19,8 +19,9 @@ import math
 from dataclasses import dataclass
 from statistics import NormalDist
 
+from jointid.common.document import Document, Documented, Table
 from jointid.common.errors import MethodError
-from jointid.common.text import aligned, number
+from jointid.common.text import number
 from jointid.estimation.result.estimate import Estimate
 
 
@@ -45,7 +46,7 @@ class Change:
 
 
 @dataclass(frozen=True, slots=True)
-class Detectable:
+class Detectable(Documented):
     """What changes of a joint the same motion would detect.
 
     Attributes:
@@ -67,18 +68,19 @@ class Detectable:
                 return change
         raise KeyError(name)
 
-    def __str__(self) -> str:
-        """Return the table."""
-        rows = [
+    def document(self, *, details: bool = False) -> Document:
+        """Return the table; there are no further details."""
+        del details
+        rows = tuple(
             (c.formula, c.name, number(c.value), number(c.size, 2), _percent(c), number(c.limit, 2), c.unit)
             for c in self.changes
-        ]
+        )
         header = ("symbol", "quantity", "value", "detectable", "%", "alarm beyond", "unit")
         said = (
             f"Smallest change that another record of this motion would tell ({100 * self.false_alarm:g} % false "
             f"alarms, {100 * self.power:g} % detected)"
         )
-        return f"{said}\n\n" + aligned(header, rows, (False, False, *(True,) * 4, False))
+        return Document(said, (Table(header, rows, words=(0, 1, 6)),))
 
 
 def detectable(estimate: Estimate, *, false_alarm: float = 0.01, power: float = 0.9) -> Detectable:

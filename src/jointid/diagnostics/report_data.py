@@ -27,6 +27,7 @@ from jointid.models.joints import Motion
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import differentiate, lowpass
 from jointid.uncertainty.profile import Profile
+from jointid.uncertainty.verdict import Subject
 
 Seen: TypeAlias = Literal["simulated", "measured", "commanded"]
 _Part = TypeVar("_Part")
@@ -111,7 +112,7 @@ def dossier(
     check = None
     if loop:
         progress("checking loop and log")
-        said = [v for v in estimate.checks.verdicts if v.subject != "loop"]  # it is said once
+        said = [v for v in estimate.checks.verdicts if v.subject is not Subject.LOOP]  # it is said once
         estimate, check = looked_at(estimate.amended(checks={"verdicts": tuple(said)}), record)
     validation = part("validation", "simulating the direct test", lambda: validate(estimate, record))
     motion, seen = _motion(estimate, record, validation)

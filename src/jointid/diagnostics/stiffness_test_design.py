@@ -217,5 +217,5 @@ def _told(share: float, softest: float, deviation: Callable[[float], float], fas
 def _rigid(estimate: Estimate) -> dict[str, float]:
     """Return what a refused estimate tells of the whole joint, as a rigid joint's values."""
     assert estimate.checks.known is not None
-    found = {known.combination.name.removeprefix("total "): known.value for known in estimate.checks.known.physical}
+    found = {known.combination.quantity: known.value for known in estimate.checks.known.physical}
     return found | {p.name: p.value or 0.0 for p in estimate.params if acts_on_whole(p.name) or not p.of_joint}

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.document import Document, Documented, Facts, common_facts
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.inverse_model import idim_channels, motion_of
 from jointid.estimation.methods.regression import least_squares
@@ -29,10 +30,10 @@ from jointid.estimation.search.starts import initial_state, reconstructed_positi
 from jointid.models.disturbances import effect_parameters
 from jointid.models.joints import Motion
 from jointid.models.parameters import POSITION_UNIT
-from jointid.models.transmission import Transmission, transmission_lines
+from jointid.models.transmission import Transmission
 from jointid.records.checks.record_checks import check_record
 from jointid.records.record import Record
-from jointid.records.time_base.uniformity import Resampled, resampled_lines
+from jointid.records.time_base.uniformity import Resampled
 from jointid.simulation.closed_loop import Initial, Simulation, require_finished
 from jointid.simulation.loop_input import ClosedLoop, prepare
 
@@ -41,7 +42,7 @@ _STEPS = 6  # for two numbers that act almost linearly on the torque
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Validation:
+class Validation(Documented):
     """How well an estimate reproduces a record's torque.
 
     Attributes:
@@ -100,26 +101,28 @@ class Validation:
         """Share of the lags beyond 0 whose autocorrelation is outside the band; about 0.05 for a white residual."""
         return float(np.mean(np.abs(self.autocorrelation[1:]) > self.white_band))
 
-    def __str__(self) -> str:
-        """Return the result in sentences."""
+    def document(self, *, details: bool = False) -> Document:
+        """Return errors and whiteness as a document; there are no further details."""
+        del details
         left_out = f"{self.borders[0]} + {self.borders[1]} samples at the ends left out"
         how = "simulated from the reference" if self.method == "didim" else "computed from the measured position"
-        lines = [
+        title = (
             f"{self.test.capitalize()} test on {self.record}, of the joint identified from {self.identified_from}; "
-            f"torque {how}",
-            *resampled_lines(self.resampled),
-            *transmission_lines(self.transmission),
-            f"torque error    {100 * self.relative_error:.4f} % raw ({left_out}), "
-            f"{100 * self.filtered_error:.4f} % filtered",
+            f"torque {how}"
+        )
+        raw, filtered = 100 * self.relative_error, 100 * self.filtered_error
+        facts = [
+            *common_facts(self.resampled, self.transmission),
+            ("torque error", f"{raw:.4f} % raw ({left_out}), {filtered:.4f} % filtered"),
         ]
         if self.tracking_error is not None:
-            lines.append(f"tracking error  {100 * self.tracking_error:.4f} % away from the measured tracking error")
-        lines.append(
-            f"whiteness       {100 * self.outside_band:.0f} % of {self.autocorrelation.size - 1} autocorrelations of "
-            f"the filtered error beyond +-{self.white_band:.3f} (5 % if it were white)"
+            off = f"{100 * self.tracking_error:.4f} % away from the measured tracking error"
+            facts.append(("tracking error", off))
+        said = (
+            f"{100 * self.outside_band:.0f} % of {self.autocorrelation.size - 1} autocorrelations of the filtered "
+            f"error beyond +-{self.white_band:.3f} (5 % if it were white)"
         )
-        lines += [f"warning         {warning}" for warning in self.warnings]
-        return "\n".join(lines)
+        return Document(title, (Facts((*facts, ("whiteness", said), *(("warning", w) for w in self.warnings))),))
 
 
 def validate(estimate: Estimate | IdentifiedJoint, record: Record) -> Validation:

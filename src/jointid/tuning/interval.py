@@ -123,7 +123,7 @@ def _springs(estimate: Estimate, confidence: float, last: float) -> Interval:
             "so no margin can be "
             "stated; a record with pulses would, see jointid diagnose sensors."
         )
-    sums = {next(iter(one.combination.weights)).removeprefix("motor_"): one for one in estimate.checks.known.physical}
+    sums = {one.combination.quantity: one for one in estimate.checks.known.physical}
     inertia = sums.get("inertia")
     if inertia is None:
         raise MethodError(

@@ -27,13 +27,14 @@ from jointid.tuning.proposals import Layout, find_stiffest_loop, meets_margins
 from jointid.tuning.settings import Tuning
 from jointid.tuning.tuned import Gain, LoopMargins, ProposedNotch, ResponseBand, Tuned
 from jointid.tuning.worst_case import find_worst_case, joint_set
+from jointid.uncertainty.verdict import Subject
 
 _ROUNDS = 5  # of a proposal, and of looking for a joint that it fails
 _NEARLY = 0.995  # of a margin
 _DRAWN = 600  # frequencies that are kept of a response
 _DOUBTED = {
-    "fit": "the model does not explain the torque, so all of this may be of another joint",
-    "loop": "loop or log are not as declared, and all of this is of the declared one",
+    Subject.FIT: "the model does not explain the torque, so all of this may be of another joint",
+    Subject.LOOP: "loop or log are not as declared, and all of this is of the declared one",
 }
 _SHARES, _MODES = (0.3, 0.5, 0.7), 60  # of a spring that a rigid joint may have
 

@@ -6,11 +6,12 @@ import math
 from dataclasses import dataclass
 
 from jointid.common.arrays import FloatArray
-from jointid.common.text import aligned, number
+from jointid.common.document import Block, Code, Document, Documented, Facts, Heading, Paragraph, Table, common_facts
+from jointid.common.text import number
 from jointid.diagnostics.minimum_detectable_change import Detectable
 from jointid.models.controllers import Controller, Notch
 from jointid.models.linear import ComplexArray
-from jointid.models.transmission import Transmission, transmission_lines
+from jointid.models.transmission import Transmission
 from jointid.tuning.feedforward import FeedForward
 from jointid.tuning.margins import Margins
 from jointid.tuning.settings import Tuning
@@ -80,7 +81,7 @@ class ProposedNotch:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tuned:
+class Tuned(Documented):
     """Margins over the interval of an estimate, the proposed gains, and the smallest detectable change.
 
     Attributes:
@@ -109,23 +110,20 @@ class Tuned:
     torque_unit: str
     notes: tuple[str, ...]
 
-    def __str__(self) -> str:
-        """Return the tables, before and after, and the notes."""
-        parts = [
-            f"Tuning for {self.record}, a {self.model} joint",
-            "\n".join([f"worst case over {self.interval}", *transmission_lines(self.transmission)]),
-            self._margins(),
-        ]
-        if self.gains:
-            parts.append(self._gains())
-        if self.notch is not None:
-            parts.append(_notch(self.notch))
-        parts += [self._feedforward(), str(self.detectable)]
-        if self.notes:
-            parts.append("\n".join(f"note  {note}" for note in self.notes))
-        return "\n\n".join(parts)
+    def document(self, *, details: bool = False) -> Document:
+        """Return the tables, before and after, and the notes; there are no further details."""
+        del details
+        worst = ("worst case over", self.interval)
+        change = self.detectable.document()
+        blocks: list[Block] = [Facts((worst, *common_facts(None, self.transmission))), self._margins()]
+        blocks += [self._gains()] if self.gains else []
+        blocks += [_notch(self.notch)] if self.notch is not None else []
+        said = "now and proposed are in controller units, per unit of the controller's reference"
+        blocks += [self._feedforward(), Paragraph(said), Heading(change.title), *change.blocks]
+        blocks += [Facts(tuple(("note", note) for note in self.notes))] if self.notes else []
+        return Document(f"Tuning for {self.record}, a {self.model} joint", tuple(blocks))
 
-    def _margins(self) -> str:
+    def _margins(self) -> Table:
         header = ("margins", "gain", "dB", "reduction", "phase deg", "delay ms", "distance from -1", "crossover Hz")
         rows = [
             _row("as it is, at the estimate", self.present.estimate),
@@ -139,13 +137,13 @@ class Tuned:
                 ("required", number(asked.gain_margin, 3), f"{20 * math.log10(asked.gain_margin):.1f}",
                  number(asked.gain_margin, 3), number(asked.phase_margin, 3), "-", number(asked.modulus, 3), "-")
             )  # fmt: skip
-        return aligned(header, rows, (False, *(True,) * 7))
+        return Table(header, tuple(rows))
 
-    def _gains(self) -> str:
-        rows = [(g.key, number(g.before), number(g.after), g.unit, g.formula) for g in self.gains]
-        return aligned(("gain", "now", "proposed", "unit", "formula"), rows, (False, True, True, False, False))
+    def _gains(self) -> Table:
+        rows = tuple((g.key, number(g.before), number(g.after), g.unit, g.formula) for g in self.gains)
+        return Table(("gain", "now", "proposed", "unit", "formula"), rows, words=(0, 3, 4))
 
-    def _feedforward(self) -> str:
+    def _feedforward(self) -> Table:
         drive = any(f.drive is not None for f in self.feedforward)
         rows = []
         for f in self.feedforward:
@@ -168,11 +166,7 @@ class Tuned:
             "2 sigma",
             *(("drive", "unit") if drive else ()),
         )
-        right = (False, True, True, False, True, True, True, *((True, False) if drive else ()))
-        return (
-            aligned(header, rows, right)
-            + "\nnow and proposed are in controller units, per unit of the controller's reference"
-        )
+        return Table(header, tuple(rows), words=(0, 3, 8))
 
 
 def _row(name: str, margins: Margins, loop: LoopMargins | None = None) -> tuple[str, ...]:
@@ -193,17 +187,20 @@ def _two_sigma(std: float | None) -> str:
     return "fixed" if std is None else number(2 * std, 2)
 
 
-def _notch(found: ProposedNotch) -> str:
+def _notch(found: ProposedNotch) -> Code:
     one = found.notch
 
     def listed(values: tuple[float, ...]) -> str:
         return ", ".join(f"{value:.10g}" for value in values)
 
     at = f"at {found.period:g} s:"
-    return (
+    caption = (
         f"notch of the torque: {number(one.frequency, 4)} Hz, {number(one.bandwidth, 4)} Hz wide, "
-        f"{number(one.depth, 2)} left at its centre\n"
+        f"{number(one.depth, 2)} left at its centre"
+    )
+    return Code(
         "    H(s) = (s^2 + depth b s + w^2) / (s^2 + b s + w^2), w = 2 pi frequency, b = 2 pi bandwidth, bilinear\n"
         f"    {at} numerator {listed(found.numerator)}\n"
-        f"    {'':{len(at)}} denominator {listed(found.denominator)}"
+        f"    {'':{len(at)}} denominator {listed(found.denominator)}",
+        caption,
     )

@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
+from jointid.common.document import Document, Documented, Table
 from jointid.common.errors import MethodError
-from jointid.common.text import aligned, number
+from jointid.common.text import number
 from jointid.models.parameters import Parameter
 from jointid.solvers.criterion import Criterion
 from jointid.uncertainty.combination import Combination
@@ -61,7 +62,7 @@ class Bootstrapping:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bootstrap:
+class Bootstrap(Documented):
     """Estimates from resamples of a record.
 
     Attributes:
@@ -106,15 +107,15 @@ class Bootstrap:
         low, high = np.quantile(drawn, [0.5 - 0.5 * self.level, 0.5 + 0.5 * self.level])
         return float(weights @ self.estimate), float(np.std(drawn, ddof=1)), (float(low), float(high))
 
-    def __str__(self) -> str:
-        """Return the table."""
-        rows = [
+    def document(self, *, details: bool = False) -> Document:
+        """Return the table; there are no further details."""
+        del details
+        rows = tuple(
             (p.symbol, number(float(value)), number(float(std), 2), number(float(low)), number(float(high)))
             for p, value, std, (low, high) in zip(self.parameters, self.estimate, self.std, self.intervals, strict=True)
-        ]
+        )
         header = ("symbol", "value", "sigma", f"{100 * self.level:.4g} % from", "to")
-        table = aligned(header, rows, (False, True, True, True, True))
-        return f"{table}\n\n{len(self.draws)} draws of {self.blocks} blocks: {self.how}"
+        return Document(f"{len(self.draws)} draws of {self.blocks} blocks: {self.how}", (Table(header, rows),))
 
 
 def time_bootstrap(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -12,6 +13,16 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.models.parameters import Parameter, Quantity
 from jointid.solvers.criterion import Criterion
+
+
+class Kind(StrEnum):
+    """What a combination is."""
+
+    ASKED = "asked"
+    SINGLE = "single"
+    SUM = "sum"
+    DIFFERENCE = "difference"
+    DIRECTION = "direction"
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,12 +34,17 @@ class Combination:
         formula: in symbols.
         unit: of the sum.
         weights: of the parameters, by name.
+        kind: a parameter by itself; the sum or difference of both sides; a direction of the sensitivities' singular
+            vectors; or what somebody asked for.
+        quantity: of a sum or difference of both sides, the parameter's name without its side: "viscous_forwards".
     """
 
     name: str
     formula: str
     unit: str
     weights: Mapping[str, float]
+    kind: Kind = Kind.ASKED
+    quantity: str = ""
 
     def vector(self, parameters: Sequence[Parameter]) -> FloatArray:
         """Return the weights in the order of the parameters, (parameters,).
@@ -45,7 +61,7 @@ class Combination:
 
 def single(parameter: Parameter, unit: str) -> Combination:
     """Return a parameter by itself."""
-    return Combination(parameter.name.replace("_", " "), parameter.symbol, unit, {parameter.name: 1.0})
+    return Combination(parameter.name.replace("_", " "), parameter.symbol, unit, {parameter.name: 1.0}, Kind.SINGLE)
 
 
 def physical(parameters: Sequence[Parameter], units: Mapping[str, str]) -> tuple[Combination, ...]:
@@ -61,16 +77,23 @@ def physical(parameters: Sequence[Parameter], units: Mapping[str, str]) -> tuple
     known = {p.name: p for p in parameters}
     found = []
     for name, motor in known.items():
-        load = known.get(name.replace("motor_", "load_", 1))
-        if not name.startswith("motor_") or load is None:
+        side, _, quantity = name.partition("_")
+        load = known.get(f"load_{quantity}")
+        if side != "motor" or load is None:
             continue
-        words, unit = name.removeprefix("motor_").replace("_", " "), units[name]
+        words, unit = quantity.replace("_", " "), units[name]
         weights = {name: 1.0, load.name: 1.0}
-        found.append(Combination(f"total {words}", f"{motor.symbol} + {load.symbol}", unit, weights))
+        found.append(
+            Combination(f"total {words}", f"{motor.symbol} + {load.symbol}", unit, weights, Kind.SUM, quantity)
+        )
         if motor.quantity is not Quantity.INERTIA:
             weights = {name: 1.0, load.name: -1.0}
             formula = f"{motor.symbol} - {load.symbol}"
-            found.append(Combination(f"difference of {words}, motor less load", formula, unit, weights))
+            found.append(
+                Combination(
+                    f"difference of {words}, motor less load", formula, unit, weights, Kind.DIFFERENCE, quantity
+                )
+            )
     return tuple(found)
 
 

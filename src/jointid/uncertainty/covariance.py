@@ -35,16 +35,24 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
+from jointid.common.message import Message
 
 _MOST = 2.0  # times its residual: what leaving a block out may make of it
 _SINGULAR = 1e-10  # of the largest: a direction whose variance is rounding
 _LOST = 1e-6  # of the largest: a direction that a block of rows tells alone
 _DIFFERENT = 1.25  # a ratio of deviations that chance does not make of a white residual: it stays within about 10 %
+
+
+class Dependence(StrEnum):
+    """What a residual is not."""
+
+    NOT_INDEPENDENT = "not_independent"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -262,8 +270,8 @@ def _inverses(matrices: FloatArray) -> FloatArray:
     return np.asarray(found)
 
 
-def different(names: Sequence[str], naive: Covariance, robust: Covariance) -> str | None:
-    """Return a sentence on the parameters whose deviation a white residual would misjudge, or None.
+def different(names: Sequence[str], naive: Covariance, robust: Covariance) -> Message | None:
+    """Return a message on the parameters whose deviation a white residual would misjudge, or None.
 
     This asks more than whether the residual is white within the filter's pass band (`residuals.Whiteness`), and can
     differ from it: rows that are closer than the band needs are correlated, and rows at reversals are louder.
@@ -276,10 +284,11 @@ def different(names: Sequence[str], naive: Covariance, robust: Covariance) -> st
     if not off:
         return None
     listed = ", ".join(f"{name} {ratio:.2g}" for name, ratio in off)
-    return (
+    said = (
         "row by row the residual is not independent noise of one size, which asks more than whiteness within the pass "
         f"band: the robust deviations are these times those that such noise would give: {listed}"
     )
+    return Message(Dependence.NOT_INDEPENDENT, said, {"ratios": {name: float(ratio) for name, ratio in off}})
 
 
 def _differs(ratio: float) -> bool:

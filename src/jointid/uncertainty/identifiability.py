@@ -12,19 +12,28 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.message import Message
 from jointid.common.text import aligned, number
 from jointid.models.parameters import Parameter, Quantity
-from jointid.uncertainty.combination import Combination, physical, single
+from jointid.uncertainty.combination import Combination, Kind, physical, single
 from jointid.uncertainty.covariance import Covariance
 
 _INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
 _NEARLY = 1.25  # times the deviation of a combination: what leaving its small terms out may make of it
 _WELL, _POORLY = 0.1, 0.5  # of its parameters' size: a combination's 2 sigma
 _SURROUNDING = (Quantity.POSITION, Quantity.VELOCITY)  # of the initial state, no part of the answer
+
+
+class Limitation(StrEnum):
+    """What a record does not determine."""
+
+    INSEPARABLE = "inseparable"
+    NOT_SIGNIFICANT = "not_significant"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +73,7 @@ class Identifiability:
         directions: the combinations of the sensitivities' singular vectors, the best known first.
         condition: of the sensitivities scaled by the parameters: the largest over the smallest singular value.
         undetermined: names of what must be positive and is not told from 0: the 2-sigma interval holds it.
-        sentences: what the reader must know.
+        limitations: pairs that are known only together, and what is not told from 0; none of a good record.
     """
 
     parameters: tuple[Known, ...]
@@ -72,7 +81,7 @@ class Identifiability:
     directions: tuple[Known, ...]
     condition: float
     undetermined: tuple[str, ...]
-    sentences: tuple[str, ...]
+    limitations: tuple[Message, ...]
 
     def __str__(self) -> str:
         """Return tables and sentences."""
@@ -83,7 +92,7 @@ class Identifiability:
             if group
         ]
         said = f"condition number {self.condition:.3g}, of the sensitivities scaled by the parameters"
-        return "\n\n".join([*parts, "\n".join([said, *self.sentences])])
+        return "\n\n".join([*parts, "\n".join([said, *map(str, self.limitations)])])
 
 
 def identifiability(
@@ -116,8 +125,7 @@ def identifiability(
     vectors, condition = _directions(J, own, scale)
     directions = [known(_readable(vector, joint, units, scale[own], _chosen(covariance, own))) for vector in vectors]
     undetermined = tuple(p.name for p, one in zip(joint, each, strict=True) if p.lower >= 0 and one.interval[0] <= 0.0)
-    names = {p.name: p.symbol for p in joint}
-    lost = [f"{names[name]} is not told from 0: its interval holds it" for name in undetermined]
+    lost = [_not_significant(p, one) for p, one in zip(joint, each, strict=True) if p.name in undetermined]
     return Identifiability(
         each,
         tuple(known(combination) for combination in physical(joint, units)),
@@ -164,7 +172,7 @@ def _readable(
     terms = [(float(kept[i]), parameters[i].symbol) for i in order[:count]]
     said = f"led by {leading.name.replace('_', ' ')}"
     weighed = {parameters[i].name: float(kept[i]) for i in order[:count]}
-    return Combination(said, _formula(terms), units[leading.name], weighed)
+    return Combination(said, _formula(terms), units[leading.name], weighed, Kind.DIRECTION)
 
 
 def _formula(terms: Sequence[tuple[float, str]]) -> str:
@@ -178,8 +186,8 @@ def _times(weight: float) -> str:
     return "" if number(weight, 3) == number(1.0, 3) else f"{number(weight, 3)} "
 
 
-def _inseparable(parameters: Sequence[Parameter], each: Sequence[Known], spread: Covariance) -> tuple[str, ...]:
-    """Return a sentence for every two parameters that are known only together."""
+def _inseparable(parameters: Sequence[Parameter], each: Sequence[Known], spread: Covariance) -> tuple[Message, ...]:
+    """Return a message for every two parameters that are known only together."""
     return tuple(
         _together(parameters, each, spread, i, j)
         for i in range(len(parameters))
@@ -188,7 +196,7 @@ def _inseparable(parameters: Sequence[Parameter], each: Sequence[Known], spread:
     )
 
 
-def _together(parameters: Sequence[Parameter], each: Sequence[Known], spread: Covariance, i: int, j: int) -> str:
+def _together(parameters: Sequence[Parameter], each: Sequence[Known], spread: Covariance, i: int, j: int) -> Message:
     first, second = parameters[i], parameters[j]
     correlation, unit = float(spread.correlation[i, j]), each[i].combination.unit
     weights = np.zeros(len(parameters))
@@ -205,7 +213,14 @@ def _together(parameters: Sequence[Parameter], each: Sequence[Known], spread: Co
         what = f"{formula}: {number(value, 4)} +- {number(2 * std, 2)} {unit}"
     apart = f"apart {first.symbol} only to +- {number(2 * each[i].std, 2)}"
     other = f"{second.symbol} to +- {number(2 * each[j].std, 2)}{'' if alike else f' {each[j].combination.unit}'}"
-    return f"{first.symbol} and {second.symbol} are known by {what}; {apart}, {other} (correlation {correlation:+.3f})"
+    said = f"{first.symbol} and {second.symbol} are known by {what}; {apart}, {other} (correlation {correlation:+.3f})"
+    values = {"parameters": [first.name, second.name], "weight": float(weights[j]), "value": value, "std": std}
+    return Message(Limitation.INSEPARABLE, said, values | {"unit": unit, "correlation": correlation})
+
+
+def _not_significant(p: Parameter, known: Known) -> Message:
+    said = f"{p.symbol} is not told from 0: its interval holds it"
+    return Message(Limitation.NOT_SIGNIFICANT, said, {"parameter": p.name, "value": known.value, "std": known.std})
 
 
 def _row(known: Known) -> tuple[str, ...]:

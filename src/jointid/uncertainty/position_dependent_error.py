@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
+from jointid.common.message import Message
 from jointid.common.text import number
 from jointid.uncertainty.covariance import (
     Covariance,
@@ -133,18 +134,20 @@ class Uncertainty:
         robust: over time, whatever its autocorrelation.
         covariance: to be reported: the robust one, widened where the residual repeats with the motion.
         repeatable: the verdict on that.
-        sentences: what the deviations are, and what the reader must know of them.
+        basis: how the deviations were obtained, in words.
+        warnings: what the reader must know of them.
     """
 
     white: Covariance
     robust: Covariance
     covariance: Covariance
     repeatable: Repeatable
-    sentences: tuple[str, ...]
+    basis: str
+    warnings: tuple[Message, ...]
 
     def __str__(self) -> str:
-        """Return the sentences."""
-        return "\n".join(self.sentences)
+        """Return a line for each statement."""
+        return "\n".join([self.basis, str(self.repeatable), *map(str, self.warnings)])
 
 
 def cells(position: FloatArray, velocity: FloatArray, positions: int = _POSITIONS, speeds: int = _SPEEDS) -> Cells:
@@ -293,9 +296,10 @@ def uncertainty(
     naive, over_time = white(J, error), robust(Z, J, error, series)
     verdict = repeatable(error, where, unit)
     judged = larger(over_time, by_place(Z, J, error, where)) if verdict.significant else over_time
-    said = [_words(judged, verdict), str(verdict)]
     differs = different(names, naive, over_time)
-    return Uncertainty(naive, over_time, judged, verdict, (*said, *([differs] if differs else [])))
+    return Uncertainty(
+        naive, over_time, judged, verdict, _words(judged, verdict), () if differs is None else (differs,)
+    )
 
 
 def _words(covariance: Covariance, verdict: Repeatable) -> str:

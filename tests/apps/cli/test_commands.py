@@ -345,7 +345,7 @@ own = ["motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb", "dampin
     joint.write_text(JOINT_FILE + listed, encoding="utf-8")
     assert run("identify", joint, "--json", out) == 0
     said = capsys.readouterr()
-    assert "record 2: heavy, 10.000 kg added to the load" in said.out
+    assert "record 2      heavy, 10.000 kg added to the load" in said.out
     assert "by itself" in said.err
     answer = json.loads(out.read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.together/1"

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.output.figures.charts import thinned
-from jointid.output.report.page import inert
+from jointid.common.document.html import inert
+from jointid.output.figures.charts import thin
 from tests.apps.cli.test_commands import EMPS, run
 from tests.browser import opened
 from tests.output.report import reports
 
 SECTIONS = (
-    "Result", "Verdicts", "Parameters", "Torque", "What remains", "Spectra", "Frequency response", "Correlations",
-    "Profiles", "Convergence", "Direct and cross test", "Settings and data",
+    "Result", "Verdicts", "Parameters", "Torque", "Residual", "Spectra", "Frequency response", "Correlations",
+    "Profiles", "Convergence", "Validation", "Settings and data",
 )  # fmt: skip
 
 
@@ -63,9 +63,9 @@ def test_a_refused_stiffness_of_a_short_record_is_told_too(stiff_axis: tuple[ji.
     text = told.markdown()
     assert "the stiffness cannot be told" in text
     assert "at least" in text.split("## Verdicts")[0]
-    assert "## How soft the spring may be" in text
+    assert "## Lower bound of the stiffness" in text
     assert "bounds" in told.charts
-    assert "Not here: A frequency response needs every parameter" in text
+    assert "Not available: A frequency response needs every parameter" in text
 
 
 @pytest.mark.slow
@@ -74,21 +74,21 @@ def test_a_refused_stiffness_is_told_in_words_and_bounds(emps_path: Path) -> Non
     text = told.markdown()
     assert "the stiffness cannot be told" in text
     assert "at least" in text.split("## Verdicts")[0]
-    assert "## How soft the spring may be" in text
+    assert "## Lower bound of the stiffness" in text
     assert "bounds" in told.charts
-    assert "What would tell more" in text
+    assert "Tests that would show the stiffness" in text
     assert set(SECTIONS) <= set(re.findall(r"^## (.*)$", text, re.MULTILINE))
-    assert "Not here: A frequency response needs every parameter" in text
+    assert "Not available: A frequency response needs every parameter" in text
     html = told.html()
     assert len(html.encode()) < 3_000_000
 
 
 def test_what_a_method_does_not_have_is_said() -> None:
     text = reports.idim().markdown()
-    assert "Not here: Profiles and bootstraps are of DIDIM" in text
-    assert "Not here: A linear regression is solved in one step" in text
-    assert "## Loop and log" not in text
-    assert "## Loop and log" in reports.rigid().markdown()
+    assert "Not available: Profiles and bootstraps are of DIDIM" in text
+    assert "Not available: A linear regression is solved in one step" in text
+    assert "## Controller and log" not in text
+    assert "## Controller and log" in reports.rigid().markdown()
 
 
 def test_the_three_frequencies_are_marked() -> None:
@@ -229,12 +229,12 @@ def test_thinning_keeps_every_peak() -> None:
     rng = np.random.default_rng(0)
     x, y = np.arange(100_000.0), rng.standard_normal(100_000)
     y[54_321], y[777] = 50.0, -60.0
-    at, kept = thinned(x, y, most=1000)
+    at, kept = thin(x, y, most=1000)
     assert at.size <= 1002
     assert np.all(np.diff(at) > 0)
     assert (kept.max(), at[kept.argmax()]) == (50.0, 54_321.0)
     assert (kept.min(), at[kept.argmin()]) == (-60.0, 777.0)
-    assert thinned(x[:10], y[:10], most=1000)[0].size == 10
+    assert thin(x[:10], y[:10], most=1000)[0].size == 10
 
 
 def test_a_long_record_says_what_is_left_out() -> None:

@@ -18,9 +18,22 @@ if TYPE_CHECKING:
 _PATIENCE = 2.0  # seconds after which the simulation is not being loaded but compiled
 
 
-def show(text: object = "") -> None:
-    """Print an answer; nothing that a name in a file may hold reaches the terminal as a command."""
-    print(printable(str(text)))  # noqa: T201
+def show(result: object = "", *, details: bool = False) -> None:
+    """Print a result or a line; nothing that a name in a file may hold reaches the terminal as a command.
+
+    Args:
+        result: in colour where the output is a terminal and it becomes a document, else as plain text.
+        details: whether to print all there is to say of it.
+    """
+    from jointid.common.document import Documented
+
+    if isinstance(result, Documented) and sys.stdout.isatty():
+        from jointid.apps.cli.terminal import print_document
+
+        print_document(result.document(details=details))
+        return
+    text = result.summary(details=details) if isinstance(result, Documented) else str(result)
+    print(printable(text))  # noqa: T201
 
 
 def tell(message: str) -> None:

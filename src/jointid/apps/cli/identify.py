@@ -35,6 +35,7 @@ def identify(
     drift: Literal["force", "viscous", "both"] | None = None,
     json: Path | None = None,
     figure: Path | None = None,
+    details: Annotated[bool, Parameter(negative=())] = False,
     quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
 ) -> None:
     """Identify a joint from a record, from several in one fit, or from hours of its log in bounded memory.
@@ -61,6 +62,7 @@ def identify(
         drift: of idim, what changes linearly in time.
         json: also write the answer as JSON to this file.
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
+        details: print every verdict with all its reasons, the method's tests, effort and settings.
         quiet: say nothing of the progress.
     """
     from jointid.apps.cli.console import check_outputs, identified, progress, show
@@ -91,7 +93,7 @@ def identify(
         logged, estimate = identified(file, records[0] if records else None, listener)
         if file.tells_of_its_loop:
             estimate = with_loop_verdict(estimate, logged)
-    show(estimate)
+    show(estimate, details=details)
     if json is not None:
         from jointid.output import json as answers
 

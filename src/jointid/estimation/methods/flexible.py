@@ -36,11 +36,11 @@ from jointid.models.parameters import Parameter
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
-from jointid.uncertainty.combination import Combination
+from jointid.uncertainty.combination import Combination, Kind
 from jointid.uncertainty.covariance import Covariance
 from jointid.uncertainty.identifiability import Known
 from jointid.uncertainty.position_dependent_error import uncertainty
-from jointid.uncertainty.verdict import Verdict
+from jointid.uncertainty.verdict import only_sums_verdict
 
 _LOWER = (4.0, 16.0)  # times lower cut-offs of the rigid start, where no end explains the torque
 _TOLERANCE, _SIMPLEX_TOLERANCE = 1e-8, 1e-4  # the latter is that of fminsearch
@@ -219,9 +219,9 @@ def refused(estimate: Estimate, spring: Visibility) -> Estimate:
         for p in estimate.params
     )
     assert estimate.checks.known is not None
-    known = replace(estimate.checks.known, parameters=(), physical=whole, directions=(), sentences=())
-    only = Verdict("identifiability", False, "only the sums of both sides are told, not how they divide")
-    verdicts = tuple(only if v.subject == only.subject else v for v in estimate.checks.verdicts)
+    known = replace(estimate.checks.known, parameters=(), physical=whole, directions=(), limitations=())
+    only = only_sums_verdict()
+    verdicts = tuple(only if v.subject is only.subject else v for v in estimate.checks.verdicts)
     return estimate.amended(
         params={"rows": lost}, checks={"known": known, "bounds": spring.bounds, "verdicts": verdicts}
     )
@@ -230,7 +230,8 @@ def refused(estimate: Estimate, spring: Visibility) -> Estimate:
 def _sum_of(p: Parameter, unit: str) -> Combination:
     """Return the sum of both sides that a rigid joint's parameter is."""
     formula = f"{p.symbol}1 + {p.symbol}2" if p.symbol[-1] not in "+-" else f"{p.symbol} of both sides"
-    return Combination(f"total {p.name}", formula, unit, {f"motor_{p.name}": 1.0, f"load_{p.name}": 1.0})
+    weights = {f"motor_{p.name}": 1.0, f"load_{p.name}": 1.0}
+    return Combination(f"total {p.name}", formula, unit, weights, Kind.SUM, p.name)
 
 
 def with_paper_statistics(estimate: Estimate, covariance: Covariance, joint: int) -> Estimate:

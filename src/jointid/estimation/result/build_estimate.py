@@ -27,11 +27,11 @@ from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.position_dependent_error import Uncertainty
 from jointid.uncertainty.residual_tests import residual_report
 from jointid.uncertainty.verdict import (
-    Verdict,
     bounds_verdict,
     fit_verdict,
     identifiability_verdict,
     residual_verdicts,
+    solver_verdict,
 )
 
 _AT_LIMIT = 0.01  # of the periods: more is said
@@ -81,7 +81,7 @@ def answer(
     )  # fmt: skip
     told = identifiability(problem.free, problem.units, x, J, known.covariance)
     verdicts = (
-        Verdict("solver", end[1], end[0]),
+        solver_verdict(*end),
         fit_verdict(report),
         *residual_verdicts(report),
         identifiability_verdict(told),
@@ -92,7 +92,7 @@ def answer(
             rows,
             tuple(p.name for p in problem.free),
             known.covariance.correlation,
-            f"from the output sensitivities, {known.sentences[0]}",
+            f"from the output sensitivities, {known.basis}",
         ),
         fit=Fit(
             measured=problem.measured,
@@ -146,4 +146,4 @@ def _warnings(problem: Problem, run: Simulation, known: Uncertainty, converged: 
             "torque says nothing of the joint"
         )
     aliased = problem.filtering.warnings(problem.experiment.sample_time)
-    return (*found, *known.sentences[2:], *aliased, *poor_fit(left))
+    return (*found, *map(str, known.warnings), *aliased, *poor_fit(left))

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeAlias
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.document import Document, Documented
 from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.methods.regression import Conditioning
+from jointid.estimation.result import shortcuts
 from jointid.estimation.result.params import EstimatedParameter, Params
 from jointid.estimation.result.record_fit import RecordFit, Windows
 from jointid.estimation.several_records.heterogeneity import Agreement
@@ -28,6 +31,11 @@ from jointid.uncertainty.identifiability import Identifiability
 from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.residual_tests import ResidualReport
 from jointid.uncertainty.verdict import StiffnessBound, Verdict
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from jointid.records.record import Record
 
 _PERIOD = 1e-4  # s, at which two controllers without one of their own are compared
 _MOST = 64  # times that a position loop may be slower
@@ -210,7 +218,7 @@ class Settings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
+class Estimate(Documented):
     """The result of an identification.
 
     Attributes:
@@ -289,15 +297,50 @@ class Estimate:
         """Return the estimate with some entries of its parts exchanged: ``amended(checks={"warnings": ()})``."""
         return replace(self, **{name: replace(getattr(self, name), **entries) for name, entries in parts.items()})
 
-    def summary(self) -> str:
-        """Return the estimate as text: table, combinations, errors, verdicts and warnings."""
-        from jointid.estimation.result.summary import summarise
+    def document(self, *, details: bool = False) -> Document:
+        """Return the estimate as a document: table, combinations, errors, verdicts that did not pass, and warnings.
 
-        return summarise(self)
+        Args:
+            details: whether to add the verdicts that passed, all reasons, tests, effort and settings.
+        """
+        from jointid.estimation.result.summary import estimate_document
 
-    def __str__(self) -> str:
-        """Return the summary."""
-        return self.summary()
+        return estimate_document(self, details=details)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the estimate as JSON has it: what `jointid identify --json` writes, see docs/answers.md."""
+        return shortcuts.to_dict(self)
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the parameters as a pandas data frame: a row each, with value, standard error, interval and unit.
+
+        Raises:
+            ExtraError: pandas is not installed.
+        """
+        return shortcuts.to_dataframe(self)
+
+    def save(self, path: str | Path) -> Path:
+        """Write `to_dict` as JSON, which other commands read; return the path.
+
+        Raises:
+            RecordError: the file cannot be written.
+        """
+        return shortcuts.save(self, path)
+
+    @property
+    def plot(self) -> shortcuts.Plots:
+        """The figures: ``estimate.plot.torque()``, ``estimate.plot.residual(record)``."""
+        return shortcuts.Plots(self)
+
+    def report(self, record: Record, *, name: str = "", profiles: Sequence[str] | None = None) -> shortcuts.Report:
+        """Return the report: one page with figures, see `jointid.report_estimate`.
+
+        Args:
+            record: that it was identified from.
+            name: of the joint, for the title.
+            profiles: quantities whose criterion is followed; all free parameters when None, none when empty.
+        """
+        return shortcuts.report(self, record, name=name, profiles=profiles)
 
 
 def fingerprint(torque: FloatArray) -> str:

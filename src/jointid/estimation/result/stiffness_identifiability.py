@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.message import Message
 from jointid.common.progress import Progress
 from jointid.estimation.problems.closed_loop import Problem
 from jointid.estimation.result.stiffness_bounds import bounded
@@ -35,7 +36,7 @@ from jointid.uncertainty.combination import ByCompliance, Combination
 from jointid.uncertainty.flexible_vs_rigid_test import BoundaryTest, flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
 from jointid.uncertainty.profile import Profile, profile
-from jointid.uncertainty.verdict import StiffnessBound, Verdict
+from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 
 SHARES = (0.05, 0.1, 0.2, 0.33, 0.5)
 """Of the load in the inertia, for which a bound is given."""
@@ -78,8 +79,12 @@ class Visibility:
     def verdict(self) -> Verdict:
         """Whether the stiffness is reported, and why not."""
         if self.shown:
-            return Verdict("stiffness", True, str(self.test))
-        return Verdict("stiffness", False, "not identifiable from this record: " + "; ".join(self.reasons))
+            return Verdict(Subject.STIFFNESS, Status.PASSED, (Message(Reason.STIFFNESS_SHOWN, str(self.test)),))
+        first, *others = self.reasons
+        said = (f"not identifiable from this record: {first}", *others)
+        return Verdict(
+            Subject.STIFFNESS, Status.FAILED, tuple(Message(Reason.STIFFNESS_NOT_SHOWN, one) for one in said)
+        )
 
 
 def visible(

@@ -1,126 +1,152 @@
-"""The printed summary of an estimate: its table, and everything a reader must know beside it."""
+"""An estimate as a document: a screen of it, or all there is to say."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-
-from jointid.common.text import aligned, number
+from jointid.common.document import Block, Document, Facts, Table, Verdicts
+from jointid.common.text import number
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.params import EstimatedParameter, known_on_other_side
-from jointid.estimation.result.table_rows import bound_line, known_line, parameter_row, shown
+from jointid.estimation.result.params import EstimatedParameter
+from jointid.estimation.result.tables import bounds_table, combinations_table, parameters_table, shown
 from jointid.estimation.streaming.drift import DriftTest, Segment
-from jointid.models.transmission import transmission_lines
-from jointid.records.time_base.uniformity import resampled_lines
+from jointid.uncertainty.verdict import Status, Verdict
 
 _SHOWN = 2.0  # standard errors that a trend has at least to be printed as one
 
 
-def summarise(estimate: Estimate) -> str:
-    """Return an estimate as text."""
-    return "\n".join([*_head(estimate), "", *_tables(estimate), "", *_facts(estimate)])
+def estimate_document(estimate: Estimate, *, details: bool = False) -> Document:
+    """Return an estimate as a document.
+
+    Args:
+        estimate: of one record, of several, or of a long log.
+        details: whether to show every verdict with all its reasons, tests, effort and settings; else only the verdicts
+            that did not pass, a line each.
+    """
+    data, joint = estimate.data, estimate.settings.joint
+    source = f"of {data.record}" if not data.records else f"of {len(data.records)} records"
+    title = f"{joint.model.capitalize()} joint, {estimate.settings.variant}, {source}"
+    facts = (
+        *_results(estimate),
+        *(_effort(estimate) if details else ()),
+        *_limits(estimate, details=details),
+        *_count(estimate),
+    )
+    tables = _tables(estimate, details=details)
+    blocks = [Facts(tuple(_sources(estimate))), *tables, Facts(facts), *_verdicts(estimate, details=details)]
+    warnings = tuple(("warning", warning) for warning in estimate.checks.warnings)
+    return Document(title, (*blocks, *((Facts(warnings),) if warnings else ())))
 
 
-def _head(estimate: Estimate) -> Iterator[str]:
-    data, settings = estimate.data, estimate.settings
+def _sources(estimate: Estimate) -> Iterator[tuple[str, str]]:
+    """Return what was read, and on which side the values are."""
+    data, gear = estimate.data, estimate.settings.joint.transmission
     if not data.records:
-        yield f"{settings.joint.model.capitalize()} joint, {settings.variant}, of {data.record}"
-        yield f"read: {', '.join(data.channels)}"
-        yield from resampled_lines(data.resampled)
-        yield from transmission_lines(settings.joint.transmission)
-        return
-    yield f"{settings.joint.model.capitalize()} joint, {len(data.records)} records together, {settings.variant}"
-    yield from transmission_lines(settings.joint.transmission)
+        yield "read", ", ".join(data.channels)
     for k, record in enumerate(data.records, 1):
         unit = next(p.unit for p in (*estimate.params, *estimate.params.own[k - 1]) if p.name.endswith("inertia"))
         more = f", {number(record.added_inertia)} {unit} added to the load" if record.added_inertia else ""
-        yield f"record {k}: {record.name}{more}; read: {', '.join(record.channels)}"
-        yield from resampled_lines(record.resampled)
+        yield f"record {k}", f"{record.name}{more}; read: {', '.join(record.channels)}"
+        if record.resampled is not None:
+            yield "resampled", str(record.resampled)
+    if data.resampled is not None:
+        yield "resampled", str(data.resampled)
+    if gear is not None:
+        yield "transmission", str(gear)
 
 
-def _tables(estimate: Estimate) -> Iterator[str]:
+def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
     if estimate.data.records:
         yield _shared(estimate)
         own = [(k, p) for k, rows in enumerate(estimate.params.own, 1) for p in rows]
-        yield from ["", _own(own)] if own else []
-        yield from ["", _residuals(estimate)]
+        if own:
+            yield _own(own)
+        yield _errors(estimate)
         return
-    yield _parameters(estimate)
-    known = estimate.checks.known
-    if known is not None and known.physical:
-        there = known_on_other_side(known.physical, estimate.other) or (None,) * len(known.physical)
-        yield from ["", "known together"]
-        yield from (known_line(k, o, estimate.other) for k, o in zip(known.physical, there, strict=True))
-    if estimate.checks.bounds:
-        yield from ["", "K12 is at least, by the load's share of the inertia (95 %, lightly damped mode)"]
-        unit = estimate["stiffness"].unit
-        yield from (bound_line(bound, unit, estimate.other) for bound in estimate.checks.bounds)
+    yield parameters_table(estimate, initial=details)
+    known = combinations_table(estimate, "known together", differences=details)
+    if known is not None:
+        yield known
+    bounds = bounds_table(estimate, "the stiffness is refused; its lower bound (95 %, lightly damped mode)")
+    if bounds is not None:
+        yield bounds
     drift = estimate.checks.drift
     if drift is not None and drift.segments:
-        yield from ["", "each segment by itself, +- 2 sigma to compare them by; without what all of them err alike"]
         yield _segments(estimate, drift)
 
 
-def _facts(estimate: Estimate) -> Iterator[str]:
+def _results(estimate: Estimate) -> Iterator[tuple[str, str]]:
     fit, checks, windows = estimate.fit, estimate.checks, estimate.data.windows
     if checks.agreement is not None:
-        yield f"agreement     {checks.agreement}"
+        yield "agreement", str(checks.agreement)
     elif windows is not None:
-        yield f"torque error  {100 * fit.filtered_error:.4f} % filtered ({fit.rows} rows)"
+        yield "torque error", f"{100 * fit.filtered_error:.4f} % filtered ({fit.rows} rows)"
         still = f", {windows.still} without motion left out" if windows.still else ""
         yield (
-            f"windows       {windows.count} of {windows.length:g} s, and {windows.settling:g} s at either end{still}; "
-            f"{number(windows.duration / 3600, 3)} h"
+            "windows",
+            f"{windows.count} of {windows.length:g} s, and {windows.settling:g} s at either end{still}; "
+            f"{number(windows.duration / 3600, 3)} h",
         )
     else:
         yield (
-            f"{fit.compared} error".ljust(13)
-            + f" {100 * fit.relative_error:.4f} % raw ({fit.borders[0]} + {fit.borders[1]} samples at the ends left "
-            f"out), {100 * fit.filtered_error:.4f} % filtered ({fit.rows} rows)"
+            f"{fit.compared} error",
+            f"{100 * fit.relative_error:.4f} % raw ({fit.borders[0]} + {fit.borders[1]} samples at the ends left "
+            f"out), {100 * fit.filtered_error:.4f} % filtered ({fit.rows} rows)",
         )
+    if checks.drift is not None:
+        yield "drift", describe_drift(checks.drift, estimate.params)
+
+
+def _effort(estimate: Estimate) -> Iterator[tuple[str, str]]:
+    fit = estimate.fit
     if fit.conditioning is not None:
         c = fit.conditioning
-        yield f"conditioning  {c.raw:.6g} raw, {c.normalised:.4g} normalised, {c.scaled:.4g} scaled by the parameters"
-    if fit.simulations:
-        yield f"effort        {_effort(estimate)}"
-    yield f"stopped       {fit.stop}"
+        said = f"{c.raw:.6g} raw, {c.normalised:.4g} normalised, {c.scaled:.4g} scaled by the parameters"
+        yield "conditioning", said
+    if fit.simulations and estimate.data.windows is not None:
+        yield "effort", f"{fit.passes} times over the whole, {fit.simulations} windows simulated"
+    elif fit.simulations:
+        steps = f"{fit.iterations} iterations, " if fit.trace else ""
+        yield "effort", f"{steps}{fit.simulations} simulations"
+    yield "stopped", fit.stop
     if estimate.settings.weighting:
-        yield f"weighting     {estimate.settings.weighting}"
-    yield f"intervals     {estimate.params.basis}"
+        yield "weighting", estimate.settings.weighting
+    yield "intervals", estimate.params.basis
+
+
+def _limits(estimate: Estimate, *, details: bool) -> Iterator[tuple[str, str]]:
+    """Return what no verdict says: the residual and the limitations of a long log, and the method's own tests."""
+    checks = estimate.checks
     if checks.repeatable is not None:
-        yield f"residual      {checks.repeatable}"
-    if checks.drift is not None:
-        yield f"drift         {describe_drift(checks.drift, estimate.params)}"
-    if windows is not None and checks.known is not None:
-        yield from (f"limitation    {sentence}" for sentence in checks.known.sentences)
-    if checks.verdicts:
-        yield from ["", "verdicts", *map(str, checks.verdicts), ""]
-    yield from (f"test          {test.name}: {test.sentence}" for test in checks.tests)
-    yield from (f"warning       {warning}" for warning in checks.warnings)
+        yield "residual", str(checks.repeatable)
+    if estimate.data.windows is not None and checks.known is not None:
+        yield from (("limitation", str(one)) for one in checks.known.limitations)
+    if details:
+        yield from (("test", f"{test.name}: {test.sentence}") for test in checks.tests)
 
 
-def _effort(estimate: Estimate) -> str:
-    fit = estimate.fit
-    if estimate.data.windows is not None:
-        return f"{fit.passes} times over the whole, {fit.simulations} windows simulated"
-    return (
-        f"{fit.iterations} iterations, {fit.simulations} simulations" if fit.trace else f"{fit.simulations} simulations"
-    )
+def _count(estimate: Estimate) -> Iterator[tuple[str, str]]:
+    """Return how many verdicts passed."""
+    passed = [verdict.status is Status.PASSED for verdict in estimate.checks.verdicts]
+    if passed:
+        yield "checks", f"all {len(passed)} passed" if all(passed) else f"{sum(passed)} of {len(passed)} passed"
 
 
-def _parameters(estimate: Estimate) -> str:
-    """Return the table of the parameters; with a transmission, beside what they are on its other side."""
-    header, right = ("symbol", "parameter", "value", "2 sigma", "sigma %", "unit"), (False, False, *[True] * 3, False)
-    rows = [parameter_row(p) for p in estimate.params]
-    if estimate.other is None:
-        return aligned(header, rows, right)
-    there = [(shown(p), p.unit) for p in estimate.other_side]
-    wider = [(*row, *cells) for row, cells in zip(rows, there, strict=True)]
-    return aligned((*header, f"{estimate.other.side} side", "unit"), wider, (*right, True, False))
+def _verdicts(estimate: Estimate, *, details: bool) -> Iterator[Block]:
+    verdicts = estimate.checks.verdicts
+    listed = [verdict for verdict in verdicts if details or verdict.status is not Status.PASSED]
+    if listed:
+        yield Verdicts(tuple((str(v.subject), v.good, _reasons(v, details=details)) for v in listed))
 
 
-def _shared(estimate: Estimate) -> str:
+def _reasons(verdict: Verdict, *, details: bool) -> tuple[str, ...]:
+    first, *others = map(str, verdict.reasons)
+    if details or not others:
+        return first, *others
+    return (f"{first} (and {len(others)} more)",)
+
+
+def _shared(estimate: Estimate) -> Table:
     """Return the table of the parameters that records share, beside the estimate of each record by itself."""
     assert estimate.checks.agreement is not None
     alone = [{p.name: p for p in record.alone} for record in estimate.data.records]
@@ -134,23 +160,21 @@ def _shared(estimate: Estimate) -> str:
     heads = [f"{k} alone" for k in range(1, len(alone) + 1)]
     more = () if estimate.other is None else (f"{estimate.other.side} side", "unit")
     header = ("symbol", "parameter", "value", "2 sigma", "unit", *heads, "p", "between", *more)
-    right = (False, False, True, True, False, *(True for _ in heads), True, True, *((True, False) if more else ()))
-    return aligned(header, rows, right)
+    words = (0, 1, 4, *((len(header) - 1,) if more else ()))
+    return Table(header, tuple(rows), words=words)
 
 
-def _residuals(estimate: Estimate) -> str:
-    rows = [
+def _errors(estimate: Estimate) -> Table:
+    rows = tuple(
         (str(k), *(f"{100 * e:.4f}" for e in (r.relative_error, r.filtered_error, r.alone_error)), str(r.rows))
         for k, r in enumerate(estimate.data.records, 1)
-    ]
-    header = ("record", "error % raw", "filtered", "filtered, alone", "rows")
-    return aligned(header, rows, (False, True, True, True, True))
+    )
+    return Table(("record", "error % raw", "filtered", "filtered, alone", "rows"), rows)
 
 
-def _own(own: list[tuple[int, EstimatedParameter]]) -> str:
-    rows = [(str(k), *_cells(p)) for k, p in own]
-    header = ("record", "symbol", "parameter", "value", "2 sigma", "unit")
-    return aligned(header, rows, (False, False, False, True, True, False))
+def _own(own: list[tuple[int, EstimatedParameter]]) -> Table:
+    rows = tuple((str(k), *_cells(p)) for k, p in own)
+    return Table(("record", "symbol", "parameter", "value", "2 sigma", "unit"), rows, words=(0, 1, 2, 5))
 
 
 def _cells(p: EstimatedParameter) -> tuple[str, str, str, str, str]:
@@ -185,12 +209,13 @@ def describe_drift(drift: DriftTest, params: Sequence[EstimatedParameter]) -> st
     return f"between {count} segments parameters change by more than their intervals allow: {listed}"
 
 
-def _segments(estimate: Estimate, drift: DriftTest) -> str:
+def _segments(estimate: Estimate, drift: DriftTest) -> Table:
     """Return the table of the segments: each free parameter with two standard errors."""
     free = [p for p in estimate.params if p.free]
     header = ("from h", "to h", *(f"{p.symbol} {p.unit}" for p in free), "error %")
-    rows = [_segment(s, [p.name for p in free]) for s in drift.segments]
-    return aligned(header, rows, tuple(np.ones(len(header), dtype=bool)))
+    rows = tuple(_segment(s, [p.name for p in free]) for s in drift.segments)
+    caption = "each segment by itself, +- 2 sigma to compare them by; without what all of them err alike"
+    return Table(header, rows, caption, words=())
 
 
 def _segment(s: Segment, names: list[str]) -> tuple[str, ...]:

@@ -64,7 +64,7 @@ def concluded(
             ended.shared(covariance),
             ended.names,
             covariance.correlation,
-            f"from the output sensitivities, {judged.sentences[0]}; no record's rows correlated with another's",
+            f"from the output sensitivities, {judged.basis}; no record's rows correlated with another's",
             tuple(ended.own(k, covariance) for k in range(len(records))),
         ),
         fit=ended.fit(shares, simulations),
@@ -248,7 +248,7 @@ class _Ended:
             for j in told
             if j < i and abs(r := covariance.correlation[i, j]) > _INSEPARABLE
         ]
-        found += list(judged.sentences[2:]) + ([judged.sentences[1]] if judged.repeatable.significant else [])
+        found += [*map(str, judged.warnings), *([str(judged.repeatable)] if judged.repeatable.significant else [])]
         for number, one in enumerate(self.alone, 1):
             size = np.linalg.norm(one.problem.filtered(one.problem.measured))
             found += [f"record {number}: {said}" for said in poor_fit(float(np.linalg.norm(one.error) / size))]

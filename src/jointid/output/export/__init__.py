@@ -1,1 +1,1 @@
-"""What was identified, in the languages of other tools; one file for each language."""
+"""Exports of an identified joint; one file for each language of another tool."""

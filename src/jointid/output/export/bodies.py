@@ -25,7 +25,7 @@ _ROUND = 1e-4  # of a mass, in m2: inertias of a body that does not turn
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """What a body needs: mass in kg, its centre (x, y, z) in m, one inertia about every axis through it in kg m2."""
+    """A body: mass in kg, its centre (x, y, z) in m, one inertia about every axis through it in kg m2."""
 
     mass: float
     centre: tuple[float, float, float]

@@ -22,7 +22,7 @@ from jointid.output.json import estimate_answer
 from jointid.output.json.reading import read_answer
 
 Known: TypeAlias = Estimate | Estimate | Estimate | JointModel
-"""What can be exported: any answer that says what a joint is."""
+"""Results that can be exported: those that hold the parameters of a joint."""
 
 
 class Exporter(Protocol):

@@ -1,4 +1,4 @@
-"""What is known of a joint, ready to be told to another program: read from an answer, on either side of a transmission.
+"""The joint model that exporters write: read from an estimate, on either side of a transmission.
 
 An estimate, what several records say together, and what a long record says have the same keys in their JSON; all three
 are read from it here, whether they come from a file or have just been found.
@@ -45,7 +45,7 @@ class Mass:
 
     @property
     def coulomb(self) -> float:
-        """What a symmetric law has: half of the way from one direction's force to the other's."""
+        """The Coulomb friction of a symmetric law: half of the way from one direction's force to the other's."""
         return 0.5 * (self.directions[2] + self.directions[3])
 
     @property
@@ -55,7 +55,7 @@ class Mass:
 
     @property
     def evenly_viscous(self) -> bool:
-        """Whether the viscous friction is the same in both directions."""
+        """True if the viscous friction is the same in both directions."""
         return self.directions[0] == self.directions[1]
 
 
@@ -71,13 +71,13 @@ class Weight:
 
     @property
     def turns(self) -> bool:
-        """Whether it follows the cosine or the sine of the position."""
+        """True if it follows the cosine or the sine of the position."""
         return self.cos != 0.0 or self.sin != 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where the numbers come from.
+    """The source of the numbers.
 
     Attributes:
         schema: of the answer. method: of the estimate, "" where the answer has no one method.
@@ -94,7 +94,7 @@ class Origin:
 
 @dataclass(frozen=True, slots=True)
 class JointModel:
-    """What is known of a joint, all of it on one side of its transmission; made by `joint_model`.
+    """The parameters of a joint, all on one side of its transmission; made by `joint_model`.
 
     Attributes:
         name: what the joint is called.
@@ -131,12 +131,12 @@ class JointModel:
 
     @property
     def flexible(self) -> bool:
-        """Whether there are a motor and a load, with a spring between."""
+        """True for a motor and a load with a spring between."""
         return self.joint.model == "flexible"
 
     @property
     def gear(self) -> float:
-        """What takes the motor's own torque to this side: 1 without a transmission."""
+        """The factor from the motor's own torque to this side: 1 without a transmission."""
         transmission = self.joint.transmission
         return 1.0 if transmission is None or self.side != "load" else transmission.motor_per_load
 

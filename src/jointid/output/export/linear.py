@@ -28,7 +28,7 @@ _RESERVED = (
 
 @dataclass(frozen=True, slots=True)
 class _Sampling:
-    """How the sampled state space is made.
+    """The discretisation of the state space.
 
     Attributes:
         period: s; without it the record's sample time.

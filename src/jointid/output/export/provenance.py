@@ -1,4 +1,4 @@
-"""What every export says of itself: where its numbers come from, how well they are known, and what is left out.
+"""The header of every export: source of its numbers, their standard errors, and what is left out.
 
 Nothing in it depends on the day or on the machine: the same answer gives the same bytes.
 """

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from bokeh.plotting import figure
 
 PURPOSE = "A report as a page (Markdown and figures do without)"
-"""What the extra is needed for."""
+"""The purpose of the extra, for its error message."""
 
 _FONT = "system-ui, sans-serif"
 _GREY = "#555555"

@@ -1,4 +1,4 @@
-"""What a figure shows, said once: drawn by matplotlib for paper (`stills`), by bokeh for the screen (`plots`).
+"""Charts: figures described once; `matplotlib_backend` draws them for paper, `bokeh_backend` for the screen.
 
 A chart is a column or a row of panels, and a caption that says what to see. Colours mean the same in every figure.
 """
@@ -48,7 +48,7 @@ class Dots:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Band:
-    """What lies between two lines, (points,)."""
+    """The area between two lines, (points,)."""
 
     x: FloatArray
     low: FloatArray
@@ -134,7 +134,7 @@ def said(correlation: float) -> str:
     return f"{round(correlation, 2) + 0.0:.2f}"
 
 
-def thinned(x: FloatArray, *signals: FloatArray, most: int) -> tuple[FloatArray, ...]:
+def thin(x: FloatArray, *signals: FloatArray, most: int) -> tuple[FloatArray, ...]:
     """Return signals with no more than about `most` points: of each stretch the least and the largest of each signal.
 
     Peaks stay what and where they are: every stretch keeps the samples at which one of the signals is least or largest.
@@ -157,6 +157,6 @@ def thinned(x: FloatArray, *signals: FloatArray, most: int) -> tuple[FloatArray,
     return x[at], *(signal[at] for signal in signals)
 
 
-def strided(signal: FloatArray, most: int) -> FloatArray:
+def stride(signal: FloatArray, most: int) -> FloatArray:
     """Return every so many samples of a signal, (samples,), `most` of them or fewer."""
     return signal[:: -(-signal.size // most)]

@@ -11,69 +11,52 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
-from jointid.output.figures.charts import ERROR, MEASURED, SIMULATED
+from jointid.output.figures.charts import ERROR, MEASURED, SIMULATED, Band, Chart, Dots, Line, Panel
+from jointid.output.figures.matplotlib_backend import draw
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 FORMATS = (".png", ".svg", ".pdf")
-"""What a figure can be saved as."""
+"""The formats of a saved figure."""
 
 _ZOOM = 0.08  # of the record, in the lower panel
 
 
 def torque_figure(answer: Estimate | Validation) -> Figure:
     """Return measured, simulated and error torque over time: the whole record, and a zoom on its liveliest part."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     shown = _shown(answer)
     measured, predicted, unit = shown.measured, shown.predicted, shown.torque_unit
-    quantity = torque_word(unit) + _side(answer)
+    label = f"{torque_word(unit)}{_side(answer)} [{unit}]"
     word = "simulated" if shown.method == "didim" else "inverse model"
     time = np.asarray(np.arange(measured.size) * shown.sample_time, dtype=np.float64)
-    figure = Figure(figsize=(9.0, 6.0), layout="constrained")
-    FigureCanvasAgg(figure)
-    whole, zoom = figure.subplots(2, 1)
-    _lines(whole, time, measured, predicted, word)
-    whole.set_title(_title(answer), fontsize=10, loc="left")
     low, high = liveliest(measured)
-    _lines(zoom, time[low:high], measured[low:high], predicted[low:high], None)
-    whole.axvspan(time[low], time[high - 1], color="0.85", zorder=0)
-    zoom.set_title("zoom on the shaded part", fontsize=9, loc="left")
-    for axes in (whole, zoom):
-        axes.set_ylabel(f"{quantity} [{unit}]")
-        axes.margins(x=0)
-        axes.grid(color="0.9")
-    zoom.set_xlabel("time [s]")
-    return figure
+    near = slice(low, high)
+    zoom = f"zoom on {time[low]:.4g} to {time[high - 1]:.4g} s"
+    panels = (
+        Panel("", label, _lines(time, measured, predicted, word), _title(answer)),
+        Panel("time [s]", label, _lines(time[near], measured[near], predicted[near], ""), zoom),
+    )
+    return draw(Chart("torque", "", panels))
 
 
 def residual_figure(validation: Validation) -> Figure:
     """Return the torque error against velocity and position, and its autocorrelation: a white one shows nothing."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     inside = slice(validation.borders[0], validation.measured.size - validation.borders[1])
     error = (validation.measured - validation.predicted)[inside]
-    length = validation.position_unit
-    figure = Figure(figsize=(9.0, 3.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    by_velocity, by_position, lags = figure.subplots(1, 3)
-    for axes, values, text in (
-        (by_velocity, validation.motor.velocity[inside], f"velocity [{length}/s]"),
-        (by_position, validation.motor.position[inside], f"position [{length}]"),
-    ):
-        axes.plot(values, error, ".", color=ERROR, markersize=1, alpha=0.3, rasterized=True)
-        axes.set_xlabel(text)
-        axes.set_ylabel(f"error [{validation.torque_unit}]")
-        axes.grid(color="0.9")
-    lags.axhspan(-validation.white_band, validation.white_band, color="0.85")
-    lags.plot(validation.autocorrelation, ".-", color=ERROR, markersize=4, linewidth=0.8)
-    lags.set_xlabel("lag [filtered samples]")
-    lags.set_ylabel("autocorrelation of the error")
-    return figure
+    length, label = validation.position_unit, f"error [{validation.torque_unit}]"
+    lags = np.arange(validation.autocorrelation.size, dtype=np.float64)
+    white = np.full(lags.size, validation.white_band)
+    correlation = (
+        Band(lags, -white, white, "#999999"),
+        Line(lags, validation.autocorrelation, ERROR, dots=True),
+    )
+    panels = (
+        Panel(f"velocity [{length}/s]", label, (Dots(validation.motor.velocity[inside], error, ERROR),)),
+        Panel(f"position [{length}]", label, (Dots(validation.motor.position[inside], error, ERROR),)),
+        Panel("lag [filtered samples]", "autocorrelation of the error", correlation),
+    )
+    return draw(Chart("residual", "", panels, columns=3))
 
 
 def save(figure: Figure, path: str | Path) -> Path:
@@ -101,12 +84,13 @@ def require_format(path: Path) -> None:
         raise RecordError(f'A figure is saved as {", ".join(FORMATS)}; received "{path.name}": change its suffix.')
 
 
-def _lines(axes: Axes, time: FloatArray, measured: FloatArray, predicted: FloatArray, word: str | None) -> None:
-    axes.plot(time, measured, color=MEASURED, linewidth=0.9, label="measured" if word else None)
-    axes.plot(time, predicted, color=SIMULATED, linewidth=0.9, label=word)
-    axes.plot(time, measured - predicted, color=ERROR, linewidth=0.6, label="error" if word else None)
-    if word:
-        axes.legend(loc="upper right", ncols=3, fontsize=8, framealpha=0.9)
+def _lines(time: FloatArray, measured: FloatArray, predicted: FloatArray, word: str) -> tuple[Line, ...]:
+    """Return the three lines; without a word for the predicted one, none has a label."""
+    return (
+        Line(time, measured, MEASURED, "measured" if word else ""),
+        Line(time, predicted, SIMULATED, word),
+        Line(time, measured - predicted, ERROR, "error" if word else "", 0.8),
+    )
 
 
 def torque_word(unit: str) -> str:
@@ -152,4 +136,4 @@ def _title(answer: Estimate | Validation) -> str:
     error = f"error {100 * _shown(answer).relative_error:.2f} % of the raw torque"
     if isinstance(answer, Estimate):
         return f"{answer.data.record}: {answer.settings.joint.model} joint by {answer.settings.method.upper()}, {error}"
-    return f"{answer.record}: {answer.test} test of the joint identified from {answer.identified_from}, {error}"
+    return f"{answer.record}: {answer.test} test, {error}"

@@ -6,7 +6,7 @@ import io
 import re
 from typing import TYPE_CHECKING
 
-from jointid.output.figures.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, said, thinned
+from jointid.output.figures.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, said, thin
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,7 +19,7 @@ _SHADES = "RdBu_r"
 _POINTS = 1500  # of a line: more than two for each point of print across a page
 
 
-def drawn(chart: Chart) -> Figure:
+def draw(chart: Chart) -> Figure:
     """Return a chart as a figure of matplotlib."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -52,14 +52,14 @@ def svg(chart: Chart) -> bytes:
 
     buffer = io.BytesIO()
     with mpl.rc_context({"svg.hashsalt": chart.name, "svg.fonttype": "path"}):
-        drawn(chart).savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+        draw(chart).savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     return re.sub(rb' d="[^"]*"', _shorter, buffer.getvalue())
 
 
 def png(chart: Chart) -> bytes:
     """Return a chart as PNG; the same chart gives the same bytes."""
     buffer = io.BytesIO()
-    drawn(chart).savefig(buffer, format="png", dpi=150, metadata={"Software": None})
+    draw(chart).savefig(buffer, format="png", dpi=150, metadata={"Software": None})
     return buffer.getvalue()
 
 
@@ -75,7 +75,7 @@ def _square(chart: Chart) -> bool:
 def _panel(axes: Axes, panel: Panel) -> None:
     axes.set_xlabel(panel.x_label, fontsize=9)
     axes.set_ylabel(panel.y_label, fontsize=9)
-    axes.set_title(panel.title, fontsize=9, loc="left")
+    axes.set_title(panel.title, fontsize=9, loc="left").set_parse_math(False)  # a name is no formula
     axes.tick_params(labelsize=8)
     axes.grid(color="0.92")
     axes.set_axisbelow(True)
@@ -100,7 +100,7 @@ def _panel(axes: Axes, panel: Panel) -> None:
 def _item(axes: Axes, item: Item) -> None:
     if isinstance(item, Line):
         axes.plot(
-            *thinned(item.x, item.y, most=_POINTS), color=item.colour, linewidth=0.75 * item.width,
+            *thin(item.x, item.y, most=_POINTS), color=item.colour, linewidth=0.75 * item.width,
             linestyle=_DASHES[item.dash], label=item.label or None, marker="o" if item.dots else None, markersize=3,
         )  # fmt: skip
     elif isinstance(item, Dots):

@@ -1,4 +1,4 @@
-"""What an estimate is worth as JSON: its tests, its rivals, its loop, and what would tell more."""
+"""Validation, comparison of methods, loop check and experiment advice as JSON."""
 
 from __future__ import annotations
 
@@ -70,6 +70,7 @@ def loop_answer(check: LoopCheck) -> Json:
         "as_declared": check.as_declared,
         "level": check.level,
         "sentences": list(check.sentences),
+        "reasons": [reason.to_dict() for reason in check.reasons],
         "findings": [
             {
                 "suspect": _suspect(finding.suspect),

@@ -1,4 +1,4 @@
-"""What was identified, from one record or from several, as JSON."""
+"""An estimate of one record, of several, or of a long log as JSON."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from jointid.output.json.parts import (
 )
 from jointid.uncertainty.identifiability import Identifiability, Known
 from jointid.uncertainty.residual_tests import ResidualReport
-from jointid.uncertainty.verdict import StiffnessBound
+from jointid.uncertainty.verdict import StiffnessBound, Verdict
 
 ESTIMATE_SCHEMA = "jointid.estimate/1"
 TOGETHER_SCHEMA = "jointid.together/1"
@@ -82,7 +82,7 @@ def _of_record(estimate: Estimate) -> Json:
         "tests": [asdict(test) for test in estimate.checks.tests],
         "effects": [effect_answer(effect) for effect in estimate.settings.effects],
         "warnings": list(estimate.checks.warnings),
-        "verdicts": [{"subject": v.subject, "good": v.good, "said": v.said} for v in estimate.checks.verdicts],
+        "verdicts": [_verdict(v) for v in estimate.checks.verdicts],
         "combinations": None if estimate.checks.known is None else combinations_answer(estimate.checks.known),
         "residuals": None if estimate.fit.residuals is None else _residuals(estimate.fit.residuals),
         "stiffness_bounds": [_bound(bound) for bound in estimate.checks.bounds],
@@ -114,12 +114,18 @@ def _combination(one: Known) -> Json:
     return {
         "name": one.combination.name,
         "formula": one.combination.formula,
+        "kind": str(one.combination.kind),
         "weights": dict(one.combination.weights),
         "value": one.value,
         "std": one.std,
         "unit": one.combination.unit,
         "known": one.verdict,
     }
+
+
+def _verdict(v: Verdict) -> Json:
+    reasons = [reason.to_dict() for reason in v.reasons]
+    return {"subject": str(v.subject), "good": v.good, "said": v.said, "status": str(v.status), "reasons": reasons}
 
 
 def _residuals(report: ResidualReport) -> Json:

@@ -1,4 +1,4 @@
-"""What is in a file as JSON."""
+"""The contents of a file as JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What several answers hold: parameters, filtering, the initial state, and the effects beside a joint."""
+"""Parts that several documents share as JSON: parameters, filtering, initial state, effects beside the joint."""
 
 from __future__ import annotations
 

@@ -18,7 +18,6 @@ from jointid.output.json.reports import REPORT_ELEMENT, REPORT_SCHEMA
 DRIFT_SCHEMA = "jointid.drift/1"
 
 _MOST = 64 << 20  # bytes of a file: a page of 25 s has 3 MB
-_SUMS = ("total ", "difference of ")  # beginnings of the names of what both sides are together
 _REMEDY = "give what identify --json or report --html wrote"
 
 
@@ -92,7 +91,7 @@ def _told(answer: Json, label: str) -> Told:
         "samples left out": borders,
         "controller": str(answer["controller_sha256"] or "none")[:12],
     }
-    sums = [one for one in answer.get("combinations") or () if str(one["name"]).startswith(_SUMS)]
+    sums = [one for one in answer.get("combinations") or () if _of_both_sides(one["weights"])]
     return Told(
         label,
         str(record["name"]),
@@ -110,6 +109,13 @@ def _told(answer: Json, label: str) -> Told:
             for one in sums
         ),
     )
+
+
+def _of_both_sides(weights: Mapping[str, float]) -> bool:
+    """Return whether weights are the sum or difference of one quantity on both sides; files before 0.2 say no kind."""
+    (first, one), *rest = weights.items()
+    side, _, quantity = first.partition("_")
+    return side == "motor" and one == 1.0 and len(rest) == 1 and rest[0] in {(f"load_{quantity}", w) for w in (1, -1)}
 
 
 def _quantity(name: str, p: Mapping[str, Any]) -> Quantity:

@@ -16,7 +16,7 @@ REPORT_ELEMENT = "jointid-answer"
 
 
 class Repeated(Protocol):
-    """What it takes to repeat an answer; see `jointid.output.report.reproducibility`."""
+    """The files and the command that repeat an estimate; see `jointid.output.report.reproducibility`."""
 
     @property
     def version(self) -> str:

@@ -1,4 +1,4 @@
-"""What a simulation was, and how it ended, as JSON."""
+"""A simulation and how it ended as JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What to do with an estimate as JSON: margins, gains, notch, feed-forward, and what change would be told."""
+"""Tuning as JSON: margins, gains, notch, feed-forward, and the smallest detectable change."""
 
 from __future__ import annotations
 

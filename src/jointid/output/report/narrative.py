@@ -1,4 +1,4 @@
-"""What a report says first: the result in sentences, and the answer to each question."""
+"""The result in sentences, with which a report begins, and the questions of its verdicts."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ from jointid.diagnostics.report_data import Dossier
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.friction import DIRECTIONS, Part
 from jointid.models.joints import frequencies
+from jointid.uncertainty.combination import Kind
+from jointid.uncertainty.verdict import Subject
 
 QUESTIONS = {
-    "solver": "Did the search end well?",
-    "fit": "Does the model explain the torque?",
-    "whiteness": "Is what remains white noise?",
-    "repeatable residual": "Is what remains free of anything that repeats with the motion?",
-    "identifiability": "Does the record tell every parameter?",
-    "bounds": "Is every parameter free of its bounds?",
-    "stiffness": "Does the record show the spring?",
-    "loop": "Are loop and log as declared?",
+    Subject.SOLVER: "Did the search end well?",
+    Subject.FIT: "Does the model explain the torque?",
+    Subject.WHITENESS: "Is the residual white noise?",
+    Subject.REPEATABLE: "Is the residual free of anything that repeats with the motion?",
+    Subject.IDENTIFIABILITY: "Does the record determine every parameter?",
+    Subject.BOUNDS: "Is no parameter at its bound?",
+    Subject.STIFFNESS: "Does the record show the stiffness?",
+    Subject.LOOP: "Are controller and log as declared?",
 }
 _CHANNELS = {"injected": "injected signal"}
 _FRICTIONS: tuple[tuple[Part, str], ...] = (("viscous", "viscous"), ("coulomb", "Coulomb"))
@@ -28,13 +30,13 @@ _METHODS = {
 }
 
 
-def title(estimate: Estimate, name: str = "") -> str:
+def report_title(estimate: Estimate, name: str = "") -> str:
     """Return the title of a report."""
     settings = estimate.settings
     return f"{name or estimate.data.record}: {settings.joint.model} joint, identified by {_METHODS[settings.method]}"
 
 
-def result(given: Dossier) -> tuple[str, ...]:
+def report_result(given: Dossier) -> tuple[str, ...]:
     """Return the result in sentences, the most important first."""
     estimate = given.estimate
     channels = _listed([_CHANNELS.get(name, name.replace("_", " ")) for name in estimate.data.channels])
@@ -127,23 +129,20 @@ def _sums(estimate: Estimate) -> tuple[str, ...]:
     told = [
         f"{one.combination.formula} = {interval(one.value, 2 * one.std)} {one.combination.unit}"
         for one in estimate.checks.known.physical
-        if one.combination.name.startswith("total") and one.verdict == "well"
+        if one.combination.kind is Kind.SUM and one.verdict == "well"
     ]
     return (f"Known best are the sums of both sides: {'; '.join(told)}.",) if told else ()
 
 
 def _verdicts(estimate: Estimate) -> str:
     if not estimate.checks.verdicts:
-        return "No question beyond the fit is answered for this method."
-    bad = [v.subject for v in estimate.checks.verdicts if v.good is False]
+        return "This method has no checks beyond the fit."
+    bad = [str(v.subject) for v in estimate.checks.verdicts if v.good is False]
     asked = len(estimate.checks.verdicts)
     good = sum(v.good is True for v in estimate.checks.verdicts)
     if not bad:
-        return f"Of {asked} questions asked of this answer, {good} are answered well and none badly."
-    return (
-        f"Of {asked} questions asked of this answer, {good} are answered well and {len(bad)} not "
-        f"({_listed(bad)}); below, each with its reason."
-    )
+        return f"{good} of {asked} checks passed, and none failed."
+    return f"{good} of {asked} checks passed; {len(bad)} did not ({_listed(bad)}): below, each with its reason."
 
 
 def _listed(words: list[str]) -> str:

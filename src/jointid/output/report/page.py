@@ -12,13 +12,16 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jointid.common.document import Document, Heading, Picture
+from jointid.common.document.html import block_html, inert
+from jointid.common.errors import RecordError
 from jointid.common.extras import extra
 from jointid.output.figures.bokeh_backend import PURPOSE, script
 from jointid.output.json.reports import REPORT_ELEMENT
-from jointid.output.report.document import MARKS, Document, Heading, Picture, written
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+    from markupsafe import Markup
 
 _FEW = 4  # headings: a shorter page needs no list of contents
 
@@ -42,17 +45,16 @@ def page(document: Document) -> str:
     scripts = [script(), _START] if plotted else []
     headings = [block for block in document.blocks if isinstance(block, Heading) and block.level == 2]
     anchors = _anchors([block.text for block in headings])
+    links = dict(zip(map(id, headings), anchors, strict=True))
     return _environment().get_template("page.html").render(
         title=document.title,
-        blocks=[(type(block).__name__, block) for block in document.blocks],
-        anchors=dict(zip(map(id, headings), anchors, strict=True)),
+        blocks=[_escaped(block_html(block, links.get(id(block), ""))) for block in document.blocks],
         contents=list(zip((block.text for block in headings), anchors, strict=True)) if len(headings) >= _FEW else [],
         style=Path(__file__).with_name("style.css").read_text(encoding="utf-8"),
         scripts=scripts,
         policy=" ".join(map(_hash, scripts)) or "'none'",
         answer=document.answer,
         element=REPORT_ELEMENT,
-        marks=MARKS,
     )  # fmt: skip
 
 
@@ -64,7 +66,7 @@ def save(document: Document, folder: str | Path, name: str) -> tuple[Path, ...]:
         ExtraError: jinja2 is not installed.
     """
     texts = {f"{name}.html": page(document).encode(), f"{name}.md": document.markdown().encode()}
-    return written(folder, texts | document.pictures)
+    return write_files(folder, texts | document.pictures)
 
 
 def require_extra(*, plots: bool) -> None:
@@ -74,9 +76,27 @@ def require_extra(*, plots: bool) -> None:
         script()
 
 
-def inert(json: str) -> str:
-    """Return JSON in which no tag, comment or entity of HTML can begin; it is the same JSON."""
-    return json.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+def write_files(folder: str | Path, files: dict[str, bytes]) -> tuple[Path, ...]:
+    """Write files by their names into a folder, which is made; return their paths.
+
+    Raises:
+        RecordError: the folder or a file cannot be written.
+    """
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for file, content in files.items():
+            (folder / file).write_bytes(content)
+    except OSError as error:
+        raise RecordError(f"{folder} cannot be written ({error.strerror}); name another folder.") from None
+    return tuple(folder / file for file in files)
+
+
+def _escaped(html: str) -> Markup:
+    """Return HTML, whose texts are escaped, so that the template does not escape them again."""
+    from markupsafe import Markup
+
+    return Markup(html)  # noqa: S704
 
 
 def _environment() -> Environment:
@@ -88,20 +108,11 @@ def _environment() -> Environment:
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     filters: dict[str, Any] = {
-        "base64": lambda data: base64.b64encode(data).decode("ascii"),
         "inert": lambda json: Markup(inert(json)),  # noqa: S704  # no character of a tag is left in it
-        "stem": lambda name: Path(name).stem,
         "as_is": Markup,
-        "id": id,
-        "clauses": _clauses,
     }
     made.filters.update(filters)
     return made
-
-
-def _clauses(text: str) -> list[str]:
-    """Return a verdict's clauses, which semicolons separate but for those in brackets."""
-    return re.split(r"; (?![^(]*\))", text)
 
 
 def _hash(text: str) -> str:

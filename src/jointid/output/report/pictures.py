@@ -229,7 +229,7 @@ def bounds_chart(given: Dossier) -> Chart | None:
     return Chart("bounds", caption, panels, columns=2)
 
 
-def charts(given: Dossier) -> dict[str, Chart]:
+def draw_charts(given: Dossier) -> dict[str, Chart]:
     """Return every figure that can be had of a dossier, by its name, in the order of a report."""
     makers = (
         bounds_chart, torque_chart, residual_chart, spectra_chart, response_chart, correlation_chart, profiles_chart,

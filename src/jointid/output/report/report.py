@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from jointid.common.document import Document
 from jointid.common.errors import RecordError
 from jointid.common.progress import Progress, silent
 from jointid.config import JointFile
@@ -16,12 +17,11 @@ from jointid.output.figures.charts import Chart
 from jointid.output.figures.matplotlib_backend import png, svg
 from jointid.output.json import dumps
 from jointid.output.json.reports import report_answer
-from jointid.output.report.document import Document, written
-from jointid.output.report.narrative import title
-from jointid.output.report.page import page
-from jointid.output.report.pictures import charts
+from jointid.output.report.narrative import report_title
+from jointid.output.report.page import page, write_files
+from jointid.output.report.pictures import draw_charts
 from jointid.output.report.reproducibility import Repetition
-from jointid.output.report.sections import blocks
+from jointid.output.report.sections import report_blocks
 from jointid.records.record import Record
 
 
@@ -41,13 +41,13 @@ class Report:
 
     @property
     def estimate(self) -> Estimate:
-        """What was identified."""
+        """The estimate, with the verdict on its loop."""
         return self.dossier.estimate
 
     @property
     def charts(self) -> dict[str, Chart]:
         """Its figures by name."""
-        return charts(self.dossier)
+        return draw_charts(self.dossier)
 
     def html(self) -> str:
         """Return one self-contained HTML page.
@@ -87,7 +87,7 @@ class Report:
             RecordError: the folder or a file cannot be written.
         """
         document = self._document(interactive=False)
-        return written(folder, {"report.md": document.markdown().encode()} | document.pictures)
+        return write_files(folder, {"report.md": document.markdown().encode()} | document.pictures)
 
     def save_figures(self, folder: str | Path) -> tuple[Path, ...]:
         """Write every figure as PNG and as SVG into a folder, which is made; return what was written.
@@ -98,15 +98,15 @@ class Report:
         files: dict[str, bytes] = {}
         for name, chart in self.charts.items():
             files |= {f"{name}.png": png(chart), f"{name}.svg": svg(chart)}
-        return written(folder, files)
+        return write_files(folder, files)
 
     def answer(self) -> str:
         """Return the JSON that the page carries along."""
         return dumps(report_answer(self.dossier, self.repetition))
 
     def _document(self, *, interactive: bool) -> Document:
-        told = blocks(self.dossier, self.charts, self.repetition, interactive=interactive)
-        return Document(title(self.estimate, self.name), told, self.answer() if interactive else "")
+        told = report_blocks(self.dossier, self.charts, self.repetition, interactive=interactive)
+        return Document(report_title(self.estimate, self.name), told, self.answer() if interactive else "")
 
 
 def report_estimate(

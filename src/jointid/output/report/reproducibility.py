@@ -1,4 +1,4 @@
-"""What it takes to repeat an answer: versions, files with their hashes, the joint file, and the command."""
+"""The data that reproduces a report: version, files with their hashes, the joint file, and the command."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _BLOCK = 1 << 20  # bytes that are read at once
 
 @dataclass(frozen=True, slots=True)
 class Repetition:
-    """What it takes to do it again.
+    """Version, files and command that reproduce a report.
 
     Attributes:
         version: of this program.

@@ -5,19 +5,19 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 
+from jointid.common.document import Block, Document, Heading, Paragraph, Picture, Table
 from jointid.common.text import number
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import frequencies
 from jointid.output.figures.figures import torque_figure
-from jointid.output.report.document import Block, Document, Heading, Paragraph, Picture, Table
 from jointid.paper.errata import ERRATA
 from jointid.paper.published import SYMBOLS, TABLES
 from jointid.paper.recomputed import DENOMINATORS, Comparison, comparison
 from jointid.paper.reproduce import Experiment, Reproduction
 
 Cells = Mapping[str, tuple[str, ...]]
-"""What this run has for each row of a table, by the row's name."""
+"""The recomputed value of each row of a table, by the row's name."""
 
 
 def reproduction_document(run: Reproduction) -> Document:

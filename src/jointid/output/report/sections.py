@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from jointid.diagnostics.report_data import Dossier
-from jointid.output.figures.bokeh_backend import plot
-from jointid.output.figures.charts import Cells, Chart
-from jointid.output.figures.matplotlib_backend import svg
-from jointid.output.report import tables
-from jointid.output.report.document import (
+from jointid.common.document import (
     Block,
     Code,
     Facts,
@@ -18,16 +13,30 @@ from jointid.output.report.document import (
     Table,
     Verdicts,
 )
-from jointid.output.report.narrative import QUESTIONS, result
+from jointid.diagnostics.report_data import Dossier
+from jointid.estimation.result.tables import (
+    bands_table,
+    bounds_table,
+    combinations_table,
+    parameters_table,
+    settings_facts,
+)
+from jointid.output.figures.bokeh_backend import plot
+from jointid.output.figures.charts import Cells, Chart
+from jointid.output.figures.matplotlib_backend import svg
+from jointid.output.report import tables
+from jointid.output.report.narrative import QUESTIONS, report_result
 from jointid.output.report.reproducibility import Repetition
 
 _TITLES = {
-    "torque": "Torque", "residual": "What remains", "spectra": "Spectra", "response": "Frequency response",
+    "torque": "Torque", "residual": "Residual", "spectra": "Spectra", "response": "Frequency response",
     "correlation": "Correlations", "profiles": "Profiles", "convergence": "Convergence",
 }  # fmt: skip
 
 
-def blocks(given: Dossier, charts: dict[str, Chart], repetition: Repetition, *, interactive: bool) -> tuple[Block, ...]:
+def report_blocks(
+    given: Dossier, charts: dict[str, Chart], repetition: Repetition, *, interactive: bool
+) -> tuple[Block, ...]:
     """Return the whole report.
 
     Args:
@@ -48,7 +57,7 @@ def blocks(given: Dossier, charts: dict[str, Chart], repetition: Repetition, *, 
     return (
         *_result(given, picture),
         *_section("Position" if given.estimate.fit.compared == "position" else _TITLES["torque"], picture("torque")),
-        *_section(_TITLES["residual"], picture("residual"), tables.bands_table(given.estimate)),
+        *_section(_TITLES["residual"], picture("residual"), bands_table(given.estimate, "The residual by frequency")),
         *_section(_TITLES["spectra"], picture("spectra"), tables.modes_table(given)),
         *_section(_TITLES["response"], picture("response")),
         *_section(_TITLES["correlation"], picture("correlation")),
@@ -63,31 +72,29 @@ def blocks(given: Dossier, charts: dict[str, Chart], repetition: Repetition, *, 
 def _result(given: Dossier, picture: object) -> list[Block]:
     estimate = given.estimate
     assert callable(picture)
-    first, *others = result(given)
+    first, *others = report_result(given)
     found: list[Block] = [Heading("Result"), Paragraph(first, lead=True), *map(Paragraph, others)]
     found.append(Heading("Verdicts"))
     if estimate.checks.verdicts:
-        asked = tuple(
-            (QUESTIONS.get(v.subject, v.subject.capitalize()), v.good, v.said) for v in estimate.checks.verdicts
-        )
+        asked = tuple((QUESTIONS[v.subject], v.good, tuple(map(str, v.reasons))) for v in estimate.checks.verdicts)
         found.append(Verdicts(asked))
     else:
-        found.append(
-            Paragraph(
-                "This method is asked no such questions: what is known of its answer is in warnings and intervals."
-            )
-        )
+        found.append(Paragraph("This method has no checks; its warnings and intervals say how far it can be trusted."))
     if estimate.checks.tests:
         found.append(Listing(tuple(f"{test.name}: {test.sentence}" for test in estimate.checks.tests)))
     if estimate.checks.warnings:
         found += [Heading("Warnings", 3), Listing(tuple(_sentence(warning) for warning in estimate.checks.warnings))]
-    found += [Heading("Parameters"), tables.parameters_table(estimate)]
-    found += [table for table in (tables.sums_table(estimate),) if table is not None]
-    bounds = tables.bounds_table(estimate)
+    gear = estimate.settings.joint.transmission
+    side = "" if gear is None else f", on the {gear.side} side"
+    found += [Heading("Parameters"), parameters_table(estimate, f"The parameters{side}")]
+    said = "Combinations: sums and differences of both sides, then the singular directions, best known first"
+    known = combinations_table(estimate, said, directions=True)
+    found += [] if known is None else [known]
+    bounds = bounds_table(estimate, "With 95 % confidence, for a lightly damped mode")
     if bounds is not None:
-        found += [Heading("How soft the spring may be"), bounds, *picture("bounds")]
+        found += [Heading("Lower bound of the stiffness"), bounds, *picture("bounds")]
         if given.revealing is not None:
-            found += [Heading("What would tell more", 3), Paragraph(str(given.revealing))]
+            found += [Heading("Tests that would show the stiffness", 3), Paragraph(str(given.revealing))]
     return found
 
 
@@ -99,23 +106,23 @@ def _loop(given: Dossier) -> list[Block]:
     table = tables.suspects_table(given)
     if given.loop is None or table is None:
         return []
-    return [Heading("Loop and log"), Listing(tuple(map(_sentence, given.loop.sentences))), table]
+    return [Heading("Controller and log"), Listing(tuple(map(_sentence, given.loop.sentences))), table]
 
 
 def _tests(given: Dossier) -> list[Block]:
     every = ((given.validation,) if given.validation is not None else ()) + given.checks
     table = tables.checks_table(every)
     if table is None:
-        return [Heading("Direct and cross test"), Paragraph(_absent(given, "validation"))]
+        return [Heading("Validation"), Paragraph(_absent(given, "validation"))]
     told = [_sentence(warning) for check in every for warning in check.warnings]
-    return [Heading("Direct and cross test"), table, *([Listing(tuple(told))] if told else [])]
+    return [Heading("Validation"), table, *([Listing(tuple(told))] if told else [])]
 
 
 def _repeated(given: Dossier, repetition: Repetition) -> list[Block]:
     estimate = given.estimate
-    found: list[Block] = [Heading("Settings and data"), tables.settings(estimate), tables.channels_table(given)]
+    found: list[Block] = [Heading("Settings and data"), settings_facts(estimate), tables.channels_table(given)]
     hashes = [("Torque, SHA-256 of its samples", estimate.data.fingerprint), *repetition.facts]
-    found += [Heading("To do it again", 3), Facts(tuple(hashes))]
+    found += [Heading("Reproducing this report", 3), Facts(tuple(hashes))]
     if repetition.command:
         found.append(Code(repetition.command, "The command, with joint file and record beside each other:"))
     if repetition.joint_file:
@@ -139,7 +146,7 @@ def _absent(given: Dossier, name: str) -> str:
             "convergence": "A linear regression is solved in one step: there is no search to show.",
             "validation": "It was not simulated.",
         }.get(name, "It is not part of this answer.")
-    return f"Not here: {why}"
+    return f"Not available: {why}"
 
 
 def _sentence(text: str) -> str:

@@ -23,8 +23,8 @@ from jointid.output.figures.charts import (
     Item,
     Line,
     Panel,
-    strided,
-    thinned,
+    stride,
+    thin,
 )
 from jointid.output.figures.figures import liveliest, torque_word
 
@@ -37,7 +37,7 @@ _FEW = 5  # samples: a cell with fewer has no mean worth a line
 
 @dataclass(frozen=True, slots=True)
 class Axes:
-    """What the compared signal is called: its quantity and unit, the unit of the motion, and on which side both are.
+    """Names and units of the compared signal and of the motion, and the side of the transmission both are on.
 
     `side` follows a quantity on an axis, as ", load side"; it is empty without a transmission.
     """
@@ -71,7 +71,7 @@ def torque_chart(given: Dossier) -> Chart:
     names = Axes.of(estimate)
     time = np.asarray(np.arange(estimate.fit.measured.size) * estimate.data.sample_time, dtype=np.float64)
     error = estimate.fit.measured - estimate.fit.predicted
-    t, measured, predicted, remains = thinned(time, estimate.fit.measured, estimate.fit.predicted, error, most=_SAMPLES)
+    t, measured, predicted, remains = thin(time, estimate.fit.measured, estimate.fit.predicted, error, most=_SAMPLES)
     low, high = liveliest(estimate.fit.measured)
     near = time[low:high]
     panels = [
@@ -91,7 +91,7 @@ def torque_chart(given: Dossier) -> Chart:
         Panel("", f"error [{names.unit}]", (Line(t, remains, ERROR, "error", 0.8),), height=190, group="time"),
     ]  # fmt: skip
     if motion is not None:
-        ts, velocity = thinned(time, motion.velocity, most=_MOVING)
+        ts, velocity = thin(time, motion.velocity, most=_MOVING)
         panels.append(
             Panel(
                 "",
@@ -167,7 +167,7 @@ def residual_chart(given: Dossier) -> Chart | None:
 
 def _cloud(x: FloatArray, error: FloatArray, of: Mapping[str, NDArray[np.bool_]]) -> tuple[Item, ...]:
     """Return points, and their means over cells of x for each choice of samples."""
-    items: list[Item] = [Dots(strided(x, _POINTS), strided(error, _POINTS), "#888888")]
+    items: list[Item] = [Dots(stride(x, _POINTS), stride(error, _POINTS), "#888888")]
     for (label, chosen), colour in zip(of.items(), (OTHERS[3], OTHERS[0]), strict=False):
         if np.count_nonzero(chosen) < 2 * _FEW or np.ptp(x[chosen]) == 0:
             continue

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from jointid.common import units
-from jointid.common.text import aligned, number, shown
+from jointid.common.document import Block, Document, Documented, Listing, Paragraph, Table
+from jointid.common.text import number, shown
 from jointid.records.columns import unit_in_name
 from jointid.records.files.outline import Outline, OutlineBuilder
 from jointid.records.formats import format_of, read_tables
@@ -50,7 +51,7 @@ class InspectedChannel:
 
 
 @dataclass(frozen=True, slots=True)
-class Inspection:
+class Inspection(Documented):
     """Contents of a file.
 
     Attributes:
@@ -69,18 +70,21 @@ class Inspection:
     scalars: Mapping[str, float]
     passed: Mapping[str, str]
 
-    def __str__(self) -> str:
+    def document(self, *, details: bool = False) -> Document:
+        """Return the table of the channels, single numbers, what is not read, and the clocks; all of it always."""
+        del details
         header = ("channel", "rows", "unit", "sample time", "min", "max", "NaN", "picture")
-        rows = [_table_row(channel) for channel in self.channels]
-        lines = [f"{shown(self.file)}: {self.format}, {self.size} bytes, {len(self.channels)} channels"]
-        if rows:
-            right = (False, True, False, True, True, True, True, False)
-            lines += ["", aligned(header, rows, right)]
+        rows = tuple(map(_table_row, self.channels))
+        blocks: list[Block] = [Table(header, rows, words=(0, 2, 7))] if rows else []
         if self.scalars:
-            lines += ["", "single numbers: " + ", ".join(f"{shown(n)} {v:.6g}" for n, v in self.scalars.items())]
+            numbers = ", ".join(f"{shown(n)} {v:.6g}" for n, v in self.scalars.items())
+            blocks.append(Paragraph(f"single numbers: {numbers}"))
         if self.passed:
-            lines += ["", *(f"not read: {shown(name)} ({shown(why)})" for name, why in self.passed.items())]
-        return "\n".join([*lines, "", *self.clocks()])
+            blocks.append(
+                Listing(tuple(f"not read: {shown(name)} ({shown(why)})" for name, why in self.passed.items()))
+            )
+        title = f"{shown(self.file)}: {self.format}, {self.size} bytes, {len(self.channels)} channels"
+        return Document(title, (*blocks, Listing(tuple(self.clocks()))))
 
     def clocks(self) -> list[str]:
         """Return a sentence on each clock."""

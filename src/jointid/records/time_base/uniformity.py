@@ -83,11 +83,6 @@ class Resampled:
         return f"to {1e3 * self.sample_time:g} ms ({how}); stamps of {logged}"
 
 
-def resampled_lines(resampled: Resampled | None) -> tuple[str, ...]:
-    """Return the line of a table on the resampling of a record; none where it was not resampled."""
-    return () if resampled is None else (f"resampled: {resampled}",)
-
-
 def measure_irregularity(stamps: FloatArray) -> Irregularity:
     """Return how far stamps [s], shape (samples,), two or more and finite, are from a uniform clock.
 

@@ -1,0 +1,60 @@
+"""A document on a terminal, with colour: what passed is green, what did not red, and numbers stand out."""
+
+from __future__ import annotations
+
+from rich.console import Console, Group, RenderableType
+from rich.padding import Padding
+from rich.panel import Panel
+from rich.table import Table as Grid
+from rich.text import Text
+
+from jointid.common.document import Block, Code, Document, Facts, Heading, Listing, Paragraph, Picture, Table, Verdicts
+from jointid.common.text import printable
+
+_MARKS = {True: ("yes", "green"), False: ("no", "bold red"), None: ("?", "yellow")}
+
+
+def print_document(document: Document, console: Console | None = None) -> None:
+    """Print a document; names of files are plain text to it, whatever they hold."""
+    blocks = [Padding(_rendered(block), (1, 0, 0, 0)) for block in document.blocks]
+    (console or Console()).print(Panel(_text(document.title, "bold"), expand=False), Group(*blocks))
+
+
+def _rendered(block: Block) -> RenderableType:
+    if isinstance(block, Table):
+        return _table(block)
+    if isinstance(block, Facts | Verdicts):
+        return _pairs(block)
+    if isinstance(block, Listing):
+        return _text("\n".join(block.items))
+    if isinstance(block, Code):
+        return _text(f"{block.caption}\n{block.text}".lstrip())
+    assert isinstance(block, Heading | Paragraph | Picture)
+    return _text(block.text, "bold" if isinstance(block, Heading) else "")
+
+
+def _table(block: Table) -> Grid:
+    # Unfolded, or a narrow terminal would cut numbers.
+    title = _text(block.caption, "bold") if block.caption else None
+    grid = Grid(title=title, title_justify="left", box=None, pad_edge=False, header_style="dim")
+    for i, name in enumerate(block.header):
+        grid.add_column(_text(name), justify="left" if i in block.words else "right", no_wrap=i not in block.words)
+    for row in block.rows:
+        grid.add_row(*map(_text, row))
+    return grid
+
+
+def _pairs(block: Facts | Verdicts) -> Grid:
+    grid = Grid.grid(padding=(0, 2, 0, 0))
+    if isinstance(block, Facts):
+        for name, value in block.pairs:
+            grid.add_row(_text(name, "yellow" if name == "warning" else "dim"), _text(value))
+        return grid
+    for asked, good, reasons in block.rows:
+        mark, style = _MARKS[good]
+        grid.add_row(_text(asked), _text(mark, style), _text("\n".join(reasons)))
+    return grid
+
+
+def _text(text: str, style: str = "") -> Text:
+    return Text(printable(text), style=style)
