@@ -77,7 +77,8 @@ def _complete_with(keys: Mapping[str, Typed]) -> Callable[[type[T]], type[T]]:
 
 def _key(same: Sequence[Declared], typed: Typed | None) -> Typed:
     """Return annotation and field of a key, from its declarations."""
-    described = "; ".join(dict.fromkeys(one.setting.description for one in same))
+    unit = same[0].setting.unit
+    described = "; ".join(dict.fromkeys(one.setting.help for one in same)) + (f" [{unit}]" if unit else "")
     annotation, default = typed or (annotation_of(same[0]), _default(same))
     if callable(default):
         return annotation, Field(default_factory=default, description=described)
