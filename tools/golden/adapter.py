@@ -776,7 +776,7 @@ def _within(path: Path) -> Any:
 
 def load(joint: Path, record: Path, **overridden: Any) -> tuple[Any, Any]:
     """Return a joint file, overridden, and its record."""
-    file = ji.load(joint).overridden(**overridden)
+    file = ji.load(joint).override(**overridden)
     return file, file.record(record)
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from decimal import ROUND_DOWN, Decimal
 
-from jointid.models.joints import frequencies
+from jointid import frequencies
 from jointid.paper.published import EXPERIMENT, SYMBOLS, TABLES, Cell
 from jointid.paper.recomputed import (
     DENOMINATORS,

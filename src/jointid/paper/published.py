@@ -15,7 +15,7 @@ from decimal import Decimal
 from types import MappingProxyType
 from typing import TypeAlias
 
-from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid import FlexibleJoint, RigidJoint
 
 Rows: TypeAlias = Mapping[str, tuple[Decimal, ...]]
 Cell: TypeAlias = tuple[str, str]

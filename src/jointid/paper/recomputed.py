@@ -12,10 +12,9 @@ from decimal import ROUND_DOWN, Decimal
 from types import MappingProxyType
 from typing import Literal, TypeAlias
 
+from jointid import Filtering, FlexibleJoint, RigidJoint, frequencies, rigid_sums
 from jointid.common.text import aligned, number
-from jointid.models.joints import FlexibleJoint, RigidJoint, frequencies, rigid_sums
 from jointid.paper.published import REGRESSOR, SYMBOLS, TABLES, Cell, Table
-from jointid.records.signals.filtering import Filtering
 
 Denominator: TypeAlias = Literal["DIDIM", "IDIM"]
 

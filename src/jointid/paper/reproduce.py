@@ -13,19 +13,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from jointid import (
+    DIDIM,
+    IDIM,
+    ClosedLoop,
+    Estimate,
+    Filtering,
+    FlexibleDIDIM,
+    IdentifiedJoint,
+    Record,
+    RigidJoint,
+    Validation,
+    identify,
+    validate,
+)
 from jointid.common.progress import Progress, silent
-from jointid.diagnostics.validation import Validation, validate
-from jointid.estimation.identify import identify
-from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.flexible import FlexibleDIDIM
-from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.result.estimate import Estimate, IdentifiedJoint
-from jointid.models.joints import RigidJoint
 from jointid.paper.recomputed import DENOMINATORS, Denominator
 from jointid.paper.twin import Twin, twin
-from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering
-from jointid.simulation.loop_input import ClosedLoop
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,16 +20,11 @@ from typing import Literal
 
 import numpy as np
 
+from jointid import Cascade, ClosedLoop, Filtering, FlexibleJoint, Record, pulses, simulated_record, trapezoids
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.models.controllers import Cascade
-from jointid.models.joints import FlexibleJoint
 from jointid.paper.published import TABLES
-from jointid.records.record import Record
-from jointid.records.signals.excitation import pulses, trapezoids
-from jointid.records.signals.filtering import Filtering, decimate
-from jointid.simulation.loop_input import ClosedLoop
-from jointid.simulation.synthesis import simulated_record
+from jointid.records.signals.filtering import decimate
 
 SAMPLE_TIME = 1e-3
 DURATION = 24.0

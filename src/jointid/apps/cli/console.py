@@ -11,9 +11,8 @@ from jointid.common.progress import Progress, silent
 from jointid.common.text import printable
 
 if TYPE_CHECKING:
+    from jointid import Estimate, Record
     from jointid.config import JointFile
-    from jointid.estimation.result.estimate import Estimate
-    from jointid.records.record import Record
 
 _PATIENCE = 2.0  # seconds after which the simulation is not being loaded but compiled
 

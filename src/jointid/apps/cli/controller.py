@@ -32,10 +32,10 @@ def controller(
             it is, but for the paths of records, which from another folder lead to the same files.
         quiet: say nothing of the progress.
     """
+    from jointid import learn_loop
     from jointid.apps.cli.console import check_outputs, progress, show
     from jointid.config import controller_text, load
     from jointid.config.write_controller import save
-    from jointid.controller_id.learn import learn_loop
 
     check_outputs(None, json, write)
     file = load(joint, changes)

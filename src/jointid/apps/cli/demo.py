@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
-    from jointid.estimation.result.estimate import Estimate
+    from jointid import Estimate
 
 
 def demo(
@@ -29,16 +29,15 @@ def demo(
         seed: of the noise.
         quiet: say nothing of the progress.
     """
+    from jointid import identify, twin, write
     from jointid.apps.cli.console import make_folder, progress, ready, show
     from jointid.common.errors import RecordError
     from jointid.common.text import aligned, number
     from jointid.config import load
     from jointid.diagnostics.check_loop import with_loop_verdict
-    from jointid.estimation.identify import identify
     from jointid.output import json as answers
     from jointid.output.figures.figures import save, torque_figure
-    from jointid.paper.twin import JOINT_FILE, twin
-    from jointid.records.files.writing import write
+    from jointid.paper.twin import JOINT_FILE
 
     listener = progress(quiet)
     made = make_folder(folder)

@@ -10,10 +10,9 @@ from cyclopts import Parameter
 from jointid.apps.cli.options import Changes
 
 if TYPE_CHECKING:
+    from jointid import Estimate, Windowing
     from jointid.common.progress import Progress
     from jointid.config import JointFile
-    from jointid.estimation.result.estimate import Estimate
-    from jointid.estimation.streaming.settings import Windowing
 
 
 def identify(
@@ -65,10 +64,10 @@ def identify(
         details: print every verdict with all its reasons, the method's tests, effort and settings.
         quiet: say nothing of the progress.
     """
+    from jointid import Windowing
     from jointid.apps.cli.console import check_outputs, identified, progress, show
     from jointid.config import load
     from jointid.diagnostics.check_loop import with_loop_verdict
-    from jointid.estimation.streaming.settings import Windowing
 
     listener = progress(quiet)
     check_outputs(figure, json)
@@ -103,7 +102,7 @@ def identify(
 
         save(torque_figure(estimate), figure)
     if logged is not None and estimate.checks.bounds:
-        from jointid.diagnostics.stiffness_test_design import what_would_tell_more
+        from jointid import what_would_tell_more
 
         show(f"\n{what_would_tell_more(estimate, logged)}")
     if estimate.fit.interrupted:
@@ -111,10 +110,9 @@ def identify(
 
 
 def _from_several(file: JointFile, records: list[Path], listener: Progress) -> Estimate:
+    from jointid import SeveralRecords, identify
     from jointid.apps.cli.console import ready
     from jointid.common.errors import MethodError
-    from jointid.estimation.identify import identify
-    from jointid.estimation.several_records.settings import SeveralRecords
 
     each = file.each(records)
     loops = [one.loop for one in each if one.loop is not None]
@@ -137,9 +135,9 @@ def _from_several(file: JointFile, records: list[Path], listener: Progress) -> E
 
 
 def _from_log(file: JointFile, records: list[Path], windows: Windowing, listener: Progress) -> Estimate:
+    from jointid import identify
     from jointid.apps.cli.console import ready
     from jointid.common.errors import MethodError
-    from jointid.estimation.identify import identify
 
     if len(records) > 1:
         raise MethodError(

@@ -71,13 +71,13 @@ def _joint(
     json: Path | None,
     quiet: bool,
 ) -> None:
+    from jointid import prepare, simulate
     from jointid.apps.cli.console import progress, ready, show
     from jointid.common.errors import MethodError
     from jointid.config import load
     from jointid.models.transmission import transmission_lines
     from jointid.output import json as answers
-    from jointid.simulation.closed_loop import require_finished, simulate
-    from jointid.simulation.loop_input import prepare
+    from jointid.simulation.closed_loop import require_finished
 
     file = load(joint, changes)
     if estimate is not None:
@@ -119,9 +119,8 @@ def _twin(
     out: Path,
     quiet: bool,
 ) -> None:
+    from jointid import twin, write
     from jointid.apps.cli.console import progress, ready, show
-    from jointid.paper.twin import twin
-    from jointid.records.files.writing import write
 
     ready(progress(quiet), derivatives=False)
     axis = twin(loop, added_mass=added_mass, noise=noise, seed=seed)

@@ -44,11 +44,11 @@ def tune(
         figure: also save the responses of joint and loop, with the interval as a band, as PNG, SVG or PDF.
         quiet: say nothing of the progress.
     """
+    from jointid import Tuning
+    from jointid import tune as run
     from jointid.apps.cli.console import check_outputs, identified, progress, show
     from jointid.config import load
     from jointid.diagnostics.check_loop import with_loop_verdict
-    from jointid.tuning.settings import Tuning
-    from jointid.tuning.tune import tune as run
 
     listener = progress(quiet)
     check_outputs(figure, json)

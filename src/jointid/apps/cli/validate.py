@@ -34,9 +34,9 @@ def validate(
         residuals: also save the error against velocity and position, and its autocorrelation, likewise.
         quiet: say nothing of the progress.
     """
+    from jointid import validate as run
     from jointid.apps.cli.console import check_outputs, progress, ready, show
     from jointid.config import load
-    from jointid.diagnostics.validation import validate as run
     from jointid.output import json as answers
 
     check_outputs(figure, json)

@@ -12,18 +12,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
+from jointid import PD, PID, Cascade, Column, Drive, Filtering, FlexibleDIDIM, Gravity, Transmission
 from jointid.common.settings import Declared, settings_of
 from jointid.common.units import units_of
 from jointid.config.sources import Source
-from jointid.estimation.methods.flexible import FlexibleDIDIM
-from jointid.models.controllers import PD, PID, Cascade
 from jointid.models.friction import FRICTIONS
-from jointid.models.gravity import Gravity
-from jointid.models.transmission import Transmission
-from jointid.records.columns import Column, known_units, unit_in_name
-from jointid.records.drives.drive import Drive
+from jointid.records.columns import known_units, unit_in_name
 from jointid.records.record import CHANNELS
-from jointid.records.signals.filtering import Filtering
 
 Form: TypeAlias = Literal["number", "numbers", "text", "choice", "column", "unit", "sign", "flag"]
 Draft: TypeAlias = Mapping[str, str]

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 from jointid.common.errors import FaultsError, JointidError
 
 if TYPE_CHECKING:
+    from jointid import Record
     from jointid.config import JointFile
-    from jointid.records.record import Record
 
 REFUSED = 2
 
@@ -45,8 +45,7 @@ def preview(folder: Path) -> None:
 
 def simulate(folder: Path) -> None:
     """Simulate the digital twin, and write `example.csv`."""
-    from jointid.paper.twin import twin
-    from jointid.records.files.writing import write
+    from jointid import twin, write
 
     write(twin().record, folder / "example.csv")
 
@@ -91,8 +90,8 @@ def identify(folder: Path) -> None:
 
 def _learn(folder: Path, work: dict[str, Any]) -> None:
     """Learn the controller, and write the joint file that has it."""
+    from jointid import learn_loop
     from jointid.config import JointFile, dumps
-    from jointid.controller_id.learn import learn_loop
 
     _tell("learning the controller")
     reading = JointFile.of(work["learn"]["reading"])

@@ -33,8 +33,8 @@ def convert(
         header: whether a text file that is read names its columns, likewise.
         mat_version: of a MAT file that is written; 7.3 is HDF5.
     """
+    from jointid import convert as turn
     from jointid.apps.cli.console import check_outputs, show
-    from jointid.records.files.converting import convert as turn
 
     check_outputs(None, *([target] if target.suffix else []))
     given = {"delimiter": delimiter, "decimal": decimal, "header": header}

@@ -30,8 +30,8 @@ def inspect(
         json: also write the answer as JSON to this file.
         figure: also save a picture of all channels, PNG, SVG or PDF by its suffix.
     """
+    from jointid import inspect as look
     from jointid.apps.cli.console import check_outputs, show
-    from jointid.records.files.inspection import inspect as look
 
     check_outputs(figure, json)
     given = {"delimiter": delimiter, "decimal": decimal, "header": header}

@@ -32,10 +32,10 @@ def intervals(
         refit: every draw is a whole fit, which takes minutes; otherwise it is one linear step.
         quiet: say nothing of the progress.
     """
+    from jointid import intervals as run
     from jointid.apps.cli.console import identified, progress, show
     from jointid.common.errors import MethodError
     from jointid.config import load
-    from jointid.diagnostics.intervals import intervals as run
     from jointid.diagnostics.intervals import require_quantities
 
     if not of and not bootstrap:

@@ -30,9 +30,9 @@ def loop(
         json: also write the answer as JSON to this file.
         quiet: say nothing of the progress.
     """
+    from jointid import check_loop
     from jointid.apps.cli.console import check_outputs, identified, progress, show
     from jointid.config import load
-    from jointid.diagnostics.check_loop import check_loop
 
     listener = progress(quiet)
     check_outputs(None, json)

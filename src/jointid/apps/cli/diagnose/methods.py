@@ -30,11 +30,10 @@ def methods(
         json: also write the answer as JSON to this file.
         quiet: say nothing of the progress.
     """
+    from jointid import DIDIM, FlexibleDIDIM
+    from jointid import compare as run
     from jointid.apps.cli.console import check_outputs, progress, ready, show
     from jointid.config import load
-    from jointid.diagnostics.method_comparison import compare as run
-    from jointid.estimation.methods.didim import DIDIM
-    from jointid.estimation.methods.flexible import FlexibleDIDIM
 
     listener = progress(quiet)
     check_outputs(None, json)

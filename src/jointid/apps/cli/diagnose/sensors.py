@@ -34,10 +34,10 @@ def sensors(
         json: also write the answer as JSON to this file.
         quiet: say nothing of the progress.
     """
+    from jointid import advise as run
+    from jointid import revealing
     from jointid.apps.cli.console import check_outputs, identified, progress, show
     from jointid.config import load
-    from jointid.diagnostics.experiment_design import advise as run
-    from jointid.diagnostics.stiffness_test_design import revealing
     from jointid.output import json as answers
 
     listener = progress(quiet)
