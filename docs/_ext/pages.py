@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
 import os
@@ -60,9 +61,16 @@ def relinked(text: str, here: Path, there: Path) -> str:
     return _LINK.sub(moved, text)
 
 
+def _homes() -> dict[str, str]:
+    """Return the module of every public name, from the stub that lists them."""
+    stub = Path(jointid.__file__).with_suffix(".pyi").read_text(encoding="utf-8")
+    imports = [node for node in ast.parse(stub).body if isinstance(node, ast.ImportFrom)]
+    return {alias.name: str(node.module) for node in imports for alias in node.names}
+
+
 def _api() -> dict[str, str]:
     """Return a page for each room that has public names, in the order of their rooms."""
-    homes = {name: getattr(jointid, "_HOME")[name] for name in jointid.__all__}  # noqa: B009
+    homes = _homes()
     rooms = groupby(sorted(jointid.__all__, key=lambda name: homes[name]), lambda name: homes[name].split(".")[0])
     pages = {}
     for room, names in rooms:
