@@ -30,7 +30,7 @@ def test_profiles_agree_with_the_table_where_the_criterion_is_a_parabola(estimat
     low, high = (1 / (end or 1.0) for end in reversed(compliance.interval))
     for profile, value, std in (
         (stiffness, estimate.values["stiffness"], estimate["stiffness"].stderr),
-        (total, *estimate.total(("motor_viscous", "load_viscous"))),
+        (total, *estimate.params.total(("motor_viscous", "load_viscous"))),
     ):
         assert profile.bounded
         assert profile.interval[0] == pytest.approx(value - 2 * std, abs=0.2 * std)
