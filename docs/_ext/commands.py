@@ -84,7 +84,7 @@ def _values(argument: Argument) -> str:
     hint = re.sub(r"<class '(?:\w+\.)*(\w+)'>", r"\1", str(argument.hint))
     for found, word in (("bool", "—"), ("Path", "path"), ("float", "number"), ("int", "whole number"), ("str", "text")):
         if found in hint:
-            return f"{word}, may be repeated" if "list" in hint else word
+            return f"{word}, may be repeated" if "list" in hint or "tuple" in hint else word
     raise ValueError(f"{argument.name} takes {hint}: say in docs/_ext/commands.py what that is in words.")
 
 
@@ -92,7 +92,7 @@ def _default(argument: Argument) -> str:
     default = argument.field_info.default
     if argument.required:
         return "required"
-    return "—" if default in (None, False, argument.field_info.empty) else f"`{default}`"
+    return "—" if default in (None, False, (), argument.field_info.empty) else f"`{default}`"
 
 
 if __name__ == "__main__":

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from cyclopts import App
 
 from jointid.common.errors import JointFileError
 from jointid.config import loads
@@ -110,12 +108,3 @@ def test_every_command_that_takes_a_joint_file_takes_changes_of_it() -> None:
             taking.add(name)
             assert "--set" in names, name
     assert {"identify", "report", "simulate", "tune", "diagnose loop"} <= taking
-
-
-def _commands(group: App, before: str = "") -> Iterator[tuple[str, App]]:
-    """Yield the commands of a program by name, those of its groups, too."""
-    for name in (name for name in group if not name.startswith("-")):
-        if group[name].default_command is None:
-            yield from _commands(group[name], f"{before}{name} ")
-        else:
-            yield before + name, group[name]

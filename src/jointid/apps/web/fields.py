@@ -16,7 +16,7 @@ from jointid.common.settings import Declared, settings_of
 from jointid.common.units import units_of
 from jointid.config.sources import Source
 from jointid.estimation.methods.flexible import FlexibleDIDIM
-from jointid.models.controllers import PD, PID, Cascade, DiagramController
+from jointid.models.controllers import PD, PID, Cascade
 from jointid.models.friction import FRICTIONS
 from jointid.models.gravity import Gravity
 from jointid.models.transmission import Transmission
@@ -251,17 +251,15 @@ CONTROLLER = (
     _of(PD, "controller.kp", "Proportional gain kp", "", when={"controller.law": ("pd", "pid")}, variant="pd"),
     _of(PID, "controller.ki", "Integral gain ki", "", when={"controller.law": ("pid",)}, variant="pid"),
     _of(PD, "controller.kd", "Derivative gain kd", "", when={"controller.law": ("pd", "pid")}),
-    _of(DiagramController, "controller.velocity_filter", "Velocity filter",
-        "Numbers that weigh this and earlier velocities: 0.5, 0.5 is the mean of two. Empty for none.", when=_LAWED),
-    _of(DiagramController, "controller.gain", "Torque per controller unit",
-        "1 if the controller speaks N or N m already; the drive's gain if it speaks volts or ampere.",
-        unit=("N per unit", "N m per unit"), when={"controller.law": (*LAWS, LEARN)}),
-    _of(DiagramController, "controller.limit", "Torque limit", "Of the controller's output, both ways; empty for none.",
+    _of(PD, "controller.velocity_filter", "Velocity filter", "Numbers that weigh this and earlier velocities: 0.5, "
+        "0.5 is the mean of two. Empty for none.", when=_LAWED),
+    _of(PD, "controller.gain", "Torque per controller unit", "1 if the controller speaks N or N m already; the "
+        "drive's gain if it speaks volts or ampere.", unit=("N per unit", "N m per unit"),
+        when={"controller.law": (*LAWS, LEARN)}),
+    _of(PD, "controller.limit", "Torque limit", "Of the controller's output, both ways; empty for none.",
         when=_LAWED),
-    _of(DiagramController, "controller.delay", "Delay",
-        "From the sampled position to the torque; empty for none.", when=_LAWED),
-    _of(DiagramController, "controller.period", "Period",
-        "Of the controller, if it is not that of the log.", when=_LAWED),
+    _of(PD, "controller.delay", "Delay", "From the sampled position to the torque; empty for none.", when=_LAWED),
+    _of(PD, "controller.period", "Period", "Of the controller, if it is not that of the log.", when=_LAWED),
 )  # fmt: skip
 
 METHOD = (
