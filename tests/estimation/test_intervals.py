@@ -29,8 +29,8 @@ def test_profiles_agree_with_the_table_where_the_criterion_is_a_parabola(estimat
     stiffness, compliance, total = found.profiles
     low, high = (1 / (end or 1.0) for end in reversed(compliance.interval))
     for profile, value, std in (
-        (stiffness, estimate.values["stiffness"], estimate["stiffness"].std),
-        (total, *estimate.total(("motor_viscous", "load_viscous"))),
+        (stiffness, estimate.values["stiffness"], estimate["stiffness"].stderr),
+        (total, *estimate.params.total(("motor_viscous", "load_viscous"))),
     ):
         assert profile.bounded
         assert profile.interval[0] == pytest.approx(value - 2 * std, abs=0.2 * std)
@@ -44,7 +44,7 @@ def test_bootstraps_agree_with_the_table(estimate) -> None:  # type: ignore[no-u
         assert one is not None
         names = [p.name for p in one.parameters]
         for name in ("motor_inertia", "load_inertia", "stiffness"):
-            assert one.std[names.index(name)] == pytest.approx(estimate[name].std, rel=0.4)
+            assert one.std[names.index(name)] == pytest.approx(estimate[name].stderr, rel=0.4)
     assert "1000 draws" in str(found)
 
 

@@ -306,7 +306,7 @@ def without_stiffness(estimate: Estimate) -> Estimate:
 def test_of_a_refused_stiffness_the_worst_is_over_all_springs_that_are_left(estimate: Estimate) -> None:
     found = tune(without_stiffness(estimate), Tuning(notch=False))
     assert "30.0 Hz at 0.3; 95 % each" in found.interval
-    assert "a share of 0.5 is not looked at" in found.interval
+    assert "a share of 0.5 is left out" in found.interval
     assert 'what stands "at the estimate" is of the softest spring' in str(found)
     interval = possible_joints(without_stiffness(estimate), 0.95, PERIOD)
     modes = [frequencies(one)["free_free"] for one in interval.others]

@@ -812,7 +812,7 @@ def whole(found: Any) -> Json:
             "directions": [_known(one) for one in known.directions],
             "condition": number(known.condition),
             "undetermined": [_name(name) for name in known.undetermined],
-            "sentences": len(known.sentences),
+            "sentences": len(known.limitations),
         }
     return answer
 
