@@ -29,4 +29,4 @@ def compare(
     found = run(answers.read_report(before), answers.read_report(after), level)
     show(found)
     if json is not None:
-        answers.write(answers.drift_answer(found), json)
+        answers.write(answers.to_dict(found), json)

@@ -57,7 +57,7 @@ def demo(
         progress=listener,
     )  # fmt: skip
     estimate = with_loop_verdict(estimate, logged)
-    answers.write(answers.estimate_answer(estimate), made / "estimate.json")
+    answers.write(answers.to_dict(estimate), made / "estimate.json")
     save(torque_figure(estimate), made / "torque.png")
     show(estimate)
     rows = []

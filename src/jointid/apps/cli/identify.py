@@ -96,7 +96,7 @@ def identify(
     if json is not None:
         from jointid.output import json as answers
 
-        answers.write(answers.estimate_answer(estimate), json)
+        answers.write(answers.to_dict(estimate), json)
     if figure is not None:
         from jointid.output.figures.figures import save, torque_figure
 

@@ -62,7 +62,7 @@ def tune(
     if json is not None:
         from jointid.output import json as answers
 
-        answers.write(answers.tuning_answer(tuned), json)
+        answers.write(answers.to_dict(tuned), json)
     if figure is not None:
         from jointid.output.figures.figures import save
         from jointid.output.figures.tuning_figure import tuning_figure

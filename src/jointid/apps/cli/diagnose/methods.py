@@ -52,4 +52,4 @@ def methods(
     if json is not None:
         from jointid.output import json as answers
 
-        answers.write(answers.comparison_answer(comparison), json)
+        answers.write(answers.to_dict(comparison), json)

@@ -47,10 +47,10 @@ def sensors(
     if estimate.checks.bounds:
         found = revealing(estimate, logged, encoder_step=encoder_step, noise=noise, progress=listener)
         show(found)
-        answer = answers.revealing_answer(found)
+        answer = answers.to_dict(found)
     else:
         advice = run(estimate, logged, encoder_step=encoder_step, noise=noise, progress=listener)
         show(advice)
-        answer = answers.advice_answer(advice)
+        answer = answers.to_dict(advice)
     if json is not None:
         answers.write(answer, json)
