@@ -30,7 +30,7 @@ from jointid.uncertainty.endogeneity_test import ChiSquareTest
 from jointid.uncertainty.identifiability import Identifiability
 from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.residual_tests import ResidualReport
-from jointid.uncertainty.verdict import StiffnessBound, Verdict
+from jointid.uncertainty.verdict import StiffnessBound, Subject, Verdict
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -246,8 +246,12 @@ class Estimate(Documented):
 
     @property
     def success(self) -> bool:
-        """True if the search converged and no verdict speaks against the estimate."""
-        return self.fit.converged and all(v.good is not False for v in self.checks.verdicts)
+        """True if the search ended well: it converged, its starts agree, and no bound holds a parameter.
+
+        Whether the model suits the record, and what the record tells, is in `checks.verdicts`.
+        """
+        search = (Subject.SOLVER, Subject.BOUNDS)
+        return self.fit.converged and all(v.good is not False for v in self.checks.verdicts if v.subject in search)
 
     @property
     def covariance(self) -> FloatArray:
