@@ -30,7 +30,7 @@ from jointid.uncertainty.endogeneity_test import ChiSquareTest
 from jointid.uncertainty.identifiability import Identifiability
 from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.residual_tests import ResidualReport
-from jointid.uncertainty.verdict import StiffnessBound, Subject, Verdict
+from jointid.uncertainty.verdict import StiffnessBound, Verdict
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -246,12 +246,8 @@ class Estimate(Documented):
 
     @property
     def success(self) -> bool:
-        """True if the search ended well: it converged, its starts agree, and no bound holds a parameter.
-
-        Whether the model suits the record, and what the record tells, is in `checks.verdicts`.
-        """
-        search = (Subject.SOLVER, Subject.BOUNDS)
-        return self.fit.converged and all(v.good is not False for v in self.checks.verdicts if v.subject in search)
+        """True if the search converged and no parameter of the joint is refused; the verdicts say more."""
+        return self.fit.converged and all(p.value is not None for p in self.params if p.of_joint)
 
     @property
     def covariance(self) -> FloatArray:
