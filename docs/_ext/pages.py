@@ -69,7 +69,7 @@ def _homes() -> dict[str, str]:
 
 
 def _api() -> dict[str, str]:
-    """Return a page for each room that has public names, in the order of their rooms."""
+    """Return a page for each folder that has public names, in their order."""
     homes = _homes()
     rooms = groupby(sorted(jointid.__all__, key=lambda name: homes[name]), lambda name: homes[name].split(".")[0])
     pages = {}
@@ -91,7 +91,7 @@ def _api_page(room: str, said: str, names: list[str]) -> str:
 
 
 def _bases(room: str, names: list[str]) -> list[str]:
-    """Return the bases that public classes of a room have there and that are no public names themselves."""
+    """Return the bases that public classes of a folder have there and that are no public names themselves."""
     classes = [thing for name in names if isinstance(thing := getattr(jointid, name), type)]
     found = {
         f"{base.__module__}.{base.__qualname__}": None
