@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from jointid.common.errors import MethodError
 from jointid.diagnostics.loop_check import LoopCheck
-from jointid.diagnostics.misspecification_tests import LoopTests, suspected
+from jointid.diagnostics.misspecification_tests import LoopTests, find_faults
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL
 from jointid.estimation.result.estimate import Estimate
@@ -55,10 +55,10 @@ def check_loop(estimate: Estimate, record: Record, settings: LoopTests | None = 
     free = {p.name for p in estimate.params if p.free}
     kept = tuple(p if p.name in free else p.fixed(values[p.name]) for p in problem.parameters)
     solved = replace(problem, parameters=kept).freeing(*freed)
-    return suspected(solved, solved.vector(values), settings)
+    return find_faults(solved, solved.vector(values), settings)
 
 
-def with_loop_verdict(estimate: Estimate, record: Record) -> Estimate:
+def add_loop_verdict(estimate: Estimate, record: Record) -> Estimate:
     """Return an estimate with one more verdict: whether its loop and its log are as declared.
 
     An estimate that simulated no loop, or refuses a parameter, comes back with the verdict that it was not looked at,
@@ -68,10 +68,10 @@ def with_loop_verdict(estimate: Estimate, record: Record) -> Estimate:
         estimate: of the record.
         record: that it was identified from.
     """
-    return looked_at(estimate, record)[0]
+    return add_loop_check(estimate, record)[0]
 
 
-def looked_at(estimate: Estimate, record: Record) -> tuple[Estimate, LoopCheck | None]:
+def add_loop_check(estimate: Estimate, record: Record) -> tuple[Estimate, LoopCheck | None]:
     """Return an estimate as `with_loop_verdict` does, and the check; None where there was none."""
     if estimate.settings.loop is None:
         return estimate, None

@@ -21,7 +21,7 @@ LEVEL = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Quantity:
+class ReportedQuantity:
     """One quantity of an estimate as its file tells it.
 
     Attributes:
@@ -42,7 +42,7 @@ class Quantity:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class ReportedEstimate:
     """An estimate as far as its file tells it.
 
     Attributes:
@@ -67,12 +67,12 @@ class Told:
     torque_unit: str
     settings: Mapping[str, str]
     error: float
-    quantities: tuple[Quantity, ...]
-    sums: tuple[Quantity, ...]
+    quantities: tuple[ReportedQuantity, ...]
+    sums: tuple[ReportedQuantity, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Changed:
+class QuantityChange:
     """One quantity in both estimates.
 
     Attributes:
@@ -81,7 +81,7 @@ class Changed:
         difference: after less before; None where there is none.
         std: of the difference; None where it is not tested.
         p_value: of so large a difference by chance, for all that are tested together; None where it is not tested.
-        said: why it is not tested, in words.
+        reason: why it is not tested, in words.
     """
 
     name: str
@@ -92,11 +92,11 @@ class Changed:
     difference: float | None
     std: float | None
     p_value: float | None = None
-    said: str = ""
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class ReportComparison(Documented):
+class EstimateComparison(Documented):
     """What changed between two estimates.
 
     Attributes:
@@ -106,9 +106,9 @@ class ReportComparison(Documented):
         notes: what the reader must know, one sentence each.
     """
 
-    before: Told
-    after: Told
-    rows: tuple[Changed, ...]
+    before: ReportedEstimate
+    after: ReportedEstimate
+    rows: tuple[QuantityChange, ...]
     level: float
     notes: tuple[str, ...]
 
@@ -118,7 +118,7 @@ class ReportComparison(Documented):
         return bool(self.before.fingerprint) and self.before.fingerprint == self.after.fingerprint
 
     @property
-    def changed(self) -> tuple[Changed, ...]:
+    def changed(self) -> tuple[QuantityChange, ...]:
         """What changed, the surest first."""
         found = [row for row in self.rows if row.p_value is not None and row.p_value <= self.level]
         return tuple(sorted(found, key=lambda row: row.p_value or 0.0))
@@ -132,7 +132,7 @@ class ReportComparison(Documented):
         if not self.changed:
             said = f"Nothing changed that is more than the errors of both, of {tested} quantities at {self.level:g}."
             return (said, *self.notes)
-        told = [_told(row) for row in self.changed]
+        told = [_describe_change(row) for row in self.changed]
         return (f"{len(told)} of {tested} quantities changed: {'; '.join(told)}.", *self.notes)
 
     def document(self, *, details: bool = False) -> Document:
@@ -150,16 +150,16 @@ class ReportComparison(Documented):
         )
         return Document("Two estimates of one joint, compared", blocks)
 
-    def _row(self, row: Changed) -> tuple[str, ...]:
-        p = "-" if row.p_value is None else _p(row.p_value)
-        mark = "changed" if row in self.changed else row.said
+    def _row(self, row: QuantityChange) -> tuple[str, ...]:
+        p = "-" if row.p_value is None else _format_p(row.p_value)
+        mark = "changed" if row in self.changed else row.reason
         return (
             row.symbol, number(row.before), number(row.after), number(row.difference, 3),
             "-" if row.std is None else number(2 * row.std, 2), row.unit, p, mark,
         )  # fmt: skip
 
 
-def compare_reports(before: Told, after: Told, level: float = LEVEL) -> ReportComparison:
+def compare_estimates(before: ReportedEstimate, after: ReportedEstimate, level: float = LEVEL) -> EstimateComparison:
     """Return what changed from one estimate to another of the same joint.
 
     Args:
@@ -173,17 +173,17 @@ def compare_reports(before: Told, after: Told, level: float = LEVEL) -> ReportCo
     """
     if not 0 < level < 1:
         raise MethodError(f"The level of a test is between 0 and 1; received {level}.")
-    _require_alike(before, after)
+    _require_comparable(before, after)
     same = bool(before.fingerprint) and before.fingerprint == after.fingerprint
     pairs = [
-        *_paired(before.quantities, after.quantities),
-        *_paired(before.sums, after.sums),
+        *_pair(before.quantities, after.quantities),
+        *_pair(before.sums, after.sums),
     ]
-    rows = [_changed(one, other, same) for one, other in pairs]
-    return ReportComparison(before, after, _holm(rows), level, _notes(before, after, same))
+    rows = [_compare(one, other, same) for one, other in pairs]
+    return EstimateComparison(before, after, _adjust_p_values(rows), level, _collect_notes(before, after, same))
 
 
-def _require_alike(before: Told, after: Told) -> None:
+def _require_comparable(before: ReportedEstimate, after: ReportedEstimate) -> None:
     """Raise a `MethodError` where two estimates cannot be compared."""
     for what, one, other in (
         ("model", before.model, after.model),
@@ -206,7 +206,9 @@ def _require_alike(before: Told, after: Told) -> None:
         )
 
 
-def _paired(before: Sequence[Quantity], after: Sequence[Quantity]) -> list[tuple[Quantity, Quantity]]:
+def _pair(
+    before: Sequence[ReportedQuantity], after: Sequence[ReportedQuantity]
+) -> list[tuple[ReportedQuantity, ReportedQuantity]]:
     """Return each quantity of either with that of the other, refused where the other does not have it."""
     there = {q.name: q for q in after}
     here = {q.name for q in before}
@@ -214,26 +216,26 @@ def _paired(before: Sequence[Quantity], after: Sequence[Quantity]) -> list[tuple
     return found + [(replace(q, value=None, std=None), q) for q in after if q.name not in here]
 
 
-def _changed(before: Quantity, after: Quantity, same: bool) -> Changed:
+def _compare(before: ReportedQuantity, after: ReportedQuantity, same: bool) -> QuantityChange:
     """Return a quantity of both, tested where it can be; the p-value is that of it alone."""
-    found = Changed(before.name, before.symbol, before.unit, before.value, after.value, None, None)
+    found = QuantityChange(before.name, before.symbol, before.unit, before.value, after.value, None, None)
     lost = [name for name, q in (("A", before), ("B", after)) if q.value is None]
     if before.value is None or after.value is None:
-        return replace(found, said=f"not told in {' and '.join(lost)}")
+        return replace(found, reason=f"not told in {' and '.join(lost)}")
     found = replace(found, difference=after.value - before.value)
     fixed = [name for name, q in (("A", before), ("B", after)) if not q.free or q.std is None]
     if before.std is None or after.std is None or fixed:
-        return replace(found, said=f"kept fixed in {' and '.join(fixed)}")
+        return replace(found, reason=f"kept fixed in {' and '.join(fixed)}")
     std = math.hypot(before.std, after.std)
     if same:
-        return replace(found, said="one record: not tested")
+        return replace(found, reason="one record: not tested")
     if not std > 0:
-        return replace(found, said="known without error: not tested")
+        return replace(found, reason="known without error: not tested")
     assert found.difference is not None
     return replace(found, std=std, p_value=math.erfc(abs(found.difference) / std / math.sqrt(2)))
 
 
-def _holm(rows: Sequence[Changed]) -> tuple[Changed, ...]:
+def _adjust_p_values(rows: Sequence[QuantityChange]) -> tuple[QuantityChange, ...]:
     """Return rows whose p-values are for all of them together."""
     tested = sorted((row.p_value, i) for i, row in enumerate(rows) if row.p_value is not None)
     found, largest = list(rows), 0.0
@@ -243,7 +245,7 @@ def _holm(rows: Sequence[Changed]) -> tuple[Changed, ...]:
     return tuple(found)
 
 
-def _notes(before: Told, after: Told, same: bool) -> tuple[str, ...]:
+def _collect_notes(before: ReportedEstimate, after: ReportedEstimate, same: bool) -> tuple[str, ...]:
     notes = []
     if same:
         notes.append(
@@ -256,15 +258,15 @@ def _notes(before: Told, after: Told, same: bool) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _told(row: Changed) -> str:
+def _describe_change(row: QuantityChange) -> str:
     assert row.difference is not None
     assert row.std is not None
     percent = f" ({100 * row.difference / abs(row.before):+.1f} %)" if row.before else ""
     sense = "rose" if row.difference > 0 else "fell"
     size = f"{number(abs(row.difference), 3)} +- {number(2 * row.std, 2)} {row.unit}"
-    return f"{row.symbol} {sense} by {size}{percent}, {_p(row.p_value or 0.0, said=True)}"
+    return f"{row.symbol} {sense} by {size}{percent}, {_format_p(row.p_value or 0.0, said=True)}"
 
 
-def _p(p_value: float, *, said: bool = False) -> str:
+def _format_p(p_value: float, *, said: bool = False) -> str:
     text = "< 1e-6" if p_value < 1e-6 else number(p_value, 2)
     return text if not said else f"p {text}" if text.startswith("<") else f"p = {text}"

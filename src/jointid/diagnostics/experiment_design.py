@@ -23,8 +23,13 @@ from jointid.common.document import Block, Document, Documented, Facts, Listing,
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.text import number
-from jointid.diagnostics.sensor_information import Noise, informations, usual_step, with_information
-from jointid.diagnostics.variations import Variation, faster, pulse_of, pulsed
+from jointid.diagnostics.sensor_information import (
+    Noise,
+    add_information,
+    assume_encoder_step,
+    compute_encoder_information,
+)
+from jointid.diagnostics.variations import Variation, add_pulses, choose_pulse, double_acceleration
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITIAL_TORQUE
 from jointid.estimation.result.estimate import Estimate, fingerprint
@@ -44,12 +49,12 @@ class Prediction:
 
     Attributes:
         name: of the change, a word or two.
-        described: what it is, with its numbers.
+        description: what it is, with its numbers.
         std: predicted standard deviations by name; empty where the loop cannot be simulated under it.
     """
 
     name: str
-    described: str
+    description: str
     std: Mapping[str, float]
 
 
@@ -92,13 +97,13 @@ class Advice(Documented):
 
     def _sentence(self, change: Prediction) -> str:
         if not change.std:
-            return f"{change.name}: {change.described}; the loop cannot be simulated so"
+            return f"{change.name}: {change.description}; the loop cannot be simulated so"
         name = min(change.std, key=lambda n: change.std[n] / self.std[n])
         before, after = self.std[name], change.std[name]
         if after > _WORTH * before:
-            return f"{change.name}: {change.described}; narrows no interval by more than a fifth"
+            return f"{change.name}: {change.description}; narrows no interval by more than a fifth"
         return (
-            f"{change.name}: {change.described}; narrows {self.symbols[name]} most, from +- {number(2 * before, 2)} to "
+            f"{change.name}: {change.description}; narrows {self.symbols[name]} most, from +- {number(2 * before, 2)} to "
             f"+- {number(2 * after, 2)} {self.units[name]}"
         )
 
@@ -149,20 +154,22 @@ def advise(
         MethodError: the estimate is not one of a simulated loop as it was declared, has a refused value, or is of
             another record.
     """
-    problem, x = at_estimate(estimate, record)
+    problem, x = rebuild_declared_problem(estimate, record)
     if estimate.checks.bounds:
         raise MethodError(
             "This estimate refuses the stiffness, so there is no joint to predict intervals of; "
-            "what_would_tell_more says which test would show one."
+            "design_stiffness_test says which test would show one."
         )
-    noise = noise or noise_of(record)
+    noise = noise or find_noise_source(record)
     scale = np.array([p.stderr or 0.0 for p in estimate.params if p.free])
     known = estimate.params.correlation * np.outer(scale, scale)
     progress("simulating the loop for its positions")
-    sensors = _sensors(problem, x, noise, steps(record, encoder_step), known)
+    sensors = _predict_sensors(problem, x, noise, choose_encoder_steps(record, encoder_step), known)
     progress("simulating other motions")
-    height, width = pulse or pulse_of(problem, problem.values(x))
-    tests = _tests(problem, x, scale, (pulsed(problem, height, width), faster(problem, record)))
+    height, width = pulse or choose_pulse(problem, problem.values(x))
+    tests = _predict_motions(
+        problem, x, scale, (add_pulses(problem, height, width), double_acceleration(problem, record))
+    )
     own = problem.free_joint
     names = [p.name for p in own]
     return Advice(
@@ -177,7 +184,7 @@ def advise(
     )
 
 
-def at_estimate(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, FloatArray]:
+def rebuild_declared_problem(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, FloatArray]:
     """Return the problem an estimate solved and its free parameters, those that were refused at 0.
 
     Raises:
@@ -209,27 +216,27 @@ def at_estimate(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, 
     return problem, problem.vector({name: p.value or 0.0 for name, p in found.items()})
 
 
-def noise_of(record: Record) -> Noise:
+def find_noise_source(record: Record) -> Noise:
     """Return where a torque's residual comes from, by where it was logged."""
     return "log" if record.tap is Tap.MEASURED else "loop"
 
 
-def steps(record: Record, given: float | None) -> tuple[float, float]:
+def choose_encoder_steps(record: Record, given: float | None) -> tuple[float, float]:
     """Return the steps of an encoder on the motor and on the load: as given, or the record's own, or the usual."""
     if given is not None:
         if not (math.isfinite(given) and given > 0):
             raise MethodError(f"The step of an encoder is a positive number; received {given}.")
         return given, given
     assert record.reference is not None
-    motor = find_encoder_step(record.motor_position) or usual_step(record.reference.values)
+    motor = find_encoder_step(record.motor_position) or assume_encoder_step(record.reference.values)
     return motor, find_encoder_step(record.load_position) or motor
 
 
-def _sensors(
+def _predict_sensors(
     problem: ClosedLoopProblem, x: FloatArray, noise: Noise, step: tuple[float, float], known: FloatArray
 ) -> tuple[Prediction, ...]:
     """Return the predictions for a motor encoder, a load encoder and both."""
-    added = informations(problem, x, noise, *step)
+    added = compute_encoder_information(problem, x, noise, *step)
     unit = POSITION_UNIT[problem.loop.joint.kind]
     motor = ("motor encoder", f"steps of {step[0]:.2g} {unit}", added.motor)
     sets = [motor]
@@ -238,14 +245,14 @@ def _sensors(
         sets.append(("both", f"steps of {step[0]:.2g} and {step[1]:.2g} {unit}", added.motor + added.load))
     names = [p.name for p in problem.free_joint]
 
-    def predicted(information: FloatArray) -> dict[str, float]:
-        std = covariance_of(with_information(known, information), 0).std
+    def predict(information: FloatArray) -> dict[str, float]:
+        std = covariance_of(add_information(known, information), 0).std
         return dict(zip(names, map(float, std), strict=False))
 
-    return tuple(Prediction(name, said, predicted(information)) for name, said, information in sets)
+    return tuple(Prediction(name, said, predict(information)) for name, said, information in sets)
 
 
-def _tests(
+def _predict_motions(
     problem: ClosedLoopProblem, x: FloatArray, scale: FloatArray, variations: tuple[Variation, ...]
 ) -> tuple[Prediction, ...]:
     """Return the predictions for other motions, of the record's duration."""
@@ -253,7 +260,7 @@ def _tests(
     own = stationary(J, J, error).std
     names = [p.name for p in problem.free_joint]
 
-    def predicted(variation: Variation) -> dict[str, float]:
+    def predict(variation: Variation) -> dict[str, float]:
         changed = replace(problem, experiment=variation.experiment, measured=problem.measured[: variation.samples])
         response, columns = changed.sensitivities(x)
         if response.outcome is not Outcome.FINISHED:
@@ -263,4 +270,4 @@ def _tests(
         std = stationary(J, J, left).std * math.sqrt(len(J) / error.size)
         return dict(zip(names, map(float, scale * std / own), strict=False))
 
-    return tuple(Prediction(one.name, one.described, predicted(one)) for one in variations)
+    return tuple(Prediction(one.name, one.description, predict(one)) for one in variations)

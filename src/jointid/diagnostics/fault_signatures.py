@@ -42,7 +42,7 @@ _STEP = 1e-4  # of the known signal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Alternative:
+class FaultSignature:
     """One way in which a record may differ from what is declared.
 
     Attributes:
@@ -58,7 +58,9 @@ class Alternative:
     raw: FloatArray | None = None
 
 
-def sensitivities(problem: ClosedLoopProblem, x: FloatArray) -> tuple[FloatArray, FloatArray, tuple[Alternative, ...]]:
+def compute_signatures(
+    problem: ClosedLoopProblem, x: FloatArray
+) -> tuple[FloatArray, FloatArray, tuple[FaultSignature, ...]]:
     """Return the residual, the columns of the free parameters, (rows, free), and those of all alternatives.
 
     Args:
@@ -66,7 +68,7 @@ def sensitivities(problem: ClosedLoopProblem, x: FloatArray) -> tuple[FloatArray
         x: its parameters.
     """
     taken = {p.name for p in problem.free}
-    names = [name for name in _exact(problem) if name not in taken]
+    names = [name for name in _list_differentiable(problem) if name not in taken]
     wider = problem.freeing(*names)
     bare = [p for p in wider.parameters if p.name == OFFSET and not p.free and (p.start or 0.0) == 0.0]
     if bare:
@@ -74,27 +76,32 @@ def sensitivities(problem: ClosedLoopProblem, x: FloatArray) -> tuple[FloatArray
     residual, slopes = wider.linearised(wider.vector(problem.values(x)))
     columns = dict(zip((p.name for p in wider.free), -slopes.T, strict=True))
     own = np.column_stack([columns[p.name] for p in problem.free])
-    exact = [Alternative(name, columns[name]) for name in (*names, *(p.name for p in bare))]
-    tried = [*exact, *_injected(problem, x), *_stribeck(problem, x), *([] if LIMIT in taken else _limits(problem, x))]
+    exact = [FaultSignature(name, columns[name]) for name in (*names, *(p.name for p in bare))]
+    tried = [
+        *exact,
+        *_vary_injected_gain(problem, x),
+        *_vary_low_speed_friction(problem, x),
+        *([] if LIMIT in taken else _vary_limit(problem, x)),
+    ]
     return residual, own, tuple(a for a in tried if np.linalg.norm(a.column) > 0)
 
 
-def _exact(problem: ClosedLoopProblem) -> tuple[str, ...]:
+def _list_differentiable(problem: ClosedLoopProblem) -> tuple[str, ...]:
     """Return the names of what surrounds the joint and can be derived by: a gain of 0 is a choice, not a mistake."""
     controller = problem.loop.controller
     numbers = [n for n, v in numbers_of(controller).items() if n == "delay" or (v and math.isfinite(v) and n != LIMIT)]
     return (*numbers, "log_gain", "log_delay")
 
 
-def _injected(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[Alternative]:
+def _vary_injected_gain(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
     """Yield the known signal's gain, where it is added after the limit."""
     if np.any(problem.experiment.after_limit):
-        low, high = (problem.torque_if(x, partial(_injecting, by)) for by in (1 - _STEP, 1 + _STEP))
+        low, high = (problem.torque_if(x, partial(_scale_injection, by)) for by in (1 - _STEP, 1 + _STEP))
         raw = (high - low) / (2 * _STEP)
-        yield Alternative(INJECTED_GAIN, problem.filtered(raw), raw=raw)
+        yield FaultSignature(INJECTED_GAIN, problem.filtered(raw), raw=raw)
 
 
-def _stribeck(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[Alternative]:
+def _vary_low_speed_friction(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
     """Yield the answers of the loop to a friction that is larger, or smaller, at low speed."""
     velocity = problem.simulate(x).motor_velocity
     if velocity.size != problem.experiment.after_limit.size:
@@ -103,13 +110,13 @@ def _stribeck(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[Alternative
         speed = share * float(np.max(np.abs(velocity), initial=0.0))
         if speed > 0:
             force = -np.exp(-((velocity / speed) ** 2)) * np.sign(velocity)
-            raw = _answer(problem, x, force)
+            raw = _simulate_force(problem, x, force)
             column = problem.filtered(raw)
-            yield Alternative(STRIBECK, column, speed, raw)
-            yield Alternative(PRESLIDING, -column, speed, -raw)
+            yield FaultSignature(STRIBECK, column, speed, raw)
+            yield FaultSignature(PRESLIDING, -column, speed, -raw)
 
 
-def _limits(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[Alternative]:
+def _vary_limit(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
     """Yield what a limit takes from the torque, as a whole: what is 1 times as large is the limit itself."""
     if not hasattr(problem.loop.controller, LIMIT):
         return
@@ -118,26 +125,26 @@ def _limits(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[Alternative]:
     for share in _SHARES:
         level = share * asked
         if level < problem.experiment.law.limit:
-            cut = problem.torque_if(x, partial(_limited, level))
-            yield Alternative(LIMIT, problem.filtered(cut - free), level)
+            cut = problem.torque_if(x, partial(_apply_limit, level))
+            yield FaultSignature(LIMIT, problem.filtered(cut - free), level)
 
 
-def _answer(problem: ClosedLoopProblem, x: FloatArray, force: FloatArray) -> FloatArray:
+def _simulate_force(problem: ClosedLoopProblem, x: FloatArray, force: FloatArray) -> FloatArray:
     """Return what the log shows of a force on the motor, (periods,), that no log contains."""
     size = _FORCE * float(np.max(np.abs(problem.measured)))
-    low, high = (problem.torque_if(x, partial(_pushed, by * force)) for by in (-size, size))
+    low, high = (problem.torque_if(x, partial(_apply_force, by * force)) for by in (-size, size))
     seen = (high - low) / (2 * size)
     return seen - as_logged(problem.experiment, force) if problem.experiment.tap is Tap.MEASURED else seen
 
 
-def _injecting(factor: float, experiment: LoopInput) -> LoopInput:
+def _scale_injection(factor: float, experiment: LoopInput) -> LoopInput:
     after, logged = factor * experiment.after_limit, factor * experiment.logged
     return replace(experiment, after_limit=after, logged=logged)
 
 
-def _limited(level: float, experiment: LoopInput) -> LoopInput:
+def _apply_limit(level: float, experiment: LoopInput) -> LoopInput:
     return experiment.with_law(experiment.law.limited(level))
 
 
-def _pushed(force: FloatArray, experiment: LoopInput) -> LoopInput:
+def _apply_force(force: FloatArray, experiment: LoopInput) -> LoopInput:
     return replace(experiment, after_limit=experiment.after_limit + force)

@@ -87,7 +87,7 @@ def intervals(
         MethodError: the estimate is not by DIDIM or refuses its parameters, a quantity is not known, or the record is
             another one.
     """
-    problem, x = solved(estimate, record)
+    problem, x = rebuild_problem(estimate, record)
     residual, J = problem.linearised(x)
     names = [p.name for p in problem.free]
     where = problem.cells(problem.simulate(x))
@@ -95,7 +95,7 @@ def intervals(
     profiles = []
     for quantity in quantities:
         progress(f"following the criterion along {quantity}")
-        profiles.append(_profiled(problem, x, spread, quantity, profiling))
+        profiles.append(_profile_quantity(problem, x, spread, quantity, profiling))
     if not bootstrap:
         return Intervals(tuple(profiles), None, None, estimate.settings.joint.transmission)
     progress("drawing over time and over place")
@@ -116,15 +116,15 @@ def require_quantities(quantities: Sequence[str], loop: ClosedLoop) -> None:
     for quantity in quantities:
         if quantity == "compliance" and "stiffness" in known:
             continue
-        for name in _weights(quantity):
+        for name in _parse_weights(quantity):
             if name not in known:
                 try:
                     surrounding(name, loop.controller)
                 except MethodError:
-                    raise MethodError(_unknown(quantity, known)) from None
+                    raise MethodError(_explain_unknown(quantity, known)) from None
 
 
-def solved(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, FloatArray]:
+def rebuild_problem(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, FloatArray]:
     """Return the problem an estimate by DIDIM solved, and its free parameters.
 
     Raises:
@@ -154,11 +154,11 @@ def solved(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, Float
     return problem, problem.vector(values)
 
 
-def _profiled(
+def _profile_quantity(
     problem: ClosedLoopProblem, x: FloatArray, spread: Covariance, quantity: str, settings: Profiling | None
 ) -> Profile:
     if quantity != "compliance":
-        return profile(problem, x, _combination(problem, quantity), spread, settings)
+        return profile(problem, x, _parse_combination(problem, quantity), spread, settings)
     names = [p.name for p in problem.free]
     if "stiffness" not in names:
         raise MethodError("A compliance is that of a flexible joint whose stiffness is free; this joint has none.")
@@ -173,12 +173,12 @@ def _profiled(
     return profile(by, exchanged, wanted, turned, settings)
 
 
-def _combination(problem: ClosedLoopProblem, quantity: str) -> Combination:
+def _parse_combination(problem: ClosedLoopProblem, quantity: str) -> Combination:
     """Return the sum that a text such as ``a + b - c`` names."""
-    weights = _weights(quantity)
+    weights = _parse_weights(quantity)
     free = {p.name: p for p in problem.free}
     if not weights.keys() <= free.keys():
-        raise MethodError(_unknown(quantity, free))
+        raise MethodError(_explain_unknown(quantity, free))
     units = {problem.units[name] for name in weights}
     if len(units) > 1:
         raise MethodError(f'"{quantity}" adds {" and ".join(sorted(units))}; only what has one unit can be added.')
@@ -187,14 +187,14 @@ def _combination(problem: ClosedLoopProblem, quantity: str) -> Combination:
     return Combination(quantity, formula, units.pop(), weights)
 
 
-def _weights(quantity: str) -> dict[str, float]:
+def _parse_weights(quantity: str) -> dict[str, float]:
     """Return what a text such as ``a + b - c`` adds, by name."""
     terms = quantity.replace("-", "+-").split("+")
     found = {term.strip().removeprefix("-").strip(): -1.0 if "-" in term else 1.0 for term in terms if term.strip()}
     return found or {quantity: 1.0}
 
 
-def _unknown(quantity: str, names: Collection[str]) -> str:
+def _explain_unknown(quantity: str, names: Collection[str]) -> str:
     """Return why a text is no quantity of an estimate with these parameters."""
     compliance = ", or compliance" if "stiffness" in names else ""
     return (

@@ -12,13 +12,13 @@ from jointid.diagnostics.fault_signatures import INJECTED_GAIN, LIMIT, OFFSET, P
 from jointid.models.transmission import Side
 from jointid.uncertainty.verdict import Reason
 
-_SLIGHT = 0.5  # of a deviation: a smaller change of a parameter is not worth a word
-_TOLD = 3  # parameters whose change is told in a sentence
+_SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not worth a word
+_LISTED = 3  # parameters whose change is told in a sentence
 _RATIOS = ("log_gain", INJECTED_GAIN)
 
 
 @dataclass(frozen=True, slots=True)
-class Suspect:
+class FaultTest:
     """The test of one alternative.
 
     Attributes:
@@ -42,13 +42,13 @@ class Suspect:
     shape: float | None = None
 
     @property
-    def words(self) -> str:
+    def label(self) -> str:
         """Its name, with those it cannot be told from."""
         return " or ".join((self.name, *self.alike))
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class ParameterShift:
     """What a fault, taken in, does to a parameter of the joint: in its unit, and in its standard deviations."""
 
     by: float
@@ -60,16 +60,16 @@ class Finding:
     """What is not as declared.
 
     Attributes:
-        suspect: its test, given what was named before it.
+        test: its test, given what was named before it.
         value: what it is, where the problem could be solved with it free: in the unit it is declared in.
         rivals: others that are nearly as likely: no more than 20 times less.
         changes: of the joint's parameters, by name, when it is taken in.
     """
 
-    suspect: Suspect
+    test: FaultTest
     value: float | None
     rivals: tuple[str, ...]
-    changes: Mapping[str, Change]
+    changes: Mapping[str, ParameterShift]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class LoopCheck(Documented):
 
     Attributes:
         findings: what is not, the likeliest first.
-        suspects: every test as if nothing else were wrong, the likeliest first.
+        tests: every test as if nothing else were wrong, the likeliest first.
         level: the share of records with nothing wrong in which something is found, at most.
         symbols: of the joint's parameters, by name.
         units: of the joint's parameters by name, and of "torque" and "velocity".
@@ -86,7 +86,7 @@ class LoopCheck(Documented):
     """
 
     findings: tuple[Finding, ...]
-    suspects: tuple[Suspect, ...]
+    tests: tuple[FaultTest, ...]
     level: float
     symbols: Mapping[str, str]
     units: Mapping[str, str]
@@ -102,8 +102,8 @@ class LoopCheck(Documented):
         """What was found, one message each; one that says so where nothing was."""
         if self.findings:
             return tuple(Message(Reason.LOOP_NOT_AS_DECLARED, self._told(f), _values(f)) for f in self.findings)
-        least = min((s.p_value for s in self.suspects), default=1.0)
-        tested = ", ".join(s.words for s in self.suspects)
+        least = min((s.p_value for s in self.tests), default=1.0)
+        tested = ", ".join(s.label for s in self.tests)
         said = f"loop and log are as declared as far as this record shows ({tested}: p >= {number(least, 2)})"
         return (Message(Reason.LOOP_AS_DECLARED, said, {"p_value": least}),)
 
@@ -120,27 +120,27 @@ class LoopCheck(Documented):
     def table(self, caption: str = "") -> Table:
         """Return the table of all tests, each as if nothing else were wrong."""
         return Table(
-            ("suspect", "more than declared", "2 sigma", "statistic", "p"), tuple(map(_row, self.suspects)), caption
+            ("suspect", "more than declared", "2 sigma", "statistic", "p"), tuple(map(_format_row, self.tests)), caption
         )
 
     def _told(self, finding: Finding) -> str:
-        s = finding.suspect
-        said = f"{self._fault(finding)} ({_p(s.p_value)})"
+        s = finding.test
+        said = f"{self._fault(finding)} ({_format_p(s.p_value)})"
         if s.alike:
             said += f", or the like of {' or '.join(s.alike)}, which this loop does not tell from {s.name}"
         if finding.rivals:
             said += f"; {' or '.join(finding.rivals)} would explain nearly as much"
-        far = sorted(finding.changes.items(), key=lambda item: -abs(item[1].sigmas))[:_TOLD]
+        far = sorted(finding.changes.items(), key=lambda item: -abs(item[1].sigmas))[:_LISTED]
         moved = [
             f"{self.symbols[name]} by {change.by:+.3g} {self.units[name]} ({abs(change.sigmas):.1f} sigma)"
             for name, change in far
-            if abs(change.sigmas) >= _SLIGHT
+            if abs(change.sigmas) >= _SMALLEST_SHIFT
         ]
         return f"{said}; taking it in changes {', '.join(moved)}" if moved else said
 
     def _fault(self, finding: Finding) -> str:
         """Return what is wrong, in words."""
-        s, here = finding.suspect, "" if self.side is None else f" on the {self.side} side"
+        s, here = finding.test, "" if self.side is None else f" on the {self.side} side"
         torque = self.units["torque"] + here
         interval = f"{number(abs(s.size), 3)} +- {number(2 * s.std, 2)}"
         if s.name in ("delay", "log_delay"):
@@ -166,13 +166,13 @@ class LoopCheck(Documented):
 
 
 def _values(finding: Finding) -> dict[str, object]:
-    s = finding.suspect
+    s = finding.test
     return {"suspect": s.name, "alike": list(s.alike), "more_than_declared": s.size, "std": s.std, "p_value": s.p_value}
 
 
-def _row(s: Suspect) -> tuple[str, ...]:
-    return s.words, f"{s.size:+.3g}", number(2 * s.std, 2), f"{s.statistic:+.1f}", number(s.p_value, 2)
+def _format_row(s: FaultTest) -> tuple[str, ...]:
+    return s.label, f"{s.size:+.3g}", number(2 * s.std, 2), f"{s.statistic:+.1f}", number(s.p_value, 2)
 
 
-def _p(p_value: float) -> str:
+def _format_p(p_value: float) -> str:
     return "p < 1e-6" if p_value < 1e-6 else f"p = {number(p_value, 2)}"

@@ -35,7 +35,7 @@ from jointid.simulation.loop_input import ClosedLoop
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Compared:
+class MethodResult:
     """One method of a comparison.
 
     Attributes:
@@ -52,7 +52,7 @@ class Compared:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison(Documented):
+class MethodComparison(Documented):
     """What the methods found in one record.
 
     Attributes:
@@ -64,7 +64,7 @@ class Comparison(Documented):
 
     record: str
     model: str
-    methods: tuple[Compared, ...]
+    methods: tuple[MethodResult, ...]
     disagreements: tuple[str, ...]
 
     @property
@@ -85,11 +85,11 @@ class Comparison(Documented):
         agreed = ["no two methods differ by more than their intervals allow"] if len(found) > 1 else []
         listing = Listing((*lines, *(self.disagreements or agreed)))
         blocks: list[Block] = [Facts(facts)] if facts else []
-        blocks += [_table(self)] if found else []
+        blocks += [_make_table(self)] if found else []
         return Document(title, (*blocks, listing))
 
 
-def compare(
+def compare_methods(
     record: Record,
     model: ClosedLoop | Joint,
     *,
@@ -97,7 +97,7 @@ def compare(
     parameters: Mapping[str, Parameter] | None = None,
     didim: DIDIM | FlexibleDIDIM | None = None,
     progress: Progress = silent,
-) -> Comparison:
+) -> MethodComparison:
     """Identify a joint by every method that the record and the model allow.
 
     Args:
@@ -113,7 +113,7 @@ def compare(
     """
     check_record(record)
     tried = []
-    for name, variant, method in _methods(model, didim):
+    for name, variant, method in _list_methods(model, didim):
         progress(f"trying {name}")
         joint = variant.joint if isinstance(variant, ClosedLoop) else variant
         has = {p.name for p in joint.parameters}
@@ -124,12 +124,12 @@ def compare(
             refusal = ""
         except JointidError as error:
             estimate, refusal = None, str(error)
-        tried.append(Compared(name, estimate, refusal, time.perf_counter() - began))
+        tried.append(MethodResult(name, estimate, refusal, time.perf_counter() - began))
     joint = model.joint if isinstance(model, ClosedLoop) else model
-    return Comparison(record.name, joint.model, tuple(tried), _disagreements(tried))
+    return MethodComparison(record.name, joint.model, tuple(tried), _describe_disagreements(tried))
 
 
-def _methods(
+def _list_methods(
     model: ClosedLoop | Joint, didim: DIDIM | FlexibleDIDIM | None
 ) -> Iterator[tuple[str, ClosedLoop | Joint, Method]]:
     """Yield the name of each method, the model with its friction law, and the method."""
@@ -150,7 +150,7 @@ def _methods(
     yield f"IDIM-LS {other.name}", variant, IDIM()
 
 
-def _disagreements(tried: list[Compared]) -> tuple[str, ...]:
+def _describe_disagreements(tried: list[MethodResult]) -> tuple[str, ...]:
     """Return a sentence on each parameter's worst pair of methods, where it is beyond both intervals together.
 
     All read one record, so that their errors mostly go together, and an honest pair is beyond far less often than in
@@ -166,18 +166,18 @@ def _disagreements(tried: list[Compared]) -> tuple[str, ...]:
             for p in estimate.params
             if p.name == name and p.value is not None and p.stderr is not None
         }
-        pairs = [(_gap(rows[one], rows[two]), one, two) for one, two in combinations(rows, 2)]
+        pairs = [(_measure_gap(rows[one], rows[two]), one, two) for one, two in combinations(rows, 2)]
         worst, one, two = max(pairs, default=(0.0, "", ""))
         if worst > 1.0:
             first, second = rows[one], rows[two]
             sentences.append(
                 f"{one} and {two} disagree on {name.replace('_', ' ')} beyond their intervals: "
-                f"{_interval(first)} and {_interval(second)} {first.unit}"
+                f"{_format_interval(first)} and {_format_interval(second)} {first.unit}"
             )
     return tuple(sentences)
 
 
-def _gap(one: EstimatedParameter, two: EstimatedParameter) -> float:
+def _measure_gap(one: EstimatedParameter, two: EstimatedParameter) -> float:
     """Return the difference of two estimates of one parameter, in 2-sigma intervals of it."""
     assert one.value is not None
     assert two.value is not None
@@ -185,7 +185,7 @@ def _gap(one: EstimatedParameter, two: EstimatedParameter) -> float:
     return abs(one.value - two.value) / spread if spread else 0.0
 
 
-def _interval(p: EstimatedParameter | None) -> str:
+def _format_interval(p: EstimatedParameter | None) -> str:
     if p is None:
         return "-"
     if p.value is None:
@@ -193,7 +193,7 @@ def _interval(p: EstimatedParameter | None) -> str:
     return number(p.value) + (f" +- {number(2 * p.stderr, 2)}" if p.stderr is not None else "" if p.free else " fixed")
 
 
-def _table(comparison: Comparison) -> Table:
+def _make_table(comparison: MethodComparison) -> Table:
     found = comparison.estimates
     seconds = {method.name: method.seconds for method in comparison.methods}
     symbols: dict[str, tuple[str, str]] = {}
@@ -202,7 +202,7 @@ def _table(comparison: Comparison) -> Table:
     rows = []
     for name, (symbol, unit) in symbols.items():
         lines = [next((p for p in e.params if p.name == name), None) for e in found.values()]
-        rows.append((symbol, unit, *map(_interval, lines)))
+        rows.append((symbol, unit, *map(_format_interval, lines)))
     of_each = found.values()
     rows.append(("torque error, raw", "%", *(f"{100 * e.fit.relative_error:.2f}" for e in of_each)))
     rows.append(("filtered", "%", *(f"{100 * e.fit.filtered_error:.2f}" for e in of_each)))

@@ -26,7 +26,7 @@ from jointid.estimation.result.estimate import Estimate
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class DetectableChange:
     """What change of one quantity would be told.
 
     Attributes:
@@ -46,7 +46,7 @@ class Change:
 
 
 @dataclass(frozen=True, slots=True)
-class Detectable(Documented):
+class MinimumDetectableChange(Documented):
     """What changes of a joint the same motion would detect.
 
     Attributes:
@@ -59,9 +59,9 @@ class Detectable(Documented):
     record: str
     false_alarm: float
     power: float
-    changes: tuple[Change, ...]
+    changes: tuple[DetectableChange, ...]
 
-    def __getitem__(self, name: str) -> Change:
+    def __getitem__(self, name: str) -> DetectableChange:
         """Return the change of a quantity by its name or formula."""
         for change in self.changes:
             if name in (change.name, change.formula):
@@ -83,7 +83,9 @@ class Detectable(Documented):
         return Document(said, (Table(header, rows, words=(0, 1, 6)),))
 
 
-def detectable(estimate: Estimate, *, false_alarm: float = 0.01, power: float = 0.9) -> Detectable:
+def compute_minimum_detectable_change(
+    estimate: Estimate, *, false_alarm: float = 0.01, power: float = 0.9
+) -> MinimumDetectableChange:
     """Return the smallest change of each quantity that the same motion would detect (the module's equation).
 
     Args:
@@ -120,11 +122,11 @@ def detectable(estimate: Estimate, *, false_alarm: float = 0.01, power: float = 
             "identify by least squares."
         )
     changes = tuple(
-        Change(name, formula, unit, value, std, both * math.sqrt(2) * std, alarm * math.sqrt(2) * std)
+        DetectableChange(name, formula, unit, value, std, both * math.sqrt(2) * std, alarm * math.sqrt(2) * std)
         for name, formula, unit, value, std in told
     )
-    return Detectable(estimate.data.record, false_alarm, power, changes)
+    return MinimumDetectableChange(estimate.data.record, false_alarm, power, changes)
 
 
-def _percent(change: Change) -> str:
+def _percent(change: DetectableChange) -> str:
     return number(100 * change.size / abs(change.value), 2) if change.value else "-"

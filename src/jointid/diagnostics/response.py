@@ -59,7 +59,7 @@ class FrequencyResponse:
     modes: Mapping[str, float]
 
 
-def response_of(estimate: Estimate) -> FrequencyResponse:
+def compute_response(estimate: Estimate) -> FrequencyResponse:
     """Return the frequency response of an estimate, with the band of its covariance.
 
     Raises:
@@ -75,12 +75,12 @@ def response_of(estimate: Estimate) -> FrequencyResponse:
     grid = np.geomspace(_LOWEST, highest, _LINES)
     frequency = np.unique(np.concatenate([grid, [f for f in modes.values() if f > _LOWEST]]))
     free = [p for p in estimate.params if p.free and p.of_joint and p.stderr is not None and p.name in values]
-    covariance = _covariance(estimate, [p.name for p in free])
-    at = _velocities(joint, values, frequency)
+    covariance = _select_covariance(estimate, [p.name for p in free])
+    at = _compute_velocities(joint, values, frequency)
     slopes = []
     for p in free:
         step = _STEP * (abs(p.value or 0.0) or p.stderr or 1.0)
-        moved = _velocities(joint, values | {p.name: values[p.name] + step}, frequency)
+        moved = _compute_velocities(joint, values | {p.name: values[p.name] + step}, frequency)
         slopes.append([np.log(after / before).real / step for after, before in zip(moved, at, strict=True)])
     curves = []
     for i, (side, H) in enumerate(zip(("motor", "load"), at, strict=False)):
@@ -92,13 +92,13 @@ def response_of(estimate: Estimate) -> FrequencyResponse:
     return FrequencyResponse(frequency, tuple(curves), unit, modes)
 
 
-def _velocities(joint: Joint, values: Mapping[str, float], frequency: FloatArray) -> list[ComplexArray]:
+def _compute_velocities(joint: Joint, values: Mapping[str, float], frequency: FloatArray) -> list[ComplexArray]:
     """Return velocity per torque of the motor, and for a flexible joint of the load, (lines,) each."""
     outputs = OUTPUTS[1 : len(OUTPUTS) if joint.model == "flexible" else 2 : 2]
     return [frequency_response(joint, values, frequency, output) for output in outputs]
 
 
-def _covariance(estimate: Estimate, names: list[str]) -> FloatArray:
+def _select_covariance(estimate: Estimate, names: list[str]) -> FloatArray:
     """Return the covariance of parameters, (names, names); without correlation where it is not known."""
     free = [p.name for p in estimate.params if p.free]
     chosen = [free.index(name) for name in names]

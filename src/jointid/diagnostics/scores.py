@@ -22,8 +22,8 @@ from typing import TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.diagnostics.fault_signatures import INJECTED_GAIN, ONE_SIDED, Alternative
-from jointid.diagnostics.loop_check import Suspect
+from jointid.diagnostics.fault_signatures import INJECTED_GAIN, ONE_SIDED, FaultSignature
+from jointid.diagnostics.loop_check import FaultTest
 from jointid.uncertainty.covariance import larger, robust
 from jointid.uncertainty.position_dependent_error import Cells, by_place, repeatable
 
@@ -49,20 +49,20 @@ class _Step:
         alone: (rows,) its column, white, without what the other columns explain of it.
     """
 
-    alternative: Alternative
+    alternative: FaultSignature
     shapes: int
     size: float
     gain: float
     alone: FloatArray
 
 
-def tested(
+def score_signatures(
     residual: FloatArray,
     own: FloatArray,
-    alternatives: Sequence[Alternative],
+    alternatives: Sequence[FaultSignature],
     declared: Mapping[str, float],
     where: Callable[[], Cells],
-) -> tuple[Suspect, ...]:
+) -> tuple[FaultTest, ...]:
     """Return the tests of alternatives, each alone, the strongest first.
 
     Args:
@@ -72,21 +72,21 @@ def tested(
         declared: the value declared, by the name of each alternative that is to be tested.
         where: returns the rows' cells; asked only where something is found.
     """
-    whiten = whitener(_without(np.column_stack([own, *(a.column for a in alternatives)]), residual))
-    basis, error = _basis(whiten(own)), whiten(residual)
+    whiten = fit_whitener(_remove_regression(np.column_stack([own, *(a.column for a in alternatives)]), residual))
+    basis, error = _find_basis(whiten(own)), whiten(residual)
     left = error - basis @ (basis.T @ error)
-    steps = [_best([a for a in alternatives if a.name == name], whiten, basis, left) for name in declared]
-    groups = _grouped(steps)
-    found = [_judged(group, left, len(groups), declared, where) for group in groups]
-    return tuple(sorted(found, key=lambda s: -strength(s)))
+    steps = [_choose_step([a for a in alternatives if a.name == name], whiten, basis, left) for name in declared]
+    groups = _group_identical(steps)
+    found = [_test_group(group, left, len(groups), declared, where) for group in groups]
+    return tuple(sorted(found, key=lambda s: -measure_strength(s)))
 
 
-def strength(suspect: Suspect) -> float:
+def measure_strength(suspect: FaultTest) -> float:
     """Return how much a suspect explains: its statistic, of one that can only be positive nothing below 0."""
     return max(suspect.statistic, 0.0) if suspect.name in ONE_SIDED else abs(suspect.statistic)
 
 
-def whitener(residual: FloatArray) -> Filter:
+def fit_whitener(residual: FloatArray) -> Filter:
     """Return the filter that makes a residual nearly white, of signals (rows,) or (rows, columns) alike.
 
     It is the prediction error of an autoregressive model of order 16, by Yule and Walker, of the residual with 1 % of
@@ -110,18 +110,18 @@ def whitener(residual: FloatArray) -> Filter:
     return lambda signals: np.asarray(lfilter(taps, [1.0], signals, axis=0))
 
 
-def _without(columns: FloatArray, signal: FloatArray) -> FloatArray:
+def _remove_regression(columns: FloatArray, signal: FloatArray) -> FloatArray:
     """Return a signal less its regression on columns that may be collinear."""
-    basis = _basis(columns)
+    basis = _find_basis(columns)
     return np.asarray(signal - basis @ (basis.T @ signal))
 
 
-def _basis(columns: FloatArray) -> FloatArray:
+def _find_basis(columns: FloatArray) -> FloatArray:
     left, sizes, _ = np.linalg.svd(columns / column_norms(columns), full_matrices=False)
     return np.asarray(left[:, sizes > _RANK * sizes[0]])
 
 
-def _best(shapes: Sequence[Alternative], whiten: Filter, basis: FloatArray, left: FloatArray) -> _Step:
+def _choose_step(shapes: Sequence[FaultSignature], whiten: Filter, basis: FloatArray, left: FloatArray) -> _Step:
     """Return the step with the shape of an alternative that takes most from the residual.
 
     `basis`, (rows, rank), is that of the other columns, `left`, (rows,), what they leave of the residual.
@@ -138,7 +138,7 @@ def _best(shapes: Sequence[Alternative], whiten: Filter, basis: FloatArray, left
     return max(steps, key=lambda step: step.gain)
 
 
-def _grouped(steps: Sequence[_Step]) -> list[list[_Step]]:
+def _group_identical(steps: Sequence[_Step]) -> list[list[_Step]]:
     """Return the steps, those together whose columns are one."""
     groups: list[list[_Step]] = []
     for step in sorted(steps, key=lambda step: step.alternative.name in _LAST):
@@ -154,9 +154,9 @@ def _grouped(steps: Sequence[_Step]) -> list[list[_Step]]:
     return groups
 
 
-def _judged(
+def _test_group(
     group: Sequence[_Step], left: FloatArray, family: int, declared: Mapping[str, float], where: Callable[[], Cells]
-) -> Suspect:
+) -> FaultTest:
     """Return the test of an alternative, by its size and the autocorrelation-robust deviation of that.
 
     The regression of what the other columns leave of both is the regression on all of them (Frisch and Waugh).
@@ -165,15 +165,15 @@ def _judged(
     a, alone = step.alternative, step.alone[:, np.newaxis]
     after = left - step.size * step.alone
     covariance = robust(alone, alone, after)
-    if _chance(step, float(covariance.std[0]), family) <= _WIDENED and repeatable(after, where()).significant:
+    if _compute_p_value(step, float(covariance.std[0]), family) <= _WIDENED and repeatable(after, where()).significant:
         covariance = larger(covariance, by_place(alone, alone, after, where()))
     std = float(covariance.std[0])
     alike = tuple(other.alternative.name for other in group[1:])
-    statistic, p_value = step.size / std if std > 0 else 0.0, _chance(step, std, family)
-    return Suspect(a.name, alike, declared[a.name], step.size, std, statistic, p_value, a.shape)
+    statistic, p_value = step.size / std if std > 0 else 0.0, _compute_p_value(step, std, family)
+    return FaultTest(a.name, alike, declared[a.name], step.size, std, statistic, p_value, a.shape)
 
 
-def _chance(step: _Step, std: float, family: int) -> float:
+def _compute_p_value(step: _Step, std: float, family: int) -> float:
     """Return the p-value of a step, for all tests together."""
     from scipy.stats import norm
 

@@ -46,7 +46,7 @@ _OF_TRAVEL = 1e-6  # of the commanded travel: an encoder's step where nothing is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Informations:
+class EncoderInformation:
     """What one encoder each would add, (free, free), in the inverse squares of the parameters' units.
 
     Attributes:
@@ -58,14 +58,14 @@ class Informations:
     load: FloatArray | None
 
 
-def usual_step(reference: FloatArray) -> float:
+def assume_encoder_step(reference: FloatArray) -> float:
     """Return the step that is assumed of an encoder nobody has described: a millionth of the commanded travel."""
     return _OF_TRAVEL * (float(np.ptp(reference)) or 1.0)
 
 
-def informations(
+def compute_encoder_information(
     problem: ClosedLoopProblem, x: FloatArray, noise: Noise, motor_step: float, load_step: float
-) -> Informations:
+) -> EncoderInformation:
     """Return what encoders would add (see the module).
 
     Args:
@@ -80,17 +80,17 @@ def informations(
     flexible = problem.loop.joint.model == "flexible"
     if noise == "log":
         rounding = np.zeros(len(motor))
-        on_load = told(load, rounding, load_step) if flexible else None
-        return Informations(told(motor, rounding, motor_step), on_load)
+        on_load = compute_position_information(load, rounding, load_step) if flexible else None
+        return EncoderInformation(compute_position_information(motor, rounding, motor_step), on_load)
     nothing = np.zeros((x.size, x.size))
     if not flexible:
-        return Informations(nothing, None)
-    left = _left_of_load(problem, x)
-    own = load_alone(problem, x, motor, load) * np.array([_is_of_load(p.name) for p in problem.free])
-    return Informations(nothing, nothing if left is None else told(own, left, load_step))
+        return EncoderInformation(nothing, None)
+    left = _simulate_load_error(problem, x)
+    own = subtract_driven_motion(problem, x, motor, load) * np.array([_acts_on_load(p.name) for p in problem.free])
+    return EncoderInformation(nothing, nothing if left is None else compute_position_information(own, left, load_step))
 
 
-def told(columns: FloatArray, left: FloatArray, step: float) -> FloatArray:
+def compute_position_information(columns: FloatArray, left: FloatArray, step: float) -> FloatArray:
     """Return the information, (free, free), of a position.
 
     Args:
@@ -98,12 +98,12 @@ def told(columns: FloatArray, left: FloatArray, step: float) -> FloatArray:
         left: (samples,) an example of its errors beside rounding.
         step: of the encoder.
     """
-    weights = weights_of(left, step)
+    weights = weigh_frequencies(left, step)
     seen = np.fft.rfft(columns, axis=0)
     return np.asarray(np.real((weights[:, np.newaxis] * seen.conj()).T @ seen))
 
 
-def weights_of(left: FloatArray, step: float) -> FloatArray:
+def weigh_frequencies(left: FloatArray, step: float) -> FloatArray:
     """Return the weight of every frequency of a position, (samples // 2 + 1,): the inverse of its errors' spectrum.
 
     The periodogram is averaged over sqrt(samples) neighbours. The mean weighs nothing.
@@ -117,7 +117,7 @@ def weights_of(left: FloatArray, step: float) -> FloatArray:
     return np.concatenate([[0.0], both / (spectrum * count)])
 
 
-def with_information(covariance: FloatArray, information: FloatArray) -> FloatArray:
+def add_information(covariance: FloatArray, information: FloatArray) -> FloatArray:
     """Return ``(covariance^-1 + information)^-1``, all (free, free); the covariance may be singular."""
     std = np.sqrt(np.diag(covariance))
     std = np.where(std > 0, std, 1.0)
@@ -127,7 +127,9 @@ def with_information(covariance: FloatArray, information: FloatArray) -> FloatAr
     return np.asarray(root @ np.linalg.solve(np.eye(std.size) + added, root.T))
 
 
-def load_alone(problem: ClosedLoopProblem, x: FloatArray, motor: FloatArray, load: FloatArray) -> FloatArray:
+def subtract_driven_motion(
+    problem: ClosedLoopProblem, x: FloatArray, motor: FloatArray, load: FloatArray
+) -> FloatArray:
     """Return what of the load's motion the motor's does not explain, ``load - H motor``, (samples, ...) as given.
 
     ``ZZ2 a + (Fv2 + F12) v + K12 q = F12 v1 + K12 q1``, the load sliding, the motor on a straight line between two
@@ -144,12 +146,12 @@ def load_alone(problem: ClosedLoopProblem, x: FloatArray, motor: FloatArray, loa
     return np.asarray(load - lfilter(np.ravel(top), bottom, motor, axis=0))
 
 
-def _is_of_load(name: str) -> bool:
+def _acts_on_load(name: str) -> bool:
     """Whether a parameter stands in the load's own equation."""
     return name.startswith("load_") or name in ("stiffness", "damping")
 
 
-def _left_of_load(problem: ClosedLoopProblem, x: FloatArray) -> FloatArray | None:
+def _simulate_load_error(problem: ClosedLoopProblem, x: FloatArray) -> FloatArray | None:
     """Return what the motor's motion leaves of the load's answer to a force that explains the torque's residual.
 
     A white force on the motor, as large as makes the filtered torque's answer as large as the residual. None where the
@@ -170,4 +172,4 @@ def _left_of_load(problem: ClosedLoopProblem, x: FloatArray) -> FloatArray | Non
     assert run.load_position is not None
     assert quiet.load_position is not None
     motor = run.motor_position - quiet.motor_position
-    return load_alone(problem, x, motor, run.load_position - quiet.load_position)
+    return subtract_driven_motion(problem, x, motor, run.load_position - quiet.load_position)

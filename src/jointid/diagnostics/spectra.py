@@ -31,7 +31,7 @@ class Spectra:
     resolution: float
 
 
-def spectra(measured: FloatArray, predicted: FloatArray, sample_time: float) -> Spectra:
+def estimate_spectra(measured: FloatArray, predicted: FloatArray, sample_time: float) -> Spectra:
     """Return the spectra of a measured and a predicted signal, and of their difference.
 
     Args:

@@ -23,9 +23,9 @@ from dataclasses import dataclass, replace
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.text import number
-from jointid.diagnostics.experiment_design import at_estimate, noise_of, steps
-from jointid.diagnostics.sensor_information import Noise, informations, with_information
-from jointid.diagnostics.variations import pulse_of, pulsed
+from jointid.diagnostics.experiment_design import choose_encoder_steps, find_noise_source, rebuild_declared_problem
+from jointid.diagnostics.sensor_information import Noise, add_information, compute_encoder_information
+from jointid.diagnostics.variations import add_pulses, choose_pulse
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.search.exploration import FASTEST
@@ -42,7 +42,7 @@ from jointid.uncertainty.verdict import StiffnessBound
 SHARES = (0.1, 0.33)
 """Of the load in the inertia, for which the tests are tried."""
 
-TOLD = 0.25
+DETECTED = 0.25
 """Relative deviation of a compliance that is told: its 2-sigma interval ends at half its value."""
 
 _EXCLUDED = 1 / 1.645  # relative deviation of a compliance that a 95 % bound just excludes
@@ -52,7 +52,7 @@ _HALVINGS = 3  # of the last step
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class DetectableMode:
     """What one test would tell of a spring at one load share.
 
     Attributes:
@@ -69,7 +69,7 @@ class Told:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Revealing:
+class StiffnessTestDesign:
     """What would show a spring that a record does not show.
 
     Attributes:
@@ -81,8 +81,8 @@ class Revealing:
     """
 
     record: str
-    pulses: tuple[Told, ...]
-    encoder: tuple[Told, ...]
+    pulses: tuple[DetectableMode, ...]
+    encoder: tuple[DetectableMode, ...]
     height: float
     width: float
     step: float
@@ -97,30 +97,25 @@ class Revealing:
             return "This record bounds no stiffness at all, so no test can be reckoned from it."
         pulses = f"pulses of {self.height:.0f} {self.unit} and {1e3 * self.width:.3g} ms added to this motion"
         encoder = f"a load encoder of steps of {number(self.step, 2)} {self.position_unit}"
-        tests = (_sentence(pulses, self.pulses), _sentence(encoder, self.encoder))
+        tests = (_describe_test(pulses, self.pulses), _describe_test(encoder, self.encoder))
         excluded = f"This record excludes a mode below {known};"
         return "\n".join([*transmission_lines(self.transmission), excluded, f"{tests[0]};", f"{tests[1]}."])
 
 
-def _sentence(name: str, told: tuple[Told, ...]) -> str:
+def _describe_test(name: str, told: tuple[DetectableMode, ...]) -> str:
     seen = [one for one in told if one.mode is not None]
     if seen:
         modes = " and ".join(f"below {one.mode:.0f} Hz at a load share of {one.share:g}" for one in seen)
         return f"{name} would tell one {modes}"
-    return f"{name} would not tell even the softest, but {_times(min(one.deviation for one in told))}"
+    return f"{name} would not tell even the softest, but {_describe_shortfall(min(one.deviation for one in told))}"
 
 
-def _times(deviation: float) -> str:
-    more = deviation / TOLD
+def _describe_shortfall(deviation: float) -> str:
+    more = deviation / DETECTED
     return "no such loop can be simulated" if math.isinf(more) else f"{more:.1f} times as much might"
 
 
-def what_would_tell_more(estimate: Estimate, record: Record) -> str:
-    """Return which test would tell the stiffness that an estimate refuses, in three lines: see `revealing`."""
-    return str(revealing(estimate, record))
-
-
-def revealing(
+def design_stiffness_test(
     estimate: Estimate,
     record: Record,
     *,
@@ -128,7 +123,7 @@ def revealing(
     encoder_step: float | None = None,
     noise: Noise | None = None,
     progress: Progress = silent,
-) -> Revealing:
+) -> StiffnessTestDesign:
     """Predict which modes pulses or a load encoder would show on an axis whose stiffness is refused (see the module).
 
     Args:
@@ -144,16 +139,16 @@ def revealing(
     """
     if not estimate.checks.bounds:
         raise MethodError("This estimate refuses no stiffness, so there is nothing to reveal; advise says what helps.")
-    problem = _all_free(at_estimate(estimate, record)[0])
+    problem = _free_both_sides(rebuild_declared_problem(estimate, record)[0])
     sample_time, cutoff = problem.experiment.sample_time, problem.filtering.cutoff
     assert cutoff is not None
     band = Filtering(cutoff=max(_BAND / sample_time, cutoff)).resolved(sample_time, "flexible")
     wide = replace(problem, filtering=band)
     error = wide.filtered(estimate.fit.measured - estimate.fit.predicted)
-    rigid = _rigid(estimate)
-    height, width = pulse or pulse_of(problem, rigid)
-    rung = replace(wide, experiment=pulsed(problem, height, width).experiment)
-    step = steps(record, encoder_step)[1]
+    rigid = _sum_both_sides(estimate)
+    height, width = pulse or choose_pulse(problem, rigid)
+    rung = replace(wide, experiment=add_pulses(problem, height, width).experiment)
+    step = choose_encoder_steps(record, encoder_step)[1]
 
     def deviation(by: ClosedLoopProblem, values: Mapping[str, float], doubt: float, encoder: bool) -> float:
         x = by.vector(values)
@@ -163,58 +158,60 @@ def revealing(
         J = by.filtered(columns)
         known = doubt**2 * stationary(J, J, error).matrix
         if encoder:
-            load = informations(by, x, noise or noise_of(record), step, step).load
+            load = compute_encoder_information(by, x, noise or find_noise_source(record), step, step).load
             assert load is not None
-            known = with_information(known, load)
+            known = add_information(known, load)
         at = [p.name for p in by.free].index("stiffness")
         return math.sqrt(max(float(known[at, at]), 0.0)) / values["stiffness"]
 
-    def told(by: ClosedLoopProblem, bound: StiffnessBound, encoder: bool) -> Told:
+    def predict_mode(by: ClosedLoopProblem, bound: StiffnessBound, encoder: bool) -> DetectableMode:
         assert bound.frequency is not None
         progress(f"looking for what tells a mode at a load share of {bound.share:g}")
         softest = pseudo_regular(rigid, bound.frequency, bound.share)
         doubt = max(_EXCLUDED / deviation(wide, softest, 1.0, False), 1.0)
 
-        def at(mode: float) -> float:
+        def deviation_at(mode: float) -> float:
             return deviation(by, pseudo_regular(rigid, mode, bound.share), doubt, encoder)
 
-        return _told(bound.share, bound.frequency, at, FASTEST / sample_time)
+        return _find_highest_mode(bound.share, bound.frequency, deviation_at, FASTEST / sample_time)
 
     kind = estimate.settings.joint.kind
     unit = estimate.settings.joint.torque_unit or TORQUE_UNIT[kind]
     bounds = [bound for bound in estimate.checks.bounds if bound.share in SHARES and bound.frequency is not None]
-    return Revealing(
+    return StiffnessTestDesign(
         estimate.data.record,
-        tuple(told(rung, bound, False) for bound in bounds),
-        tuple(told(wide, bound, True) for bound in bounds),
+        tuple(predict_mode(rung, bound, False) for bound in bounds),
+        tuple(predict_mode(wide, bound, True) for bound in bounds),
         height, width, step, unit, POSITION_UNIT[kind], estimate.settings.joint.transmission,
     )  # fmt: skip
 
 
-def _all_free(problem: ClosedLoopProblem) -> ClosedLoopProblem:
+def _free_both_sides(problem: ClosedLoopProblem) -> ClosedLoopProblem:
     """Return the problem with everything free that parts the motor from the load, also what was kept fixed."""
     parted = ("motor_", "load_", "stiffness", "damping")
     freed = tuple(replace(p, free=True) if p.name.startswith(parted) else p for p in problem.parameters)
     return replace(problem, parameters=freed)
 
 
-def _told(share: float, softest: float, deviation: Callable[[float], float], fastest: float) -> Told:
+def _find_highest_mode(
+    share: float, softest: float, deviation: Callable[[float], float], fastest: float
+) -> DetectableMode:
     """Return up to which mode a test tells the compliance: in steps from the softest joint allowed, the last halved."""
     first = now = deviation(softest)
     mode, tried = None, softest
-    while now <= TOLD:
+    while now <= DETECTED:
         mode = tried
         if tried == fastest:
-            return Told(share, softest, first, mode)
+            return DetectableMode(share, softest, first, mode)
         tried = min(tried * _STEP, fastest)
         now = deviation(tried)
     for _ in range(_HALVINGS if mode else 0):
         middle = 0.5 * ((mode or softest) + tried)
-        mode, tried = (middle, tried) if deviation(middle) <= TOLD else (mode, middle)
-    return Told(share, softest, first, mode)
+        mode, tried = (middle, tried) if deviation(middle) <= DETECTED else (mode, middle)
+    return DetectableMode(share, softest, first, mode)
 
 
-def _rigid(estimate: Estimate) -> dict[str, float]:
+def _sum_both_sides(estimate: Estimate) -> dict[str, float]:
     """Return what a refused estimate tells of the whole joint, as a rigid joint's values."""
     assert estimate.checks.known is not None
     found = {known.combination.quantity: known.value for known in estimate.checks.known.physical}

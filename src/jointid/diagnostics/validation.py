@@ -147,15 +147,19 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record) -> Validation
             "A validation simulates the closed loop of a DIDIM estimate or evaluates the inverse model of an IDIM one; "
             f'this estimate is of the method "{identified.method}": identify the other record too, and compare values.'
         )
-    return _inverse(identified, record) if identified.loop is None else _simulated(identified, record)
+    return (
+        _validate_inverse_model(identified, record)
+        if identified.loop is None
+        else _validate_simulation(identified, record)
+    )
 
 
-def _test(identified: IdentifiedJoint, record: Record) -> Literal["direct", "cross"]:
+def _name_test(identified: IdentifiedJoint, record: Record) -> Literal["direct", "cross"]:
     assert record.torque is not None
     return "direct" if fingerprint(record.torque.values) == identified.fingerprint else "cross"
 
 
-def _inverse(identified: IdentifiedJoint, record: Record) -> Validation:
+def _validate_inverse_model(identified: IdentifiedJoint, record: Record) -> Validation:
     assert record.torque is not None
     joint, filtering, sample_time = identified.joint, identified.filtering, record.torque.sample_time
     model = motion_of(record, identified.delay, filtering, joint, identified.effects)
@@ -164,7 +168,7 @@ def _inverse(identified: IdentifiedJoint, record: Record) -> Validation:
     error, _ = model.decimated(filtering, sample_time, values)
     whole, _ = model.decimated(filtering, sample_time, np.zeros_like(values))
     return Validation(
-        test=_test(identified, record),
+        test=_name_test(identified, record),
         method=identified.method,
         record=record.name,
         identified_from=identified.record,
@@ -181,14 +185,14 @@ def _inverse(identified: IdentifiedJoint, record: Record) -> Validation:
         tracking_error=None,
         initial=None,
         simulations=0,
-        autocorrelation=autocorrelation(error[: error.size // len(model.torque)]),
+        autocorrelation=autocorrelate(error[: error.size // len(model.torque)]),
         rows=error.size // len(model.torque),
         motor=model.motor,
         transmission=identified.joint.transmission,
     )
 
 
-def _simulated(identified: IdentifiedJoint, record: Record) -> Validation:
+def _validate_simulation(identified: IdentifiedJoint, record: Record) -> Validation:
     assert identified.loop is not None
     assert record.torque is not None
     loop, filtering = identified.loop, identified.filtering
@@ -198,11 +202,11 @@ def _simulated(identified: IdentifiedJoint, record: Record) -> Validation:
     measured = record.torque.values[: experiment.samples]
     around = with_torque(INITIAL_STATE, experiment, measured)
     problem = ClosedLoopProblem((*fixed, *around), measured, filtering, loop, experiment)
-    x, runs = _initial_fit(problem)
+    x, runs = _fit_initial_state(problem)
     run = require_finished(problem.simulate(x))
     error = problem.filtered(np.column_stack([measured - run.torque, measured]))
     return Validation(
-        test=_test(identified, record),
+        test=_name_test(identified, record),
         method=identified.method,
         record=record.name,
         identified_from=identified.record,
@@ -216,18 +220,18 @@ def _simulated(identified: IdentifiedJoint, record: Record) -> Validation:
         borders=filtering.borders,
         relative_error=relative_error(measured, run.torque, filtering.borders),
         filtered_error=float(np.linalg.norm(error[:, 0]) / np.linalg.norm(error[:, 1])),
-        tracking_error=_tracking(record, run, filtering.borders),
+        tracking_error=_compare_tracking(record, run, filtering.borders),
         initial=initial_of(problem.values(x)),
         simulations=runs + 1,
-        autocorrelation=autocorrelation(error[:, 0]),
+        autocorrelation=autocorrelate(error[:, 0]),
         rows=len(error),
         motor=Motion(run.motor_position, run.motor_velocity, run.motor.acceleration),
         transmission=identified.joint.transmission,
-        warnings=_warnings(identified, loop),
+        warnings=_list_warnings(identified, loop),
     )
 
 
-def autocorrelation(error: FloatArray) -> FloatArray:
+def autocorrelate(error: FloatArray) -> FloatArray:
     """Return the autocorrelation of a residual at lags 0 to `_LAGS`, (lags + 1,)."""
     centred = error - error.mean()
     power = float(centred @ centred) or 1.0
@@ -235,7 +239,7 @@ def autocorrelation(error: FloatArray) -> FloatArray:
     return np.array([float(centred[lag:] @ centred[: centred.size - lag]) / power for lag in range(lags + 1)])
 
 
-def _warnings(identified: IdentifiedJoint, loop: ClosedLoop) -> tuple[str, ...]:
+def _list_warnings(identified: IdentifiedJoint, loop: ClosedLoop) -> tuple[str, ...]:
     if identified.controller in ("", law_fingerprint(loop)):
         return ()
     return (
@@ -243,7 +247,7 @@ def _warnings(identified: IdentifiedJoint, loop: ClosedLoop) -> tuple[str, ...]:
     )
 
 
-def _initial_fit(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
+def _fit_initial_state(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
     """Return the initial state that fits best, position and velocity, and the simulations it took.
 
     A motor at rest and one that moves are two problems (see `didim`), so both are solved.
@@ -259,7 +263,7 @@ def _initial_fit(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
     return problem.vector(which.values(best.x)), sum(end.evaluations for _, end in ends)
 
 
-def _tracking(record: Record, run: Simulation, borders: tuple[int, int]) -> float | None:
+def _compare_tracking(record: Record, run: Simulation, borders: tuple[int, int]) -> float | None:
     """Return how far the simulated tracking error is from the measured one, where there is one at the same rate."""
     reference, position = record.reference, record.motor_position
     if reference is None or position is None or position.sample_time != run.sample_time:
