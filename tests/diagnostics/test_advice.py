@@ -199,7 +199,7 @@ def test_what_cannot_be_advised_on(disturbed: tuple[Twin, Estimate], logged: tup
         advise(identify(axis.record, axis.loop.joint, IDIM()), axis.record)
     with pytest.raises(MethodError, match="is a positive number; received -1"):
         advise(estimate, axis.record, encoder_step=-1.0)
-    with pytest.raises(MethodError, match="refuses no stiffness"):
+    with pytest.raises(MethodError, match="identifies its stiffness"):
         design_stiffness_test(estimate, axis.record)
 
 
@@ -224,7 +224,7 @@ def test_a_refused_stiffness_is_answered_with_what_would_show_it(stiff_axis: tup
     for rung, seen in zip(answer.pulses, answer.encoder, strict=True):
         assert (seen.mode or 0.0) >= rung.softest
     assert json.loads(dumps(revealing_answer(answer)))["schema"] == "jointid.revealing/1"
-    with pytest.raises(MethodError, match="refuses the stiffness"):
+    with pytest.raises(MethodError, match="stiffness is not identifiable"):
         advise(estimate, record)
 
 

@@ -39,7 +39,7 @@ def test_one_record_twice_is_not_tested(tmp_path: Path) -> None:
     found = ji.compare_estimates(ji.read_report(path), ji.read_report(path))
     assert found.same_record
     assert all(row.p_value is None and row.difference == 0 for row in found.rows)
-    assert "Both are of one record" in str(found)
+    assert "Both are of the same record" in str(found)
 
 
 def test_a_difference_has_the_variance_of_both_and_holms_p_value(tmp_path: Path) -> None:
@@ -64,8 +64,8 @@ def test_what_is_fixed_or_refused_is_said(tmp_path: Path) -> None:
         after, quantities=(replace(inertia, value=None, std=None), replace(viscous, std=None, free=False), *rest)
     )
     rows = {row.name: row for row in ji.compare_estimates(before, changed).rows}
-    assert rows["inertia"].reason == "not told in B"
-    assert rows["viscous"].reason == "kept fixed in B"
+    assert rows["inertia"].reason == "not identified in B"
+    assert rows["viscous"].reason == "fixed in B"
     assert rows["viscous"].difference is not None
     assert rows["inertia"].p_value is rows["viscous"].p_value is None
 

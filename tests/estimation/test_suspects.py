@@ -141,7 +141,7 @@ def test_an_answer_is_checked_with_its_record(identified: Callable[..., Estimate
     assert check_loop(estimate, record).as_declared
     only = check_loop(estimate, record, LoopTests(faults=("kp", "delay")))
     assert {s.name for s in only.tests} == {"kp", "delay"}
-    with pytest.raises(MethodError, match="No suspect of this record is called kd; those that can be tested are gain"):
+    with pytest.raises(MethodError, match="No fault called kd can be tested in this record; choose from gain"):
         check_loop(estimate, record, LoopTests(faults=("kd",)))
     with pytest.raises(MethodError, match="has another torque"):
         check_loop(estimate, twin(noise="white", seed=2).record)
@@ -168,7 +168,7 @@ def _check(name: str, size: float, std: float, declared: float = 0.0, **more: ob
     return LoopCheck((changed,), (changed.test,), 0.05, symbols, units)
 
 
-_TAKEN = " (p < 1e-6); taking it in changes Fv1 by -59 N s/m (3.1 sigma)"
+_TAKEN = " (p < 1e-6); correcting it changes Fv1 by -59 N s/m (3.1 sigma)"
 
 
 @pytest.mark.parametrize(
@@ -176,7 +176,7 @@ _TAKEN = " (p < 1e-6); taking it in changes Fv1 by -59 N s/m (3.1 sigma)"
     [
         (_check("delay", 4e-4, 2.5e-5), "the torque reacts 0.400 +- 0.050 ms later than declared"),
         (_check("delay", -4e-4, 2.5e-5), "the torque reacts 0.400 +- 0.050 ms earlier than declared"),
-        (_check("log_delay", 1e-3, 2e-5), "the log shows it 1.00 +- 0.040 ms later than its stamps say"),
+        (_check("log_delay", 1e-3, 2e-5), "the logged torque is 1.00 +- 0.040 ms later than its time stamps say"),
         (_check("kp", 4.8, 0.8, 160.0), "kp is 3.0 +- 1.0 % larger than declared"),
         (_check("log_gain", -0.03, 0.005, 1.0), "the logged torque is 3.0 +- 1.0 % smaller than declared"),
         (_check("injected_gain", 0.03, 0.005, 1.0), "the injected signal is 3.0 +- 1.0 % larger than declared"),
@@ -217,7 +217,7 @@ def test_behind_a_transmission_a_fault_names_its_side(check: LoopCheck, sentence
 def test_what_cannot_be_told_apart_is_said() -> None:
     check = _check("kv", -10.0, 1.0, 240.0, alike=("gain",))
     rivalled = replace(check, findings=(replace(check.findings[0], rivals=("log_gain",)),))
-    assert "or the like of gain, which this loop does not tell from kv; log_gain would explain nearly as much" in str(
+    assert "or so is gain, which this loop cannot distinguish from kv; log_gain would explain nearly as much" in str(
         rivalled
     )
     assert "kv or gain" in str(rivalled).splitlines()[-1]

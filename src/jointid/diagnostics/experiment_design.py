@@ -1,11 +1,11 @@
-"""What another sensor, or another motion, would do to every interval of an estimate: before either is paid for.
+"""Predict the intervals of an estimate with other sensors or another motion, before either is paid for.
 
 `advise` takes an estimate and its record. Covariances are predicted from exact sensitivities at the estimate, and
 begin at those that were reported: what is predicted is how much they change.
 
-- A sensor adds its information to the torque's (`encoders`).
+- A sensor adds its information to the torque's (`sensor_information`).
 - A motion is simulated at the estimate and gives other sensitivities J. The residual is taken to keep the spectrum it
-  has in the record, and the covariance of least squares under it (`inference.uncertainty.stationary`) is set against
+  has in the record, and the covariance of least squares under it (`uncertainty.covariance.stationary`) is set against
   the same for the record's own motion. A loop that sees the same disturbance does keep it; friction that repeats with
   the motion would change.
 """
@@ -40,16 +40,16 @@ from jointid.records.signals.encoder_step import find_encoder_step
 from jointid.simulation.closed_loop import Outcome
 from jointid.uncertainty.covariance import covariance_of, stationary
 
-_WORTH = 0.8  # of a deviation: what narrows it less is not worth a sentence
+_WORTH = 0.8  # of a deviation: a smaller gain is not worth a sentence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """What one change of sensors or motion would do.
+    """Predicted standard deviations under one change of sensors or motion.
 
     Attributes:
         name: of the change, a word or two.
-        description: what it is, with its numbers.
+        description: of the change, with its numbers.
         std: predicted standard deviations by name; empty where the loop cannot be simulated under it.
     """
 
@@ -60,7 +60,7 @@ class Prediction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Advice(Documented):
-    """What sensors and motions would do to an estimate.
+    """Predicted standard deviations of an estimate with other sensors and motions.
 
     Attributes:
         record: its name.
@@ -92,41 +92,41 @@ class Advice(Documented):
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """For every change, which interval it narrows most."""
+        """The interval that each change narrows most, a sentence each."""
         return tuple(self._sentence(one) for one in (*self.sensors, *self.tests))
 
     def _sentence(self, change: Prediction) -> str:
         if not change.std:
-            return f"{change.name}: {change.description}; the loop cannot be simulated so"
+            return f"{change.name}: {change.description}; the loop cannot be simulated with it"
         name = min(change.std, key=lambda n: change.std[n] / self.std[n])
         before, after = self.std[name], change.std[name]
         if after > _WORTH * before:
             return f"{change.name}: {change.description}; narrows no interval by more than a fifth"
         return (
-            f"{change.name}: {change.description}; narrows {self.symbols[name]} most, from +- {number(2 * before, 2)} to "
-            f"+- {number(2 * after, 2)} {self.units[name]}"
+            f"{change.name}: {change.description}; narrows {self.symbols[name]} most, from +- {number(2 * before, 2)} "
+            f"to +- {number(2 * after, 2)} {self.units[name]}"
         )
 
     def document(self, *, details: bool = False) -> Document:
         """Return a table for sensors, one for tests, and a sentence each; there are no further details."""
         del details
         where = {
-            "loop": "a force inside the loop: the log is the controller's output",
-            "log": "the log's own noise",
+            "loop": "caused by a force inside the loop, the log being the controller's output",
+            "log": "measurement noise of the log",
         }[self.noise]
         facts = common_facts(None, self.transmission)
-        blocks: list[Block] = [Paragraph(f"the torque's residual is taken to be {where}")]
+        blocks: list[Block] = [Paragraph(f"the torque residual is taken to be {where}")]
         blocks += [Facts(facts)] if facts else []
         for kind, group in (("torque and", self.sensors), ("torque from", self.tests)):
             header = ("symbol", "reported", *(f"{kind} {one.name}" for one in group), "unit")
             rows = tuple(self._row(name, group) for name in self.std)
             blocks.append(Table(header, rows, words=(0, len(header) - 1)))
-        title = f"What would narrow the intervals of {self.record}; 2 sigma, predicted"
+        title = f"Predicted 2-sigma intervals of {self.record} with other sensors or motions"
         return Document(title, (*blocks, Listing(self.sentences)))
 
     def _row(self, name: str, group: tuple[Prediction, ...]) -> tuple[str, ...]:
-        told = (number(2 * one.std[name] if one.std else None, 2) for one in group)
-        return self.symbols[name], number(2 * self.std[name], 2), *told, self.units[name]
+        stds = (number(2 * one.std[name] if one.std else None, 2) for one in group)
+        return self.symbols[name], number(2 * self.std[name], 2), *stds, self.units[name]
 
 
 def advise(
@@ -138,10 +138,10 @@ def advise(
     pulse: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> Advice:
-    """Predict what encoders, pulses and a faster motion would do to the intervals of an estimate (see the module).
+    """Predict the intervals of an estimate with encoders, with pulses and with a faster motion (see the module).
 
     Args:
-        estimate: by DIDIM, nothing of it refused.
+        estimate: by DIDIM, all parameters identifiable.
         record: that it was identified from.
         encoder_step: of encoders on motor and load, m or rad, on the joint's side of a transmission; None: as fine as
             those of the record, or a millionth of the commanded travel where it has none.
@@ -157,8 +157,8 @@ def advise(
     problem, x = rebuild_declared_problem(estimate, record)
     if estimate.checks.bounds:
         raise MethodError(
-            "This estimate refuses the stiffness, so there is no joint to predict intervals of; "
-            "design_stiffness_test says which test would show one."
+            "The stiffness is not identifiable from this record, so no intervals can be predicted; "
+            "design_stiffness_test predicts which test would identify it."
         )
     noise = noise or find_noise_source(record)
     scale = np.array([p.stderr or 0.0 for p in estimate.params if p.free])
@@ -185,13 +185,13 @@ def advise(
 
 
 def rebuild_declared_problem(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, FloatArray]:
-    """Return the problem an estimate solved and its free parameters, those that were refused at 0.
+    """Return the problem an estimate solved and its free parameters, 0 for those not identifiable.
 
     Raises:
         MethodError: it is not of a simulated loop as it was declared, or of another record.
     """
     if estimate.settings.loop is None:
-        raise MethodError("Advice is for an estimate by DIDIM, which knows its loop; this one is by IDIM.")
+        raise MethodError("A prediction needs an estimate by DIDIM, which simulates its loop; this one is by IDIM.")
     assert record.torque is not None
     if fingerprint(record.torque.values) != estimate.data.fingerprint:
         raise MethodError(
@@ -202,7 +202,7 @@ def rebuild_declared_problem(estimate: Estimate, record: Record) -> tuple[Closed
     of_start = {p.name: p for p in (*INITIAL_STATE, INITIAL_TORQUE)}
     if any(name not in of_start for name in freed):
         raise MethodError(
-            f"Advice takes the loop as it is declared, and here {', '.join(freed)} was free; identify with those fixed."
+            f"A prediction takes the loop as declared, and here {', '.join(freed)} was free; identify with those fixed."
         )
     found = {p.name: p for p in estimate.params}
     parameters = tuple(
@@ -217,12 +217,12 @@ def rebuild_declared_problem(estimate: Estimate, record: Record) -> tuple[Closed
 
 
 def find_noise_source(record: Record) -> Noise:
-    """Return where a torque's residual comes from, by where it was logged."""
+    """Return the source of the torque residual implied by the tap of the record."""
     return "log" if record.tap is Tap.MEASURED else "loop"
 
 
 def choose_encoder_steps(record: Record, given: float | None) -> tuple[float, float]:
-    """Return the steps of an encoder on the motor and on the load: as given, or the record's own, or the usual."""
+    """Return the encoder steps of motor and load: as given, else those of the record, else the assumed ones."""
     if given is not None:
         if not (math.isfinite(given) and given > 0):
             raise MethodError(f"The step of an encoder is a positive number; received {given}.")

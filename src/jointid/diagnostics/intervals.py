@@ -1,8 +1,8 @@
-"""Intervals of an estimate by other roads: profiles of the criterion, and bootstraps over time and over place.
+"""Intervals of an estimate by profiles of the criterion and by bootstraps over time and over position.
 
-The intervals in an estimate's table come from its slopes at one point. A profile follows the criterion itself, which
-matters where it is not a parabola, as for a stiffness that is barely seen; a bootstrap asks the record what other
-records of the same axis might have said. Both start from an estimate and the record it came from.
+The intervals in an estimate's table come from the slopes of the criterion at one point. A profile follows the criterion
+itself, which matters where it is not a parabola, as for a stiffness that is barely identifiable; a bootstrap resamples
+the residual. Both start from an estimate and its record.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from jointid.uncertainty.covariance import Covariance, covariance_of
 from jointid.uncertainty.position_dependent_error import uncertainty
 from jointid.uncertainty.profile import Profile, Profiling, profile
 
-_LEAST = 1e-4  # of the compliance: less is as good as none
+_LEAST = 1e-4  # of the compliance: a smaller one is negligible
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Intervals(Documented):
-    """What other roads say of an estimate.
+    """Intervals of an estimate by profiles and bootstraps.
 
     Attributes:
         profiles: of the quantities asked for.
@@ -77,15 +77,15 @@ def intervals(
         record: it came from.
         quantities: to profile: names of free parameters, "compliance" for 1/K12, or sums and differences of parameters,
             "motor_viscous + load_viscous".
-        bootstrap: whether to draw as well.
-        refit: whether every draw is a whole least-squares fit; one linear step otherwise.
+        bootstrap: True to bootstrap as well.
+        refit: True for a whole least-squares fit of every draw; one linear step otherwise.
         profiling: see `Profiling`.
         bootstrapping: see `Bootstrapping`.
         progress: is told each quantity.
 
     Raises:
-        MethodError: the estimate is not by DIDIM or refuses its parameters, a quantity is not known, or the record is
-            another one.
+        MethodError: the estimate is not by DIDIM or has parameters that are not identifiable, a quantity is not known, or
+            the record is another one.
     """
     problem, x = rebuild_problem(estimate, record)
     residual, J = problem.linearised(x)
@@ -94,11 +94,11 @@ def intervals(
     spread = uncertainty(J, J, residual, where, names, problem.torque_unit).covariance
     profiles = []
     for quantity in quantities:
-        progress(f"following the criterion along {quantity}")
+        progress(f"profiling {quantity}")
         profiles.append(_profile_quantity(problem, x, spread, quantity, profiling))
     if not bootstrap:
         return Intervals(tuple(profiles), None, None, estimate.settings.joint.transmission)
-    progress("drawing over time and over place")
+    progress("bootstrapping over time and over position")
     again = refitted(problem, x) if refit else None
     over_time = time_bootstrap(problem.free, x, residual, J, bootstrapping, again)
     over_place = cell_bootstrap(problem.free, x, residual, J, where.stretch, bootstrapping, again)
@@ -106,7 +106,7 @@ def intervals(
 
 
 def require_quantities(quantities: Sequence[str], loop: ClosedLoop) -> None:
-    """Raise a `MethodError` for a quantity that no estimate of this loop can have; which are free only a fit tells.
+    """Raise a `MethodError` for a quantity that no estimate of this loop can have, free or not.
 
     Args:
         quantities: see `intervals`.
@@ -174,7 +174,7 @@ def _profile_quantity(
 
 
 def _parse_combination(problem: ClosedLoopProblem, quantity: str) -> Combination:
-    """Return the sum that a text such as ``a + b - c`` names."""
+    """Return the combination of parameters in a text such as ``a + b - c``."""
     weights = _parse_weights(quantity)
     free = {p.name: p for p in problem.free}
     if not weights.keys() <= free.keys():
@@ -188,14 +188,14 @@ def _parse_combination(problem: ClosedLoopProblem, quantity: str) -> Combination
 
 
 def _parse_weights(quantity: str) -> dict[str, float]:
-    """Return what a text such as ``a + b - c`` adds, by name."""
+    """Return the sign of each parameter in a text such as ``a + b - c``, by name."""
     terms = quantity.replace("-", "+-").split("+")
     found = {term.strip().removeprefix("-").strip(): -1.0 if "-" in term else 1.0 for term in terms if term.strip()}
     return found or {quantity: 1.0}
 
 
 def _explain_unknown(quantity: str, names: Collection[str]) -> str:
-    """Return why a text is no quantity of an estimate with these parameters."""
+    """Return the message for a text that is no quantity of an estimate with these parameters."""
     compliance = ", or compliance" if "stiffness" in names else ""
     return (
         f'"{quantity}" is no quantity of this estimate; name a free parameter ({", ".join(names)}), or a sum or '

@@ -1,8 +1,8 @@
-"""Every method that a record allows, side by side: where they agree, the answer does not hang on the method.
+"""Compare all methods that a record allows: where they agree, the result does not depend on the method.
 
-DIDIM from torque and reference; IDIM by ordinary, weighted and robust least squares and by instruments, from positions;
-each with the joint's own friction, and DIDIM and ordinary least squares with the other law too. A method that cannot
-run is listed with the sentence that says why.
+DIDIM from torque and reference; IDIM by ordinary, weighted and robust least squares and by instrumental variables,
+from positions; each with the joint's own friction, and DIDIM and ordinary least squares with the other law too. A
+method that cannot run is listed with the reason.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from jointid.simulation.loop_input import ClosedLoop
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MethodResult:
-    """One method of a comparison.
+    """Result of one method of a comparison.
 
     Attributes:
         name: of the method, in short.
-        estimate: what it found; None where it cannot run.
+        estimate: its result; None where it cannot run.
         refusal: why not, in a sentence; "" where it ran.
-        seconds: that it took.
+        seconds: of computing time.
     """
 
     name: str
@@ -53,12 +53,12 @@ class MethodResult:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MethodComparison(Documented):
-    """What the methods found in one record.
+    """Results of all methods for one record.
 
     Attributes:
         record: its name.
         model: of the joint.
-        methods: in the order they were tried.
+        methods: in the order they were run.
         disagreements: parameters on which two methods differ by more than both their intervals allow, in sentences.
     """
 
@@ -69,7 +69,7 @@ class MethodComparison(Documented):
 
     @property
     def estimates(self) -> dict[str, Estimate]:
-        """What those found that could run, by name."""
+        """Estimates of the methods that could run, by name."""
         return {method.name: method.estimate for method in self.methods if method.estimate is not None}
 
     def document(self, *, details: bool = False) -> Document:
@@ -109,7 +109,7 @@ def compare_methods(
         progress: is told each method's name.
 
     Raises:
-        RecordError: the record cannot be what it is said to be; what single methods lack is part of the answer.
+        RecordError: the record contradicts its description; a method that lacks a channel is part of the result.
     """
     check_record(record)
     tried = []
@@ -151,10 +151,10 @@ def _list_methods(
 
 
 def _describe_disagreements(tried: list[MethodResult]) -> tuple[str, ...]:
-    """Return a sentence on each parameter's worst pair of methods, where it is beyond both intervals together.
+    """Return a sentence on the worst pair of methods for each parameter on which two differ significantly.
 
-    All read one record, so that their errors mostly go together, and an honest pair is beyond far less often than in
-    one of twenty.
+    All use the same record, so their errors are correlated, and two valid methods differ by more far less often than
+    once in twenty.
     """
     found = {method.name: method.estimate for method in tried if method.estimate is not None}
     names = dict.fromkeys(p.name for estimate in found.values() for p in estimate.params if p.of_joint)
@@ -178,7 +178,7 @@ def _describe_disagreements(tried: list[MethodResult]) -> tuple[str, ...]:
 
 
 def _measure_gap(one: EstimatedParameter, two: EstimatedParameter) -> float:
-    """Return the difference of two estimates of one parameter, in 2-sigma intervals of it."""
+    """Return the difference of two estimates of one parameter over its 2-sigma interval."""
     assert one.value is not None
     assert two.value is not None
     spread = 2 * float(np.hypot(one.stderr or 0.0, two.stderr or 0.0))

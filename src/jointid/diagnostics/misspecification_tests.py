@@ -1,9 +1,9 @@
-"""Is the loop as declared, and what is wrong with this record? The likeliest fault named, then what is left.
+"""Find the faults of loop and log, the likeliest first, each corrected before the next is tested.
 
-Every alternative of `alternatives` is tested alone (`scores`), all tests of a record as one family, so that of records
-with nothing wrong at most 5 % are suspected at all. The largest statistic is named; what is nearly as likely, by the
-ratio of the likelihoods, is named with it. Then the problem is solved again with the fault taken in, which tells what
-it does to the joint's parameters, and what is left is tested again.
+Each fault of `fault_signatures` is tested alone (`scores`), all tests of a record as one family, so that a fault is
+found in at most 5 % of the records without one. The fault with the largest statistic is named, and with it those that
+are nearly as likely by the ratio of the likelihoods. Then the problem is solved again with the fault corrected, which
+shows its effect on the parameters of the joint, and the remaining faults are tested again.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ from jointid.uncertainty.covariance import larger, robust
 from jointid.uncertainty.position_dependent_error import Cells, by_place, cells, repeatable
 
 _RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20
-_LOW_SPEED = (STRIBECK, PRESLIDING)  # two of a kind: after one, another shape of it is no other fault
-_HALF = 0.5  # of the size by one step must be left when the problem is solved again
+_LOW_SPEED = (STRIBECK, PRESLIDING)  # alternatives: after one, the other is no separate fault
+_HALF = 0.5  # of the size by one step that must remain when the problem is solved again
 _ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
-_TOLERANCE = 1e-6  # of the refinement with a fault taken in: far below a deviation
+_TOLERANCE = 1e-6  # of the refinement with a fault corrected: far below a deviation
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +47,9 @@ class LoopTests:
     """Settings of the check of a loop.
 
     Attributes:
-        level: the share of records with nothing wrong in which something is suspected, at most.
+        level: largest share of records without a fault in which one is found.
         most: faults named at most, one after another.
-        faults: names of those to test; all that a record can have when None.
+        faults: names of those to test; all that the record allows when None.
     """
 
     level: float = 0.05
@@ -66,41 +66,41 @@ class LoopTests:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _State:
-    """A solved problem as the tests see it.
+    """A solved problem between two tests.
 
-    `beside` are faults taken in that no parameter of the problem stands for; `named` are all names that are settled.
+    `corrected` are faults taken off the torque, for which the problem has no parameter; `named` are not tested again.
     """
 
     problem: ClosedLoopProblem
     x: FloatArray
-    beside: tuple[FaultSignature, ...] = ()
+    corrected: tuple[FaultSignature, ...] = ()
     named: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TestResults:
-    """The residual and the columns of a state, (rows, ...), its alternatives, and their tests, the likeliest first."""
+    """Residual and columns of a state, (rows, ...), the fault signatures, and their tests, the likeliest first."""
 
     residual: FloatArray
     own: FloatArray
-    alternatives: tuple[FaultSignature, ...]
+    signatures: tuple[FaultSignature, ...]
     tests: tuple[FaultTest, ...]
 
-    def alternative(self, suspect: FaultTest) -> FaultSignature:
-        """Return the alternative a suspect was tested with."""
-        return next(a for a in self.alternatives if (a.name, a.shape) == (suspect.name, suspect.shape))
+    def signature_of(self, test: FaultTest) -> FaultSignature:
+        """Return the signature a fault was tested with."""
+        return next(a for a in self.signatures if (a.name, a.shape) == (test.name, test.shape))
 
 
 def find_faults(problem: ClosedLoopProblem, x: FloatArray, settings: LoopTests | None = None) -> LoopCheck:
-    """Return what of a loop and its log is not as declared.
+    """Find what of a loop and its log is not as declared.
 
     Args:
-        problem: with what was identified free; what is free is not suspected.
+        problem: with what was identified free; what is free is not tested.
         x: (free,) where it was solved.
         settings: see `LoopTests`.
 
     Raises:
-        MethodError: no suspect has one of the names asked for.
+        MethodError: a fault asked for cannot be tested in this record.
     """
     settings = settings or LoopTests()
     state = _State(problem, np.asarray(x, dtype=np.float64))
@@ -127,27 +127,27 @@ def find_faults(problem: ClosedLoopProblem, x: FloatArray, settings: LoopTests |
 
 
 def _run_tests(state: _State, settings: LoopTests) -> _TestResults:
-    """Test every alternative of a state, each alone."""
-    residual, own, alternatives = compute_signatures(state.problem, state.x)
-    known = dict.fromkeys(a.name for a in alternatives)
+    """Test every fault of a state, each alone."""
+    residual, own, signatures = compute_signatures(state.problem, state.x)
+    known = dict.fromkeys(a.name for a in signatures)
     wrong = [name for name in settings.faults or () if name not in (*known, *state.named)]
     if wrong:
         raise MethodError(
-            f"No suspect of this record is called {', '.join(wrong)}; those that can be tested are {', '.join(known)}."
+            f"No fault called {', '.join(wrong)} can be tested in this record; choose from {', '.join(known)}."
         )
     asked = [n for n in known if n not in state.named and (settings.faults is None or n in settings.faults)]
     declared = {name: _get_declared(state, name) for name in asked}
-    where = cache(lambda: _assign_cells(state))  # asked by every suspect that is found, and a simulation each time
-    tests = score_signatures(residual, _stack_columns(state, own), alternatives, declared, where)
-    return _TestResults(residual, own, alternatives, tests)
+    where = cache(lambda: _assign_cells(state))  # used by every fault found, and a simulation each time
+    tests = score_signatures(residual, _stack_columns(state, own), signatures, declared, where)
+    return _TestResults(residual, own, signatures, tests)
 
 
 def _stack_columns(state: _State, own: FloatArray) -> FloatArray:
-    return np.column_stack([own, *(a.column for a in state.beside)])
+    return np.column_stack([own, *(a.column for a in state.corrected)])
 
 
 def _assign_cells(state: _State) -> Cells:
-    """Return where and how the axis was at each row."""
+    """Return the cell of position, direction and speed of each row."""
     run = state.problem.simulate(state.x)
     motion = state.problem.filtered(np.column_stack([run.motor_position, run.motor_velocity]))
     return cells(motion[:, 0], motion[:, 1])
@@ -160,25 +160,25 @@ def _get_declared(state: _State, name: str) -> float:
 
 
 def _accept_fault(state: _State, found: _TestResults) -> _State:
-    """Return the state with the likeliest fault taken in, and the problem solved again.
+    """Return the state with the likeliest fault corrected, and the problem solved again.
 
-    A parameter that stands for the fault is freed. Where none does, what the fault adds is taken off the torque, and
-    its column set beside those of the joint, so that no later test is misled by its size.
+    The parameter of the fault is freed. A fault without one is subtracted from the torque, and its column joins
+    those of the joint, so that the error of its size does not mislead later tests.
     """
     suspect, problem = found.tests[0], state.problem
-    alternative = found.alternative(suspect)
+    signature = found.signature_of(suspect)
     named = (*state.named, suspect.name, *suspect.alike, *(_LOW_SPEED if suspect.name in _LOW_SPEED else ()))
-    if alternative.raw is not None:
-        problem = replace(problem, measured=problem.measured - suspect.size * alternative.raw)
-        return _State(problem, _solve(problem, state.x), (*state.beside, alternative), named)
+    if signature.raw is not None:
+        problem = replace(problem, measured=problem.measured - suspect.size * signature.raw)
+        return _State(problem, _solve(problem, state.x), (*state.corrected, signature), named)
     wider, start = _free_parameter(problem, suspect)
     x = _solve(wider, wider.vector(problem.values(state.x) | {suspect.name: start}))
     reached = wider.values(x)[suspect.name] - suspect.declared
     astray = suspect.name != LIMIT and reached * suspect.size < _HALF * suspect.size**2
     if astray or np.linalg.norm(wider.residual(x)) > np.linalg.norm(found.residual):
-        # A bound is in the way, or what else is wrong leads elsewhere: the test stands, the joint stays as it is.
-        return _State(problem, state.x, (*state.beside, alternative), named)
-    return _State(wider, x, state.beside, named)
+        # A bound or another fault prevents the fit: the test stands, the joint stays as it is.
+        return _State(problem, state.x, (*state.corrected, signature), named)
+    return _State(wider, x, state.corrected, named)
 
 
 def _solve(problem: ClosedLoopProblem, start: FloatArray) -> FloatArray:
@@ -187,12 +187,12 @@ def _solve(problem: ClosedLoopProblem, start: FloatArray) -> FloatArray:
 
 
 def _free_parameter(problem: ClosedLoopProblem, suspect: FaultTest) -> tuple[ClosedLoopProblem, float]:
-    """Return the problem with a suspect free, and where that begins."""
+    """Return the problem with the parameter of a fault free, and its start."""
     start = suspect.declared + suspect.size
     if suspect.name == OFFSET:
         parameters = tuple(replace(p, free=p.free or p.name == OFFSET) for p in problem.parameters)
         return replace(problem, parameters=parameters), start
-    if suspect.name == LIMIT:  # what is declared may be infinite, where no search can begin
+    if suspect.name == LIMIT:  # the declared limit may be infinite, where no search can begin
         start = (suspect.shape or 0.0) / _torque_per_unit(problem)
         loop = replace(problem.loop, controller=with_numbers(problem.loop.controller, {LIMIT: start}))
         law = problem.experiment.law_of(loop.controller)
@@ -203,7 +203,7 @@ def _free_parameter(problem: ClosedLoopProblem, suspect: FaultTest) -> tuple[Clo
 
 
 def _torque_per_unit(problem: ClosedLoopProblem) -> float:
-    """Return the torque on the joint for one unit of the controller."""
+    """Return the torque on the joint per unit of the controller output."""
     controller = problem.loop.controller
     return float(getattr(controller, "gain", 1.0) * abs(getattr(controller, "ratio", 1.0)))
 
@@ -222,7 +222,7 @@ def _make_finding(state: _State, after: _State, found: _TestResults, level: floa
         for name, by, s in zip(names, moved, std, strict=True)
     }
     free = [p.name for p in after.problem.free]
-    if len(after.beside) > len(state.beside) or suspect.name not in free:
+    if len(after.corrected) > len(state.corrected) or suspect.name not in free:
         return Finding(suspect, None, rivals, changes)
     value = values[suspect.name]
     if suspect.name == LIMIT:

@@ -1,7 +1,7 @@
-"""All that a report says of one estimate, collected: nothing after it computes anything.
+"""Collect the results that a report on one estimate presents; a report computes nothing itself.
 
-What cannot be had of an estimate (profiles without a simulated loop, a response without a stiffness) is not there, and
-a sentence says why.
+A part that does not exist for an estimate (profiles without a simulated loop, a response without a stiffness) is left
+out, with the reason.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _Part = TypeVar("_Part")
 
 @dataclass(frozen=True, slots=True)
 class ChannelSummary:
-    """One channel of a record as a report tells it: its name, unit, seconds between samples, samples, and source."""
+    """One channel of a record: its name, unit, seconds between samples, number of samples, timing and source."""
 
     name: str
     unit: str
@@ -47,21 +47,21 @@ class ChannelSummary:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReportData:
-    """An estimate, and what its record says of it.
+    """An estimate and the results of its diagnostics.
 
     Attributes:
-        estimate: with the verdict on its loop.
+        estimate: with the verdict of its loop check.
         channels: of the record.
         motion: of the motor, at the samples of the estimate's `measured`; None where the record has no position.
-        motion_source: where that motion comes from.
+        motion_source: of that motion.
         validation: the direct test; None where there is none, as the next ones.
-        loop: whether loop and log are as declared.
+        loop: check of loop and log.
         spectra: of measured, predicted and error.
         response: of the joint.
         profiles: of single quantities.
-        stiffness_test: which test would show a refused stiffness.
+        stiffness_test: test that would identify the stiffness, where it is not identifiable.
         checks: of the same estimate on other records.
-        absent: why a part is not there, by its name, in a sentence.
+        absent: reason why a part is missing, by its name, in a sentence.
     """
 
     estimate: Estimate
@@ -87,7 +87,7 @@ def collect_report_data(
     loop: bool = True,
     progress: Progress = silent,
 ) -> ReportData:
-    """Collect what is to be told of an estimate.
+    """Collect the results that a report on an estimate presents.
 
     Args:
         estimate: of the record.
@@ -95,16 +95,16 @@ def collect_report_data(
         checks: validations of it on other records.
         profiles: quantities to profile, as `intervals` takes them; every free parameter of the joint, and the
             compliance of a flexible one, when None.
-        loop: whether loop and log are to be checked; a search that does not end at a least-squares minimum, as the
-            paper's, would be found guilty of it.
+        loop: True to check loop and log; a search that does not end at a least-squares minimum, as the paper's, would
+            itself appear as a fault.
         progress: is told each step.
     """
     absent: dict[str, str] = {}
 
-    def attempt(name: str, saying: str, made: Callable[[], _Part]) -> _Part | None:
-        progress(saying)
+    def attempt(name: str, step: str, compute: Callable[[], _Part]) -> _Part | None:
+        progress(step)
         try:
-            return made()
+            return compute()
         except JointidError as error:
             absent[name] = str(error)
             return None
@@ -112,20 +112,22 @@ def collect_report_data(
     check = None
     if loop:
         progress("checking loop and log")
-        said = [v for v in estimate.checks.verdicts if v.subject is not Subject.LOOP]  # it is said once
-        estimate, check = add_loop_check(estimate.amended(checks={"verdicts": tuple(said)}), record)
+        others = [v for v in estimate.checks.verdicts if v.subject is not Subject.LOOP]  # it is said once
+        estimate, check = add_loop_check(estimate.amended(checks={"verdicts": tuple(others)}), record)
     validation = attempt("validation", "simulating the direct test", lambda: validate(estimate, record))
     motion, motion_source = _find_motion(estimate, record, validation)
     found = compute_spectra(estimate)
     response = attempt("response", "computing the frequency response", lambda: compute_response(estimate))
     wanted = _list_profiles(estimate) if profiles is None else tuple(profiles)
     followed = attempt(
-        "profiles", "following the criterion", lambda: intervals(estimate, record, wanted, progress=progress)
+        "profiles", "profiling the criterion", lambda: intervals(estimate, record, wanted, progress=progress)
     )
     stiffness_test = None
     if estimate.checks.bounds:
         stiffness_test = attempt(
-            "revealing", "looking for what would tell more", lambda: design_stiffness_test(estimate, record)
+            "revealing",
+            "designing a test that identifies the stiffness",
+            lambda: design_stiffness_test(estimate, record),
         )
     return ReportData(
         estimate=estimate,
@@ -166,7 +168,7 @@ def _summarise_channel(name: str, channel: Channel) -> ChannelSummary:
 def _find_motion(
     estimate: Estimate, record: Record, validation: Validation | None
 ) -> tuple[Motion | None, MotionSource]:
-    """Return the motor's motion at the samples of the torque, and where it comes from."""
+    """Return the motor's motion at the samples of the torque, and its source."""
     size = estimate.fit.measured.size
     if validation is not None and validation.motor.position.size >= size:
         motor = validation.motor

@@ -1,4 +1,4 @@
-"""The frequency response of an identified joint: from the motor's torque to the velocities of its two sides.
+"""Frequency response of an identified joint: from the motor's torque to the velocities of its two sides.
 
 Of the linear part (`model.linear`), moving forwards. Its band is that of the estimate's covariance to first order, of
 the logarithm of the response, so that it never passes 0.
@@ -44,7 +44,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrequencyResponse:
-    """How an identified joint answers a torque.
+    """Frequency response of an identified joint.
 
     Attributes:
         frequency: (lines,) Hz.
@@ -63,12 +63,12 @@ def compute_response(estimate: Estimate) -> FrequencyResponse:
     """Return the frequency response of an estimate, with the band of its covariance.
 
     Raises:
-        MethodError: a parameter of the joint is refused.
+        MethodError: a parameter of the joint is not identifiable.
     """
     joint, values = estimate.settings.joint, estimate.values
     missing = [p.symbol for p in joint.parameters if p.name not in values]
     if missing:
-        raise MethodError(f"A frequency response needs every parameter, and {', '.join(missing)} is refused.")
+        raise MethodError(f"A frequency response needs every parameter, and {', '.join(missing)} is not identifiable.")
     flexible = joint.model == "flexible"
     modes = frequencies(values) if flexible and values["stiffness"] > 0 else {}
     highest = max(0.5 / estimate.data.sample_time, _ABOVE * max(modes.values(), default=0.0))
@@ -88,7 +88,7 @@ def compute_response(estimate: Estimate) -> FrequencyResponse:
         spread = np.sqrt(np.maximum(np.einsum("pf,pq,qf->f", J, covariance, J), 0.0))
         size, factor = np.abs(H), np.exp(np.minimum(2 * spread, 50.0))
         curves.append(Curve(side, size, size / factor, size * factor, np.degrees(np.unwrap(np.angle(H)))))
-    unit = f"({POSITION_UNIT[joint.kind]}/s)/{_bracketed(estimate.data.torque_unit)}"
+    unit = f"({POSITION_UNIT[joint.kind]}/s)/{_add_brackets(estimate.data.torque_unit)}"
     return FrequencyResponse(frequency, tuple(curves), unit, modes)
 
 
@@ -108,5 +108,5 @@ def _select_covariance(estimate: Estimate, names: list[str]) -> FloatArray:
     return np.asarray(np.outer(std, std) * correlation)
 
 
-def _bracketed(unit: str) -> str:
+def _add_brackets(unit: str) -> str:
     return f"({unit})" if " " in unit else unit

@@ -1,15 +1,15 @@
-"""The tests of alternatives, each alone: one Gauss-Newton step in a residual made white.
+"""Score test of each fault alone: one Gauss-Newton step on the whitened residual.
 
-With J the sensitivities of the free parameters and c the column of an alternative (`alternatives`), the residual e of a
+With J the sensitivities of the free parameters and c the column of a fault (`fault_signatures`), the residual e of a
 solved problem is regressed on both. The last coefficient is the size of the fault, and its ratio to its deviation the
 statistic. Before that, e, J and c go through one filter that makes the noise nearly white: the prediction error of an
-autoregressive model of what no alternative explains of e. So the statistic is nearly that of the likelihood, which
-tells kp from kv or a gain of the log where plain least squares, in a loop that shapes the noise, does not. The model
-need not be right: the deviation is the autocorrelation-robust one of `uncertainty`, widened where what is left repeats
-with the motion (`repeatable`).
+autoregressive model of the part of e that no fault explains. So the statistic is nearly that of the likelihood, which
+distinguishes kp from kv or a gain of the log where plain least squares, in a loop that shapes the noise, does not. The
+model need not be right: the deviation is the autocorrelation-robust one of `uncertainty`, widened where the remaining
+residual is position-dependent (`repeatable`).
 
-All tests of a record are one family: p-values are multiplied by the number of suspects, and of shapes tried for one
-(Bonferroni). Columns that are one after the joint's parameters have done what they can are one suspect.
+All tests of a record are one family: p-values are multiplied by the number of faults, and of shapes tried for one
+(Bonferroni). Faults whose columns are collinear, given the joint's parameters, are one.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ from jointid.uncertainty.position_dependent_error import Cells, by_place, repeat
 
 _ORDER, _FLOOR = 16, 1e-2  # of the autoregressive model; of its variance, white: a stop band is not to be blown up
 _RANK = 1e-10  # of the largest singular value of columns
-_UNSEEN = 1e-12  # of the square of a column: what is left of it by the joint's parameters is rounding
-_SAME = 0.999  # the cosine of two columns that are one
-_LAST = ("gain", INJECTED_GAIN)  # a fault is called theirs only where it cannot be another's
-_WIDENED = 0.05  # a test with a larger p-value names nothing, however wide its interval
+_COLLINEAR = 1e-12  # of the square of a column: a smaller remainder beside the joint's parameters is rounding
+_SAME = 0.999  # cosine of two collinear columns
+_LAST = ("gain", INJECTED_GAIN)  # named only where no other fault is collinear
+_WIDENED = 0.05  # a test with a larger p-value is not significant, however its deviation is widened
 
 Filter: TypeAlias = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Step:
-    """An alternative taken in by one step.
+    """One Gauss-Newton step along the signature of a fault.
 
     Attributes:
         alternative: with the best of its shapes.
         shapes: how many there were.
         size: of the step.
-        gain: what the squared residual loses by it.
-        alone: (rows,) its column, white, without what the other columns explain of it.
+        gain: decrease of the squared residual.
+        alone: (rows,) its whitened column, orthogonal to the other columns.
     """
 
     alternative: FaultSignature
@@ -63,14 +63,14 @@ def score_signatures(
     declared: Mapping[str, float],
     where: Callable[[], Cells],
 ) -> tuple[FaultTest, ...]:
-    """Return the tests of alternatives, each alone, the strongest first.
+    """Test each fault alone, the strongest first.
 
     Args:
         residual: (rows,) of a solved problem, in the order of time.
-        own: (rows, free) columns of its free parameters, and of faults already taken in.
-        alternatives: all there are: none of them is noise.
-        declared: the value declared, by the name of each alternative that is to be tested.
-        where: returns the rows' cells; asked only where something is found.
+        own: (rows, free) columns of its free parameters, and of faults already corrected.
+        alternatives: signatures of all faults: none of them is noise.
+        declared: value, by the name of each fault to be tested.
+        where: returns the rows' cells; called only where a test is significant.
     """
     whiten = fit_whitener(_remove_regression(np.column_stack([own, *(a.column for a in alternatives)]), residual))
     basis, error = _find_basis(whiten(own)), whiten(residual)
@@ -81,9 +81,9 @@ def score_signatures(
     return tuple(sorted(found, key=lambda s: -measure_strength(s)))
 
 
-def measure_strength(suspect: FaultTest) -> float:
-    """Return how much a suspect explains: its statistic, of one that can only be positive nothing below 0."""
-    return max(suspect.statistic, 0.0) if suspect.name in ONE_SIDED else abs(suspect.statistic)
+def measure_strength(test: FaultTest) -> float:
+    """Return the absolute statistic of a fault; at least 0 for one that can only be positive."""
+    return max(test.statistic, 0.0) if test.name in ONE_SIDED else abs(test.statistic)
 
 
 def fit_whitener(residual: FloatArray) -> Filter:
@@ -111,7 +111,7 @@ def fit_whitener(residual: FloatArray) -> Filter:
 
 
 def _remove_regression(columns: FloatArray, signal: FloatArray) -> FloatArray:
-    """Return a signal less its regression on columns that may be collinear."""
+    """Return the residual of a signal regressed on columns that may be collinear."""
     basis = _find_basis(columns)
     return np.asarray(signal - basis @ (basis.T @ signal))
 
@@ -122,24 +122,24 @@ def _find_basis(columns: FloatArray) -> FloatArray:
 
 
 def _choose_step(shapes: Sequence[FaultSignature], whiten: Filter, basis: FloatArray, left: FloatArray) -> _Step:
-    """Return the step with the shape of an alternative that takes most from the residual.
+    """Return the step with the shape of a fault that decreases the residual most.
 
-    `basis`, (rows, rank), is that of the other columns, `left`, (rows,), what they leave of the residual.
+    `basis`, (rows, rank), spans the other columns; `left`, (rows,), is the residual orthogonal to them.
     """
     steps = []
     for alternative in shapes:
         column = whiten(alternative.column)
         alone = column - basis @ (basis.T @ column)
         square = float(alone @ alone)
-        # What the joint's parameters do as well is no fault that shows.
-        size = float(alone @ left) / square if square > _UNSEEN * float(column @ column) else 0.0
+        # A column in the span of the joint's parameters is not identifiable.
+        size = float(alone @ left) / square if square > _COLLINEAR * float(column @ column) else 0.0
         gain = size * size * square if size > 0 or alternative.name not in ONE_SIDED else 0.0
         steps.append(_Step(alternative, len(shapes), size, gain, alone))
     return max(steps, key=lambda step: step.gain)
 
 
 def _group_identical(steps: Sequence[_Step]) -> list[list[_Step]]:
-    """Return the steps, those together whose columns are one."""
+    """Return the steps in groups with collinear columns."""
     groups: list[list[_Step]] = []
     for step in sorted(steps, key=lambda step: step.alternative.name in _LAST):
         size = float(np.linalg.norm(step.alone))
@@ -157,9 +157,9 @@ def _group_identical(steps: Sequence[_Step]) -> list[list[_Step]]:
 def _test_group(
     group: Sequence[_Step], left: FloatArray, family: int, declared: Mapping[str, float], where: Callable[[], Cells]
 ) -> FaultTest:
-    """Return the test of an alternative, by its size and the autocorrelation-robust deviation of that.
+    """Return the test of a fault by its size and the autocorrelation-robust deviation of it.
 
-    The regression of what the other columns leave of both is the regression on all of them (Frisch and Waugh).
+    Regressing the parts orthogonal to the other columns is the regression on all columns (Frisch and Waugh).
     """
     step = group[0]
     a, alone = step.alternative, step.alone[:, np.newaxis]
@@ -174,7 +174,7 @@ def _test_group(
 
 
 def _compute_p_value(step: _Step, std: float, family: int) -> float:
-    """Return the p-value of a step, for all tests together."""
+    """Return the p-value of a step, adjusted for all tests together."""
     from scipy.stats import norm
 
     ratio = step.size / std if std > 0 else 0.0

@@ -1,15 +1,15 @@
-"""Where a stiffness was refused: which test would show it.
+"""Design a test that identifies a stiffness which a record does not show.
 
-The record bounds how soft the spring may be, by the load's share of the inertia. From the softest joint that it allows
-at a share, to stiffer ones, the relative deviation of the compliance is predicted, with everything else free too: with
-pulses added to the record's own motion, and with a load encoder beside the torque. A test tells a mode when that
-deviation is at most a quarter, so that the 2-sigma interval ends at half of the value. The highest such mode is what is
-answered.
+The record gives a lower bound on the stiffness for each load share of the inertia. From the softest joint allowed at a
+share to stiffer ones, the relative standard deviation of the compliance is predicted, with all other parameters free
+too: with pulses added to the record's own motion, and with a load encoder beside the torque. A test identifies a mode
+when that deviation is at most a quarter, so that the 2-sigma interval ends at half of the value. The result is the
+highest such mode.
 
-What is predicted is how much a test changes the deviation, not the deviation itself. The bound is where the record's
-own motion just excludes a compliance, at 1.645 deviations; on a real axis that is far above what a noise of the
-residual's spectrum would make of it, because most of a real residual is no noise but what the model lacks. So all
-deviations of the torque are enlarged until the record's own motion gives 1 / 1.645 at the bound.
+Only the change of the deviation by a test is predicted, not the deviation itself. The bound is where the record's own
+motion just excludes a compliance, at 1.645 deviations. On a real axis that is far above the effect of noise with the
+spectrum of the residual, because most of a real residual is model error. So all deviations of the torque are enlarged
+until the record's own motion gives 1 / 1.645 at the bound.
 
 The joint is lightly damped, and its friction is halved between its sides as in (13).
 """
@@ -40,26 +40,26 @@ from jointid.uncertainty.covariance import stationary
 from jointid.uncertainty.verdict import StiffnessBound
 
 SHARES = (0.1, 0.33)
-"""Of the load in the inertia, for which the tests are tried."""
+"""Load shares of the total inertia for which tests are predicted."""
 
 DETECTED = 0.25
-"""Relative deviation of a compliance that is told: its 2-sigma interval ends at half its value."""
+"""Largest relative deviation of an identified compliance: its 2-sigma interval ends at half its value."""
 
 _EXCLUDED = 1 / 1.645  # relative deviation of a compliance that a 95 % bound just excludes
-_BAND = 0.15  # of the sampling frequency: as far as the bounds were looked for
+_BAND = 0.15  # of the sampling frequency: up to where the bounds were searched
 _STEP = 1.1  # from one mode that is tried to the next
-_HALVINGS = 3  # of the last step
+_BISECTIONS = 3  # of the last step
 
 
 @dataclass(frozen=True, slots=True)
 class DetectableMode:
-    """What one test would tell of a spring at one load share.
+    """Highest mode that one test identifies at one load share.
 
     Attributes:
         share: of the load in the inertia.
         softest: free-free, Hz, of the softest joint the record allows.
         deviation: relative, of that joint's compliance.
-        mode: up to here, Hz, free-free, a compliance is told; None where not even the softest is.
+        mode: highest identified, Hz, free-free; None where not even the softest is.
     """
 
     share: float
@@ -70,12 +70,12 @@ class DetectableMode:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StiffnessTestDesign:
-    """What would show a spring that a record does not show.
+    """Tests that would identify a stiffness which a record does not show.
 
     Attributes:
         record: its name.
-        pulses: what pulses tell, by load share. height: of them, N or N m. width: s.
-        encoder: what a load encoder tells, likewise. step: of it, m or rad.
+        pulses: result with pulses, by load share. height: of the pulses, N or N m. width: s.
+        encoder: result with a load encoder, likewise. step: of the encoder, m or rad.
         unit, position_unit: of torque and position.
         transmission: on whose `side` all numbers are.
     """
@@ -94,7 +94,7 @@ class StiffnessTestDesign:
         """Return a line for each test, and one on what the record itself excludes."""
         known = " and ".join(f"{one.softest:.0f} Hz at a load share of {one.share:g}" for one in self.pulses)
         if not known:
-            return "This record bounds no stiffness at all, so no test can be reckoned from it."
+            return "This record gives no bound on the stiffness, so no test can be predicted from it."
         pulses = f"pulses of {self.height:.0f} {self.unit} and {1e3 * self.width:.3g} ms added to this motion"
         encoder = f"a load encoder of steps of {number(self.step, 2)} {self.position_unit}"
         tests = (_describe_test(pulses, self.pulses), _describe_test(encoder, self.encoder))
@@ -102,17 +102,15 @@ class StiffnessTestDesign:
         return "\n".join([*transmission_lines(self.transmission), excluded, f"{tests[0]};", f"{tests[1]}."])
 
 
-def _describe_test(name: str, told: tuple[DetectableMode, ...]) -> str:
-    seen = [one for one in told if one.mode is not None]
-    if seen:
-        modes = " and ".join(f"below {one.mode:.0f} Hz at a load share of {one.share:g}" for one in seen)
-        return f"{name} would tell one {modes}"
-    return f"{name} would not tell even the softest, but {_describe_shortfall(min(one.deviation for one in told))}"
-
-
-def _describe_shortfall(deviation: float) -> str:
-    more = deviation / DETECTED
-    return "no such loop can be simulated" if math.isinf(more) else f"{more:.1f} times as much might"
+def _describe_test(name: str, modes: tuple[DetectableMode, ...]) -> str:
+    identified = [one for one in modes if one.mode is not None]
+    if identified:
+        highest = " and ".join(f"below {one.mode:.0f} Hz at a load share of {one.share:g}" for one in identified)
+        return f"{name} would identify one {highest}"
+    excess = min(one.deviation for one in modes) / DETECTED
+    if math.isinf(excess):
+        return f"{name} would identify none, because such a loop cannot be simulated"
+    return f"{name} would not identify even the softest: its deviation is {excess:.1f} times too large"
 
 
 def design_stiffness_test(
@@ -124,21 +122,24 @@ def design_stiffness_test(
     noise: Noise | None = None,
     progress: Progress = silent,
 ) -> StiffnessTestDesign:
-    """Predict which modes pulses or a load encoder would show on an axis whose stiffness is refused (see the module).
+    """Predict the modes that pulses or a load encoder would identify where a record does not (see the module).
 
     Args:
-        estimate: by DIDIM of a flexible joint, its stiffness refused.
+        estimate: by DIDIM of a flexible joint, its stiffness not identifiable.
         record: that it was identified from.
         pulse: height (N or N m) and width (s); None: five times the Coulomb friction, and 1.2 over the cut-off.
         encoder_step: of the load encoder, m or rad; None: that of the record's encoder, or a millionth of the travel.
-        noise: where the torque's residual comes from; see `advice.advise`.
+        noise: where the torque's residual comes from; see `experiment_design.advise`.
         progress: is told the load shares.
 
     Raises:
-        MethodError: nothing was refused, or the estimate is not of this record.
+        MethodError: the stiffness is identifiable, or the estimate is not of this record.
     """
     if not estimate.checks.bounds:
-        raise MethodError("This estimate refuses no stiffness, so there is nothing to reveal; advise says what helps.")
+        raise MethodError(
+            "This estimate identifies its stiffness, so no test for it is needed; advise predicts what narrows its "
+            "interval."
+        )
     problem = _free_both_sides(rebuild_declared_problem(estimate, record)[0])
     sample_time, cutoff = problem.experiment.sample_time, problem.filtering.cutoff
     assert cutoff is not None
@@ -166,7 +167,7 @@ def design_stiffness_test(
 
     def predict_mode(by: ClosedLoopProblem, bound: StiffnessBound, encoder: bool) -> DetectableMode:
         assert bound.frequency is not None
-        progress(f"looking for what tells a mode at a load share of {bound.share:g}")
+        progress(f"predicting the highest identified mode at a load share of {bound.share:g}")
         softest = pseudo_regular(rigid, bound.frequency, bound.share)
         doubt = max(_EXCLUDED / deviation(wide, softest, 1.0, False), 1.0)
 
@@ -187,7 +188,7 @@ def design_stiffness_test(
 
 
 def _free_both_sides(problem: ClosedLoopProblem) -> ClosedLoopProblem:
-    """Return the problem with everything free that parts the motor from the load, also what was kept fixed."""
+    """Return the problem with all parameters of motor, load and spring free, fixed ones too."""
     parted = ("motor_", "load_", "stiffness", "damping")
     freed = tuple(replace(p, free=True) if p.name.startswith(parted) else p for p in problem.parameters)
     return replace(problem, parameters=freed)
@@ -196,7 +197,7 @@ def _free_both_sides(problem: ClosedLoopProblem) -> ClosedLoopProblem:
 def _find_highest_mode(
     share: float, softest: float, deviation: Callable[[float], float], fastest: float
 ) -> DetectableMode:
-    """Return up to which mode a test tells the compliance: in steps from the softest joint allowed, the last halved."""
+    """Return the highest mode a test identifies: in steps from the softest joint allowed, the last one bisected."""
     first = now = deviation(softest)
     mode, tried = None, softest
     while now <= DETECTED:
@@ -205,14 +206,14 @@ def _find_highest_mode(
             return DetectableMode(share, softest, first, mode)
         tried = min(tried * _STEP, fastest)
         now = deviation(tried)
-    for _ in range(_HALVINGS if mode else 0):
+    for _ in range(_BISECTIONS if mode else 0):
         middle = 0.5 * ((mode or softest) + tried)
         mode, tried = (middle, tried) if deviation(middle) <= DETECTED else (mode, middle)
     return DetectableMode(share, softest, first, mode)
 
 
 def _sum_both_sides(estimate: Estimate) -> dict[str, float]:
-    """Return what a refused estimate tells of the whole joint, as a rigid joint's values."""
+    """Return the values of the whole joint, as those of a rigid joint, from an estimate without a stiffness."""
     assert estimate.checks.known is not None
     found = {known.combination.quantity: known.value for known in estimate.checks.known.physical}
     return found | {p.name: p.value or 0.0 for p in estimate.params if acts_on_whole(p.name) or not p.of_joint}

@@ -40,18 +40,18 @@ from jointid.solvers.gauss_newton import GaussNewton
 from jointid.solvers.solve import solve
 
 _LAGS = 40  # of the residual's autocorrelation
-_STEPS = 6  # for two numbers that act almost linearly on the torque
+_STEPS = 6  # enough for two parameters that act almost linearly on the torque
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Validation(Documented):
-    """How well an estimate reproduces a record's torque.
+    """Agreement of an estimate's predicted torque with a record.
 
     Attributes:
         test: "direct" on the record it was identified from, "cross" on another.
         method: "didim" simulates the loop; "idim" evaluates the inverse model on the measured position.
         record, identified_from: names of the records.
-        channels: of the record, that were read.
+        channels: of the record that were used.
         sample_time: of the torque, seconds.
         torque_unit: of the torque: N, N m, A or V; position_unit: of the motion: m or rad.
         measured, predicted: (samples,) raw torque.
@@ -60,14 +60,14 @@ class Validation(Documented):
         filtered_error: of the filtered and decimated torque, with the estimate's own filtering; a ratio.
         tracking_error: ``||e - es|| / ||e||`` of the tracking error reference - position, where the record has a
             motor position to compare with; a ratio.
-        initial: motor state that was found, for a simulation.
-        simulations: that were run.
+        initial: estimated motor state, for a simulation.
+        simulations: number run.
         autocorrelation: (lags + 1,) of the filtered torque error, 1 at lag 0; a white one stays within `white_band`.
         rows: of the filtered torque error.
         motor: motion the error is plotted against: simulated for DIDIM, measured for IDIM.
         transmission: on whose `side` torque and motion are.
-        warnings: what the reader must know, one sentence each.
-        resampled: how the record's samples were brought to a uniform clock, None where they were logged so.
+        warnings: limits of the result, one sentence each.
+        resampled: resampling of the record to a uniform clock; None where it was logged so.
     """
 
     test: Literal["direct", "cross"]
@@ -128,14 +128,14 @@ class Validation(Documented):
 
 
 def validate(estimate: Estimate | IdentifiedJoint, record: Record) -> Validation:
-    """Compare an identified joint with a record: directly if it is the record it came from, else across.
+    """Compare an identified joint with a record: direct test on its own record, cross test on another.
 
     Args:
-        estimate: what was identified, fresh or read back from a file.
-        record: with the channels its method reads.
+        estimate: new or read back from a file.
+        record: with the channels its method uses.
 
     Raises:
-        RecordError: a channel is missing, or the record cannot be what it is said to be.
+        RecordError: a channel is missing, or the record contradicts its description.
         MethodError: the loop cannot be simulated on this record, or the estimate is of the drive side or the open
             loop.
     """
@@ -250,11 +250,11 @@ def _list_warnings(identified: IdentifiedJoint, loop: ClosedLoop) -> tuple[str, 
 def _fit_initial_state(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
     """Return the initial state that fits best, position and velocity, and the simulations it took.
 
-    A motor at rest and one that moves are two problems (see `didim`), so both are solved.
+    A motor at rest and a moving one are two problems (see `didim`), so both are solved.
     """
     try:
         start = initial_state(problem, reconstructed_position(problem))
-    except MethodError:  # a law that cannot be inverted: begin on the reference, at rest
+    except MethodError:  # a controller that cannot be inverted: start on the reference, at rest
         start = {"initial_position": float(problem.experiment.inputs[0, 0]), "initial_velocity": 0.0}
     problems = (problem.keeping({"initial_velocity": 0.0}), problem)
     solver = GaussNewton(tolerance=1e-9, step_tolerance=math.inf, iterations=_STEPS, halvings=0)
@@ -264,7 +264,7 @@ def _fit_initial_state(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
 
 
 def _compare_tracking(record: Record, run: Simulation, borders: tuple[int, int]) -> float | None:
-    """Return how far the simulated tracking error is from the measured one, where there is one at the same rate."""
+    """Return the relative error of the simulated tracking error; None without a measured one at the same rate."""
     reference, position = record.reference, record.motor_position
     if reference is None or position is None or position.sample_time != run.sample_time:
         return None

@@ -1,4 +1,4 @@
-"""Other motions than a record's, under the same loop: what a test would have driven it with."""
+"""Other motions than a record's under the same loop, for the prediction of tests."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Variation:
     """Another motion under the same loop.
 
     Attributes:
-        name, description: a word or two, and what it is with its numbers.
+        name, description: in a word or two, and with its numbers.
         experiment: to simulate.
         samples: of its log.
     """
@@ -37,7 +37,7 @@ class Variation:
 
 
 def choose_pulse(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[float, float]:
-    """Return the height (N or N m) and the width (s) of pulses that ring a joint.
+    """Return the height (N or N m) and the width (s) of pulses that excite a joint.
 
     Five times its Coulomb friction, so that they move it from rest, and 1.2 over the cut-off long, as the twin's 20 ms
     are: half a period of a mode in the middle of the fitted band.
@@ -52,7 +52,7 @@ def choose_pulse(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tup
 
 
 def add_pulses(problem: ClosedLoopProblem, height: float, width: float) -> Variation:
-    """Return the record's own motion with pulses added to the motor's force, those it had still there.
+    """Return the record's own motion with pulses added to the motor's force and to any injected signal.
 
     Args:
         problem: of the record.
@@ -64,13 +64,13 @@ def add_pulses(problem: ClosedLoopProblem, height: float, width: float) -> Varia
     more = pulses(experiment.after_limit.size, period, height, width, _EVERY * width, seed=0)
     unit = problem.loop.joint.torque_unit or TORQUE_UNIT[problem.loop.joint.kind]
     again = "more " if experiment.injected else ""
-    said = f"{again}pulses of {height:.2g} {unit} and {1e3 * width:.3g} ms, one in {_EVERY * width:.2g} s"
+    description = f"{again}pulses of {height:.2g} {unit} and {1e3 * width:.3g} ms, one in {_EVERY * width:.2g} s"
     changed = replace(experiment, after_limit=experiment.after_limit + more)
-    return Variation(f"{again}pulses", said, changed, experiment.samples)
+    return Variation(f"{again}pulses", description, changed, experiment.samples)
 
 
 def double_acceleration(problem: ClosedLoopProblem, record: Record) -> Variation:
-    """Return the same path with twice the acceleration, so often that it lasts as long as the record did.
+    """Return the same path with twice the acceleration, repeated for the duration of the record.
 
     It is simulated once, 1.4 times as fast, for less time; known pulses stay as long and as far apart as they were.
     """

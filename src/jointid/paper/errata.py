@@ -72,8 +72,8 @@ def _natural_frequency() -> Erratum:
     return Erratum(
         "The natural frequency",
         "Under Tables 2 to 5, and section V.A",
-        f"{_join_slashed(table.frequency for table in _FLEXIBLE)} Hz under the tables; {said} in the text, confirmed with "
-        "the output blocked.",
+        f"{_join_slashed(table.frequency for table in _FLEXIBLE)} Hz under the tables; {said} in the text, confirmed "
+        "with the output blocked.",
         f"{listed}. The printed ones are the free-free frequencies cut to whole hertz. With either side held, at most "
         f"{highest:.2f} Hz is left, so a blocked output cannot show {said}.",
         "Reports all three frequencies, each named by its boundary condition.",
@@ -146,8 +146,8 @@ def _relative_deviations() -> Erratum:
         f"A relative deviation beside every 2 sigma; {printed} % for {SYMBOLS[cell[1]]} of Table {table.number}.",
         f"Of {len(cells)}, {ways.count((True, True))} follow rounded and cut alike, {ways.count((True, False))} only "
         f"rounded, {ways.count((False, True))} only cut, and {ways.count((False, False))} neither way: 2 sigma = "
-        f"{two_sigma} of {value} is {format_recomputed(recompute_cells(table)[cell][0])} %; {printed} % would need 2 sigma = "
-        f"{printed * value / 50:.2f}.",
+        f"{two_sigma} of {value} is {format_recomputed(recompute_cells(table)[cell][0])} %; {printed} % would need "
+        f"2 sigma = {printed * value / 50:.2f}.",
         "Computes the percentage from the deviation.",
     )
 
