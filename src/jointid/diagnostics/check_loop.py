@@ -18,12 +18,13 @@ def check_loop(estimate: Estimate, record: Record, settings: LoopTests | None = 
     """Test whether the loop and the log of a record are as declared, and name the faults.
 
     Args:
-        estimate: by DIDIM, of this record; what was identified beside the joint is not tested.
+        estimate: by DIDIM, of this record; parameters identified beside the joint are not tested.
         record: that it was identified from.
         settings: see `LoopTests`.
 
     Raises:
-        MethodError: the estimate did not simulate a loop, is of another record, or refuses a parameter.
+        MethodError: the estimate did not simulate a loop, is of another record, or has a parameter that is not
+            identifiable.
 
     Example:
         >>> import jointid as ji

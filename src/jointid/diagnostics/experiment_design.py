@@ -145,14 +145,14 @@ def advise(
         record: that it was identified from.
         encoder_step: of encoders on motor and load, m or rad, on the joint's side of a transmission; None: as fine as
             those of the record, or a millionth of the commanded travel where it has none.
-        noise: where the torque's residual comes from, "loop" or "log"; None: what the record's tap says, "log" for a
-            measured torque.
+        noise: where the torque's residual comes from, "loop" or "log"; None: by the record's tap, "log" for a measured
+            torque.
         pulse: height (N or N m) and width (s) of the pulses that are tried; None: see `variations.pulse_of`.
-        progress: is told what is simulated.
+        progress: called with each step.
 
     Raises:
-        MethodError: the estimate is not one of a simulated loop as it was declared, has a refused value, or is of
-            another record.
+        MethodError: the estimate is not one of a simulated loop as it was declared, has a parameter that is not
+            identifiable, or is of another record.
     """
     problem, x = rebuild_declared_problem(estimate, record)
     if estimate.checks.bounds:

@@ -81,11 +81,11 @@ def intervals(
         refit: True for a whole least-squares fit of every draw; one linear step otherwise.
         profiling: see `Profiling`.
         bootstrapping: see `Bootstrapping`.
-        progress: is told each quantity.
+        progress: called with each quantity.
 
     Raises:
-        MethodError: the estimate is not by DIDIM or has parameters that are not identifiable, a quantity is not known, or
-            the record is another one.
+        MethodError: the estimate is not by DIDIM or lacks a parameter, a quantity is unknown, or the record is
+            another one.
     """
     problem, x = rebuild_problem(estimate, record)
     residual, J = problem.linearised(x)

@@ -92,10 +92,10 @@ class _TestResults:
 
 
 def find_faults(problem: ClosedLoopProblem, x: FloatArray, settings: LoopTests | None = None) -> LoopCheck:
-    """Find what of a loop and its log is not as declared.
+    """Find the faults of a loop and its log.
 
     Args:
-        problem: with what was identified free; what is free is not tested.
+        problem: with the identified parameters free; those are not tested.
         x: (free,) where it was solved.
         settings: see `LoopTests`.
 

@@ -97,7 +97,7 @@ def collect_report_data(
             compliance of a flexible one, when None.
         loop: True to check loop and log; a search that does not end at a least-squares minimum, as the paper's, would
             itself appear as a fault.
-        progress: is told each step.
+        progress: called with each step.
     """
     absent: dict[str, str] = {}
 

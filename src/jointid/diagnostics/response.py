@@ -88,7 +88,10 @@ def compute_response(estimate: Estimate) -> FrequencyResponse:
         spread = np.sqrt(np.maximum(np.einsum("pf,pq,qf->f", J, covariance, J), 0.0))
         size, factor = np.abs(H), np.exp(np.minimum(2 * spread, 50.0))
         curves.append(Curve(side, size, size / factor, size * factor, np.degrees(np.unwrap(np.angle(H)))))
-    unit = f"({POSITION_UNIT[joint.kind]}/s)/{_add_brackets(estimate.data.torque_unit)}"
+    torque_unit = estimate.data.torque_unit
+    if " " in torque_unit:
+        torque_unit = f"({torque_unit})"
+    unit = f"({POSITION_UNIT[joint.kind]}/s)/{torque_unit}"
     return FrequencyResponse(frequency, tuple(curves), unit, modes)
 
 
@@ -106,7 +109,3 @@ def _select_covariance(estimate: Estimate, names: list[str]) -> FloatArray:
     known = max(chosen, default=0) < len(estimate.params.correlation)
     correlation = estimate.params.correlation[np.ix_(chosen, chosen)] if known else np.eye(len(names))
     return np.asarray(np.outer(std, std) * correlation)
-
-
-def _add_brackets(unit: str) -> str:
-    return f"({unit})" if " " in unit else unit

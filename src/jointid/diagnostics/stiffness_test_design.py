@@ -91,7 +91,7 @@ class StiffnessTestDesign:
     transmission: Transmission | None = None
 
     def __str__(self) -> str:
-        """Return a line for each test, and one on what the record itself excludes."""
+        """Return a line for each test, and one on the modes that the record itself excludes."""
         known = " and ".join(f"{one.softest:.0f} Hz at a load share of {one.share:g}" for one in self.pulses)
         if not known:
             return "This record gives no bound on the stiffness, so no test can be predicted from it."
@@ -130,7 +130,7 @@ def design_stiffness_test(
         pulse: height (N or N m) and width (s); None: five times the Coulomb friction, and 1.2 over the cut-off.
         encoder_step: of the load encoder, m or rad; None: that of the record's encoder, or a millionth of the travel.
         noise: where the torque's residual comes from; see `experiment_design.advise`.
-        progress: is told the load shares.
+        progress: called with the load shares.
 
     Raises:
         MethodError: the stiffness is identifiable, or the estimate is not of this record.

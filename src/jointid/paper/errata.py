@@ -1,4 +1,4 @@
-"""What we found in the paper: where print differs from what follows from it, and what jointid does about it.
+"""Errata of the paper: where print differs from what follows from it, and how jointid treats it.
 
 Every recomputed number comes out of `recomputed` when this module is loaded; none is typed in. What takes a
 measurement instead of arithmetic is left to `jointid reproduce`, and the erratum says so.
@@ -36,11 +36,11 @@ class Erratum:
     """One finding.
 
     Attributes:
-        item: what it is about.
+        item: its subject.
         where: in the paper.
-        printed: what the paper says.
-        recomputed: what follows from its own numbers and equations.
-        what_we_do: in jointid.
+        printed: statement of the paper.
+        recomputed: from the paper's own numbers and equations.
+        what_we_do: treatment in jointid.
     """
 
     item: str
@@ -61,7 +61,7 @@ def _list_cells(cells: Mapping[Cell, Decimal]) -> str:
     return ", ".join(f"{SYMBOLS[name]} {format_printed(value)} ({column})" for (column, name), value in cells.items())
 
 
-def _natural_frequency() -> Erratum:
+def _check_natural_frequency() -> Erratum:
     each = [frequencies(table.values) for table in _FLEXIBLE]
     words = {"free_free": "free-free", "motor_locked": "motor locked", "load_locked": "load locked"}
     listed = ", ".join(
@@ -80,7 +80,7 @@ def _natural_frequency() -> Erratum:
     )
 
 
-def _variations() -> Erratum:
+def _check_variations() -> Erratum:
     table = TABLES[6]
     found, wrong = recompute_cells(table), find_misprints(table)
     masses = _join_slashed(format_printed(found[method, "load_inertia"][0]) for method in table.columns)
@@ -94,7 +94,7 @@ def _variations() -> Erratum:
     )
 
 
-def _relative_errors() -> Erratum:
+def _check_relative_errors() -> Erratum:
     table = TABLES[7]
     found = recompute_cells(table)
     names = ("motor_viscous", "load_viscous", "damping", "motor_coulomb", "stiffness", "motor_inertia")
@@ -121,7 +121,7 @@ def _relative_errors() -> Erratum:
     )
 
 
-def _sums() -> Erratum:
+def _check_sums() -> Erratum:
     found = [sum_sides(table) for table in _FLEXIBLE]
     agreeing = [agrees(t.sums[name], one[name]) for t, one in zip(_FLEXIBLE, found, strict=True) for name in one]
     recomputed = "; ".join(_join_slashed(f"{value:.1f}" for value in one.values()) for one in found)
@@ -134,7 +134,7 @@ def _sums() -> Erratum:
     )
 
 
-def _relative_deviations() -> Erratum:
+def _check_relative_deviations() -> Erratum:
     tables = (TABLES[1], *_FLEXIBLE)
     cells = [(table.cell(cell), found[0]) for table in tables for cell, found in recompute_cells(table).items()]
     ways = [(agrees(*cell), agrees(*cell, ROUND_DOWN)) for cell in cells]
@@ -152,7 +152,7 @@ def _relative_deviations() -> Erratum:
     )
 
 
-def _regressor() -> Erratum:
+def _check_regressor() -> Erratum:
     places, old, new = (" and ".join(map(str, each)) for each in zip(*find_wrong_entries(), strict=True))
     return Erratum(
         "The regressor",
@@ -164,7 +164,7 @@ def _regressor() -> Erratum:
     )
 
 
-def _permuted() -> Erratum:
+def _check_permutation() -> Erratum:
     moved = [compute_variations(*test) for test in TESTS]
     steps = " and ".join(f"{m['motor_viscous']:+} / {m['load_viscous']:+}" for m in moved)
     sigmas = [abs(compute_shifts(*test)[name]) for test in TESTS for name in ("motor_viscous", "load_viscous")]
@@ -183,7 +183,7 @@ def _permuted() -> Erratum:
     )
 
 
-def _influence() -> Erratum:
+def _check_damping_influence() -> Erratum:
     rows = [table.rows["damping"] for table in _FLEXIBLE]
     intervals = _join_slashed(f"{value} +- {two_sigma}" for value, two_sigma, _ in rows)
     away = [2 * value / two_sigma for value, two_sigma, _ in rows]
@@ -197,7 +197,7 @@ def _influence() -> Erratum:
     )
 
 
-def _start() -> Erratum:
+def _check_start_values_values() -> Erratum:
     half = TABLES[1].values["inertia"] / 2
     start = compute_stiffness(half, half, EXPERIMENT.natural_frequency)
     return Erratum(
@@ -211,7 +211,7 @@ def _start() -> Erratum:
     )
 
 
-def _decimation() -> Erratum:
+def _check_decimation() -> Erratum:
     cutoff, rate, thinned = EXPERIMENT.flexible_cutoff, EXPERIMENT.sample_rate, EXPERIMENT.decimation
     most = find_largest_decimation(cutoff, rate)
     return Erratum(
@@ -232,11 +232,11 @@ _VISCOUS = sum_sides(TABLES[2])["viscous"]
 _SIGMAS = [TABLES[3].rows[name][1] / two_sigma for name, (_, two_sigma, _) in TABLES[2].rows.items()]
 
 ERRATA: tuple[Erratum, ...] = (
-    _natural_frequency(),
-    _variations(),
-    _relative_errors(),
-    _sums(),
-    _relative_deviations(),
+    _check_natural_frequency(),
+    _check_variations(),
+    _check_relative_errors(),
+    _check_sums(),
+    _check_relative_deviations(),
     Erratum(
         "The number of iterations",
         "Table 3, sections V.C, V.D and VI",
@@ -246,7 +246,7 @@ ERRATA: tuple[Erratum, ...] = (
         f"200 simulations per parameter, {200 * _PARAMETERS:,} of each.",
         "Counts both, and states cap, tolerances and scaling; `jointid reproduce` measures what it takes.",
     ),
-    _regressor(),
+    _check_regressor(),
     Erratum(
         "Two names for the damping",
         "Equation (3) and Tables 2 to 7",
@@ -265,8 +265,8 @@ ERRATA: tuple[Erratum, ...] = (
         f"Takes the absolute value. The sister papers use {100 * _TOLERANCE:g} %, on the residual and on the "
         "parameters, and at most 10 iterations.",
     ),
-    _start(),
-    _decimation(),
+    _check_start_values_values(),
+    _check_decimation(),
     Erratum(
         "The condition number",
         "Section V.A",
@@ -275,8 +275,8 @@ ERRATA: tuple[Erratum, ...] = (
         f"2 span a factor of {_SPAN:,.0f}, and by up to as much the first and the last may differ.",
         "Reports all three, named; `jointid reproduce` measures them.",
     ),
-    _permuted(),
-    _influence(),
+    _check_permutation(),
+    _check_damping_influence(),
     Erratum(
         "The standard deviations of DIDIM",
         "Table 3 and section V.C",

@@ -37,15 +37,15 @@ class PublishedTable:
     Attributes:
         number: in the paper.
         section: of the paper, that presents it.
-        caption: what it holds.
-        columns: what the numbers of a row are: value, two_sigma and relative_percent (100 sigma / value) in Tables 1
+        caption: its content.
+        columns: names of the numbers in a row: value, two_sigma and relative_percent (100 sigma / value) in Tables 1
             to 5; a method in Table 6; a test in Table 7.
         rows: by parameter, one number per column; kg, N s/m, N, N/m in Tables 1 to 6, % in Table 7.
         frequency: Hz, the natural frequency under the table.
         residual_percent: of the inverse model, ``||Y - W chi|| / ||Y||``.
         simulated_percent: of the simulation, ``||Y - Ys|| / ||Y||``.
         sums: of motor and load side, by the names of the rigid joint.
-        iterations: how many the paper says it took, by the place where it says so.
+        iterations: number stated in the paper, by the place of the statement.
     """
 
     number: int
@@ -77,14 +77,14 @@ class PublishedTable:
 
 @dataclass(frozen=True, slots=True)
 class PublishedSettings:
-    """What the text says of the experiment.
+    """Settings of the experiment, as printed in the text.
 
     Attributes:
         sample_rate: Hz [V.A].
         encoder_counts: per revolution [V.A].
-        natural_frequency: Hz, said to be confirmed with the output blocked [V.A].
+        natural_frequency: Hz, stated as confirmed with the output blocked [V.A].
         bandwidth: Hz, of the position loop [V.A].
-        condition_number: of W, which W is not said [V.A].
+        condition_number: of W, its scaling not stated [V.A].
         rigid_cutoff: Hz, of the filters for the rigid model [V.B].
         flexible_cutoff: Hz, of the filters for the flexible model [V.C].
         decimation: one sample in so many is kept [V.C].

@@ -1,4 +1,4 @@
-"""What follows from the published numbers: arithmetic on `published`, and every table beside its recomputed self.
+"""Recompute the published tables: arithmetic on `published`, and each table beside its recomputed values.
 
 Sections and equations are those of the paper.
 """
@@ -19,7 +19,7 @@ from jointid.paper.published import REGRESSOR, SYMBOLS, TABLES, Cell, PublishedT
 Denominator: TypeAlias = Literal["DIDIM", "IDIM"]
 
 DENOMINATORS: Mapping[Denominator, str] = MappingProxyType({"DIDIM": "by (15)", "IDIM": "by the IDIM value"})
-"""What the errors of Table 7 can be relative to, and how reports say it."""
+"""Denominators of the errors of Table 7, and their names in reports."""
 
 TESTS = ((TABLES[2], TABLES[3]), (TABLES[4], TABLES[5]))
 """IDIM and DIDIM of the first test, and of the second, with the added mass."""
@@ -48,13 +48,13 @@ def compute_relative_deviations(table: PublishedTable) -> dict[str, Decimal]:
 
 
 def compute_variations(before: PublishedTable, after: PublishedTable) -> dict[str, Decimal]:
-    """Return how much each parameter changed, exact: a column of Table 6 from Tables 2 and 4, or 3 and 5."""
+    """Return the exact change of each parameter: a column of Table 6 from Tables 2 and 4, or 3 and 5."""
     start, end = before.column("value"), after.column("value")
     return {name: end[name] - start[name] for name in start}
 
 
 def compute_shifts(before: PublishedTable, after: PublishedTable) -> dict[str, float]:
-    """Return how much each parameter changed, in standard deviations of the difference.
+    """Return the change of each parameter, in standard deviations of the difference.
 
     From the printed 2 sigma of both tables, taken as independent.
     """
@@ -87,13 +87,13 @@ def compute_stiffness(motor_inertia: float, load_inertia: float, free_free: floa
 
 
 def stops(before: float, after: float, tolerance: float, *, absolute: bool = True) -> bool:
-    """Whether the rule under (12) ends the iterations at these residual norms; print takes no absolute value."""
+    """True if the rule under (12) ends the iterations at these residual norms; print takes no absolute value."""
     change = (after - before) / before
     return (abs(change) if absolute else change) <= tolerance
 
 
 def agrees(printed: Decimal, recomputed: Decimal | float, rounding: str | None = None) -> bool:
-    """Whether the recomputed number, rounded to the printed digits, is the printed one."""
+    """True if the recomputed number, rounded to the printed digits, is the printed one."""
     return Decimal(recomputed).quantize(printed, rounding) == printed
 
 
@@ -166,7 +166,7 @@ class ComparisonRow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TableComparison:
-    """A published table beside what follows from print; the headings name the columns of the rows' texts."""
+    """A published table beside its recomputed values; the headings name the columns of the rows' texts."""
 
     table: PublishedTable
     printed: tuple[str, ...]
@@ -196,7 +196,7 @@ def format_recomputed(value: Decimal) -> str:
 
 
 def compare_table(table: PublishedTable) -> TableComparison:
-    """Return a table as printed, beside what follows from print."""
+    """Return a table as printed, beside its recomputed values."""
     found = recompute_cells(table)
     if table.number == 6:
         rows = tuple(
@@ -231,7 +231,7 @@ def compare_table(table: PublishedTable) -> TableComparison:
 
 
 def _list_notes_below(table: PublishedTable) -> list[ComparisonRow]:
-    """Return the rows of what is printed under Tables 2 to 5."""
+    """Return the rows printed under Tables 2 to 5: frequency, sums and residuals."""
     rows = []
 
     def add(name: str, label: str, printed: Decimal | None, recomputed: str = "-") -> None:

@@ -1,4 +1,4 @@
-"""The paper, end to end, on its digital twin.
+"""Reproduce the paper, end to end, on its digital twin.
 
 Rigid DIDIM at 5 Hz (Table 1), IDIM (2) and DIDIM (3) of the flexible joint, both again with 10 kg on the load (4, 5),
 what changed (6), how far the methods differ (7); the cross test by simulation and the direct validation (Figures 4 and
@@ -55,7 +55,7 @@ class ReproducedExperiment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WithoutDamping:
-    """The paper's test of F12: it is taken out of the model, and what then happens.
+    """The paper's test of F12: an estimate without it in the model.
 
     Attributes:
         estimate: with the damping fixed at 0.
@@ -70,7 +70,7 @@ class WithoutDamping:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reproduction:
-    """All of it.
+    """Results of the whole reproduction.
 
     Attributes:
         seed: of the noise.
@@ -86,12 +86,12 @@ class Reproduction:
     without_damping: WithoutDamping
 
     def variations(self, method: str) -> dict[str, float]:
-        """Return what changed with the added mass, by name: "idim" or "didim" (Table 6)."""
+        """Return the change of each parameter with the added mass, by "idim" or "didim" (Table 6)."""
         before, after = (getattr(part, method).values for part in (self.first, self.second))
         return {name: after[name] - before[name] for name in before}
 
     def relative_errors(self, denominator: Denominator) -> tuple[dict[str, float], dict[str, float]]:
-        """Return how far the methods differ in both experiments, in percent (Table 7, by either denominator)."""
+        """Return the difference of the methods in both experiments, in percent (Table 7, by either denominator)."""
         assert denominator in DENOMINATORS
         first, second = (
             {
@@ -108,7 +108,7 @@ def reproduce(seed: int = 1, progress: Progress = silent) -> Reproduction:
 
     Args:
         seed: of the noise of the first run; the others follow.
-        progress: is told each step.
+        progress: called with each step.
     """
     axis, heavy = twin(seed=seed), twin(seed=seed + 1, added_mass=True)
     others = twin(seed=seed + 2, pulses_seed=1), twin(seed=seed + 3, added_mass=True, pulses_seed=1)
@@ -122,7 +122,7 @@ def reproduce(seed: int = 1, progress: Progress = silent) -> Reproduction:
 
 
 def keep_torque_only(axis: Twin) -> Record:
-    """Return what torque-only identification may see of a run: torque, reference, and the known pulses."""
+    """Return the channels of a run for torque-only identification: torque, reference, and the known pulses."""
     return axis.record.without("motor_position", "load_position")
 
 
