@@ -197,7 +197,7 @@ def _check_damping_influence() -> Erratum:
     )
 
 
-def _check_start_values_values() -> Erratum:
+def _check_start_values() -> Erratum:
     half = TABLES[1].values["inertia"] / 2
     start = compute_stiffness(half, half, EXPERIMENT.natural_frequency)
     return Erratum(
@@ -265,7 +265,7 @@ ERRATA: tuple[Erratum, ...] = (
         f"Takes the absolute value. The sister papers use {100 * _TOLERANCE:g} %, on the residual and on the "
         "parameters, and at most 10 iterations.",
     ),
-    _check_start_values_values(),
+    _check_start_values(),
     _check_decimation(),
     Erratum(
         "The condition number",
