@@ -117,8 +117,8 @@ def test_where_the_white_and_the_robust_deviations_differ_is_said() -> None:
     message = different(("mean", "quick"), white(W, error), sandwich(W, W, error))
     assert message is not None
     assert "mean 2." in message.words
-    assert "quick" not in sentence
-    assert "row by row" in sentence
+    assert "quick" not in message.words
+    assert "row by row" in message.words
     noise = random.standard_normal(2000)
     assert different(("mean", "quick"), white(W, noise), sandwich(W, W, noise)) is None
 

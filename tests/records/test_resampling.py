@@ -261,7 +261,7 @@ def test_faults_of_a_joint_file(old: str, new: str, said: str) -> None:
 
 
 def test_a_record_in_pieces_is_not_resampled() -> None:
-    with pytest.raises(RecordError, match="in pieces is not resampled"):
+    with pytest.raises(RecordError, match="in chunks is not resampled"):
         loads(FILE.replace(', time = "t"', "")).log("day.csv")
 
 
