@@ -51,7 +51,7 @@ def to_dict(result: object) -> Json:
 
     Args:
         result: of `identify`, `validate`, `compare`, `check_loop`, `advise`, `tune`, `learn_loop`, `inspect`,
-            `compare_reports`.
+            `compare_estimates`.
 
     Raises:
         MethodError: it is no such result.
