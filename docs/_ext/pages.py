@@ -7,6 +7,7 @@ import importlib
 import inspect
 import os
 import re
+import sys
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import joint_file_keys
 
 import jointid
+from jointid.estimation.result.params import Params
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
@@ -69,7 +71,7 @@ def _homes() -> dict[str, str]:
 
 
 def _api() -> dict[str, str]:
-    """Return a page for each room that has public names, in the order of their rooms."""
+    """Return a page for each folder that has public names, in their order."""
     homes = _homes()
     rooms = groupby(sorted(jointid.__all__, key=lambda name: homes[name]), lambda name: homes[name].split(".")[0])
     pages = {}
@@ -82,7 +84,8 @@ def _api() -> dict[str, str]:
 
 def _api_page(room: str, said: str, names: list[str]) -> str:
     rows = "\n".join(f"| {{py:obj}}`{name} <jointid.{name}>` | {_first_line(name)} |" for name in names)
-    directives = [*map(_directive, names), *(f".. autoclass:: {base}" for base in _bases(room, names))]
+    further = dict.fromkeys((*_bases(room, names), *_results(room)))
+    directives = [*map(_directive, names), *(f".. autoclass:: {name}" for name in further)]
     entries = "\n".join(f"```{{eval-rst}}\n{directive}\n```\n" for directive in directives)
     return (
         f"# `{room}`\n\n{said}\n\n| name | what it is |\n|---|---|\n{rows}\n\n"
@@ -91,7 +94,7 @@ def _api_page(room: str, said: str, names: list[str]) -> str:
 
 
 def _bases(room: str, names: list[str]) -> list[str]:
-    """Return the bases that public classes of a room have there and that are no public names themselves."""
+    """Return the bases that public classes of a folder have there and that are no public names themselves."""
     classes = [thing for name in names if isinstance(thing := getattr(jointid, name), type)]
     found = {
         f"{base.__module__}.{base.__qualname__}": None
@@ -100,6 +103,22 @@ def _bases(room: str, names: list[str]) -> list[str]:
         if base.__module__.startswith(f"jointid.{room}.") and base.__name__ not in jointid.__all__ and base.__doc__
     }
     return list(found)
+
+
+def _results(room: str) -> list[str]:
+    """Return the classes of a folder that public functions return, and the parts of an estimate, not public by name."""
+    actions = [thing for name in jointid.__all__ if inspect.isroutine(thing := getattr(jointid, name))]
+    said = [(thing.__globals__, str(thing.__annotations__.get("return"))) for thing in actions]
+    for made in (jointid.Estimate, Params):
+        said += [(vars(sys.modules[made.__module__]), str(hint)) for hint in made.__annotations__.values()]
+    found = dict.fromkeys(known.get(word) for known, hint in said for word in re.findall(r"\w+", hint))
+    return [
+        f"{made.__module__}.{made.__qualname__}"
+        for made in found
+        if isinstance(made, type)
+        and made.__module__.startswith(f"jointid.{room}.")
+        and made.__name__ not in jointid.__all__
+    ]
 
 
 def _first_line(name: str) -> str:

@@ -53,8 +53,8 @@ def report(record: Path, folder: Path) -> None:
 
 def web_page(folder: Path) -> None:
     """Two steps of the page in the browser, as its test comes by them."""
-    test = "tests/web/test_in_the_browser.py::test_emps_end_to_end"
-    words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", test]
+    test = "tests/apps/web/test_in_the_browser.py::test_emps_end_to_end"
+    words = [sys.executable, "-m", "pytest", "-q", "-m", "browser", "-n", "0", "-p", "no:cacheprovider", test]
     subprocess.run(words, cwd=ROOT, env=os.environ | {"JOINTID_SHOTS": str(folder)}, check=True)  # noqa: S603
     saved(folder / "1280-2-channels.png", "page-channels.png", 800, 831)
     saved(folder / "820-5-report.png", "page-report.png", 640, 500)

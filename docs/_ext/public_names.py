@@ -1,6 +1,6 @@
 """Names in docstrings and signatures: what they mean, and where they lead.
 
-A type of a signature leads to the public name it is, whatever room of the package that lives in.
+A type of a signature leads to the public name it is, whatever folder of the package that lives in.
 """
 
 from __future__ import annotations
