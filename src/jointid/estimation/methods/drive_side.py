@@ -24,6 +24,7 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.settings import check_settings, documented, setting
 from jointid.estimation.methods.endogeneity import Judgement, judged
+from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.base import RecordProblem
 from jointid.estimation.problems.drive_side import CURRENT_LAG, DriveSideProblem, motion_problem
 from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
@@ -39,12 +40,14 @@ from jointid.estimation.result.estimate import (
     relative_error,
 )
 from jointid.estimation.result.params import EstimatedParameter, Params
-from jointid.models.joints import acts_on_whole
+from jointid.models.controllers import Controller
+from jointid.models.joints import Joint, acts_on_whole
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.drive_side import LOAD_STATE, DriveSide
+from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.bounds import Bounds
 from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
 from jointid.solvers.multistart import Multistart
@@ -64,8 +67,12 @@ _RESTING = 0.02  # of the record: more is said
 
 @documented
 @dataclass(frozen=True, slots=True)
-class DriveSideFit:
+class DriveSideFit(Method):
     """Settings of the drive-side identification."""
+
+    name = "drive_side"
+    title = "the drive-side method"
+    default_for = DriveSide
 
     log_delay: float | None = setting(
         None,
@@ -103,6 +110,31 @@ class DriveSideFit:
             delay if self.log_delay is None else delay.fixed(self.log_delay),
             lag if self.current_lag is None else CURRENT_LAG.fixed(self.current_lag),
         )
+
+    @classmethod
+    def called(cls, model: str) -> str:
+        """Return what a sentence on its needs calls it."""
+        del model
+        return "the drive side method"
+
+    @classmethod
+    def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:
+        """Return torque and motor position."""
+        del model, controller
+        return "torque", "motor_position"
+
+    def identify(
+        self,
+        record: Record,
+        joint: Joint,
+        loop: ClosedLoop | None,
+        parameters: tuple[Parameter, ...],
+        filtering: Filtering,
+        progress: Progress,
+    ) -> Estimate:
+        """Identify a joint without its controller; see `identify_drive_side`."""
+        del loop
+        return identify_drive_side(record, DriveSide(joint), parameters, filtering, self, progress)
 
 
 def identify_drive_side(

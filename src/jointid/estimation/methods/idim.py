@@ -15,11 +15,13 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.progress import Progress
 from jointid.common.settings import check_settings, documented, setting
 from jointid.estimation.methods.harmonic_period import PeriodColumn, is_searched, moved, with_periods
 from jointid.estimation.methods.instruments import Instrumented, by_instruments, simulated_instruments
 from jointid.estimation.methods.inverse_model import InverseModel, idim_channels, motion_of
 from jointid.estimation.methods.linear import Rows, Solution, ordinary, robust, weighted
+from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import require_free
 from jointid.estimation.result.estimate import (
     Checks,
@@ -32,6 +34,7 @@ from jointid.estimation.result.estimate import (
     relative_error,
 )
 from jointid.estimation.result.params import EstimatedParameter, Params
+from jointid.models.controllers import Controller
 from jointid.models.disturbances import Effect, effect_parameters, require_effects
 from jointid.models.joints import Joint, acts_on_whole
 from jointid.models.parameters import Parameter
@@ -55,8 +58,12 @@ _ALIKE = 0.99  # a correlation that says two forces are known only together
 
 @documented
 @dataclass(frozen=True, slots=True)
-class IDIM:
+class IDIM(Method):
     """Settings of IDIM; its effects are further columns, `PositionHarmonics` or `Drift`."""
+
+    name = "idim"
+    title = "IDIM"
+    default_for = Joint
 
     estimator: Estimator = setting(
         "ols",
@@ -68,6 +75,37 @@ class IDIM:
 
     def __post_init__(self) -> None:
         check_settings(self)
+
+    @classmethod
+    def called(cls, model: str) -> str:
+        """Return what a sentence on its needs calls it: they are the joint model's."""
+        return "IDIM of a flexible joint" if model == "flexible" else cls.title
+
+    @classmethod
+    def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:
+        """Return torque and motor position, and the load's where the joint is flexible."""
+        del controller
+        return idim_channels(model)
+
+    @classmethod
+    def compared(cls, model: str) -> tuple[tuple[str, Method], ...]:
+        """Return a run for each estimator; the weights change nothing of a rigid joint's one equation."""
+        weighted = (("IDIM-WLS", cls("weighted")),) if model == "flexible" else ()
+        return (("IDIM-LS", cls()), *weighted, ("IDIM-IRLS", cls("robust")), ("IDIM-IV", cls("iv")))
+
+    def identify(
+        self,
+        record: Record,
+        joint: Joint,
+        loop: ClosedLoop | None,
+        parameters: tuple[Parameter, ...],
+        filtering: Filtering,
+        progress: Progress,
+    ) -> Estimate:
+        """Identify a joint; see `identify_idim`."""
+        del progress
+        delay = loop.controller.law(record.torque.sample_time).delay if loop and record.torque else 0.0
+        return identify_idim(record, joint, parameters, filtering, delay, self, loop)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,6 +25,7 @@ from jointid.estimation.methods.drive_side import (
     unsure,
     warnings_of,
 )
+from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
 from jointid.estimation.problems.open_loop import OpenLoopProblem, position_problem
 from jointid.estimation.result.estimate import (
@@ -38,11 +39,14 @@ from jointid.estimation.result.estimate import (
     relative_error,
 )
 from jointid.estimation.result.params import EstimatedParameter, Params
+from jointid.models.controllers import Controller
+from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.drive_side import DriveSide
+from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.open_loop import OpenLoop
 from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
 from jointid.solvers.solution import Solution
@@ -53,8 +57,12 @@ from jointid.uncertainty.covariance import words
 
 @documented
 @dataclass(frozen=True, slots=True)
-class OpenLoopFit:
+class OpenLoopFit(Method):
     """Settings of the open-loop identification."""
+
+    name = "open_loop"
+    title = "the open-loop method"
+    default_for = OpenLoop
 
     log_delay: float | None = setting(
         None,
@@ -75,6 +83,31 @@ class OpenLoopFit:
 
     def __post_init__(self) -> None:
         check_settings(self)
+
+    @classmethod
+    def called(cls, model: str) -> str:
+        """Return what a sentence on its needs calls it."""
+        del model
+        return "the open loop method"
+
+    @classmethod
+    def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:
+        """Return torque and motor position."""
+        del model, controller
+        return "torque", "motor_position"
+
+    def identify(
+        self,
+        record: Record,
+        joint: Joint,
+        loop: ClosedLoop | None,
+        parameters: tuple[Parameter, ...],
+        filtering: Filtering,
+        progress: Progress,
+    ) -> Estimate:
+        """Identify a joint in open loop; see `identify_open_loop`."""
+        del loop
+        return identify_open_loop(record, OpenLoop(joint), parameters, filtering, self, progress)
 
 
 def identify_open_loop(

@@ -19,9 +19,10 @@ import numpy as np
 
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.progress import Progress
-from jointid.estimation.identify_record import Method, default_method, identify_record
+from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.registry import Method, default_method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Checks, Data, Estimate, Fit, Settings, poor_fit
 from jointid.estimation.result.params import EstimatedParameter, Params
@@ -60,7 +61,7 @@ def identify_log(
 
     See `jointid.identify`. An interrupt of the last passes ends them, and the estimate is of what was read.
     """
-    chosen = method or default_method(loop.joint, True)
+    chosen = method or default_method(loop, loop.joint.model)()
     if not isinstance(chosen, DIDIM | FlexibleDIDIM):
         raise MethodError("A long record is identified by simulating its loop; give the method didim.")
     filtering, wanted = filtering or Filtering(), adjusted(loop.joint.parameters, parameters or {})
