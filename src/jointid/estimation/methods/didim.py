@@ -24,7 +24,7 @@ from jointid.common.settings import check_settings, documented, setting
 from jointid.common.text import number
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.result.build_estimate import answer
+from jointid.estimation.result.closed_loop_estimate import build_closed_loop_estimate
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.search.history import History, free_more
 from jointid.estimation.search.search import End, Search, State, Step, require_simulated
@@ -277,7 +277,9 @@ def identify_didim(
     else:
         known = _known(end.problem, end.state)
     state = end.state
-    found = answer(record, end.problem, state.x, state.simulation, (end.stop, end.converged), known, state.J)
+    found = build_closed_loop_estimate(
+        record, end.problem, state.x, state.simulation, (end.stop, end.converged), known, state.J
+    )
     form = "the paper's form (11)" if settings.form == "paper" else "residual form"
     return found.amended(
         settings={"variant": f"DIDIM in {form} from {'an' if began == 'inversion' else 'a'} {began} start"},

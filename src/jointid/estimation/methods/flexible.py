@@ -25,7 +25,7 @@ from jointid.common.settings import check_settings, documented, setting
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
-from jointid.estimation.result.build_estimate import answer
+from jointid.estimation.result.closed_loop_estimate import build_closed_loop_estimate
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.stiffness_identifiability import Visibility, visible
 from jointid.estimation.search.exploration import rigid_estimate
@@ -189,13 +189,13 @@ def identify_flexible(
     paper = settings.minimiser == "nelder-mead"
     how = "Nelder-Mead" if paper else "least squares"
     if settings.statistics == "inverse-model":
-        found = answer(record, problem, x, run, (stop, converged), known, J)
+        found = build_closed_loop_estimate(record, problem, x, run, (stop, converged), known, J)
         history.tally.evaluations += 1
         found = with_paper_statistics(found, inverse_model_covariance(problem, x, error), len(problem.free_joint))
     else:
         spring = visible(problem, x, known, starts, progress)
         history.tally.evaluations += spring.simulations
-        found = answer(record, problem, x, run, (stop, converged), known, J, spring.rigid_error)
+        found = build_closed_loop_estimate(record, problem, x, run, (stop, converged), known, J, spring.rigid_error)
         found = found.amended(checks={"verdicts": (*found.checks.verdicts, spring.verdict)})
         found = found if spring.shown else refused(found, spring)
     variant = f"DIDIM by {how} {'from the pseudo-regular start' if paper else 'from a grid of starts'}"

@@ -23,17 +23,16 @@ from jointid.estimation.methods.inverse_model import InverseModel, idim_channels
 from jointid.estimation.methods.linear import Rows, Solution, ordinary, robust, weighted
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import require_free
+from jointid.estimation.result.build_estimate import build_data, build_rows
 from jointid.estimation.result.estimate import (
     Checks,
-    Data,
     Estimate,
     Fit,
     Settings,
-    fingerprint,
     poor_fit,
     relative_error,
 )
-from jointid.estimation.result.params import EstimatedParameter, Params
+from jointid.estimation.result.params import Params
 from jointid.models.controllers import Controller
 from jointid.models.disturbances import Effect, effect_parameters, require_effects
 from jointid.models.joints import Joint, acts_on_whole
@@ -263,9 +262,11 @@ def _answer(
     model, values = regression.model, regression.whole(found.solution.fit.values)
     measured, predicted = model.torque[0], model.columns[0] @ values
     injected = ("injected",) if record.injected is not None else ()
+    named = dict(zip((p.name for p in regression.parameters), map(float, values), strict=True)) | found.periods
+    std = dict(zip(regression.rows.names, map(float, solution.covariance.std), strict=True))
     return Estimate(
         params=Params(
-            _table(joint, regression, solution, values, found.periods),
+            build_rows(regression.parameters, named, std, joint.unit, named.keys() - found.periods.keys()),
             regression.rows.names,
             solution.covariance.correlation,
             f"of the regression, {words(solution.covariance)}",
@@ -291,12 +292,8 @@ def _answer(
             ),
             tests=(iv.test,) if iv else (),
         ),
-        data=Data(
-            channels=("torque", *driven, *idim_channels(joint.model)[1:], *injected),
-            record=record.name,
-            sample_time=record.torque.sample_time,
-            torque_unit=record.torque.unit,
-            fingerprint=fingerprint(record.torque.values),
+        data=build_data(
+            record, ("torque", *driven, *idim_channels(joint.model)[1:], *injected), record.torque.sample_time
         ),
         settings=Settings(
             method="idim",
@@ -307,25 +304,6 @@ def _answer(
             delay=delay,
             effects=found.effects,
         ),
-    )
-
-
-def _table(
-    joint: Joint, regression: _Regression, solution: Solution, values: FloatArray, periods: dict[str, float]
-) -> tuple[EstimatedParameter, ...]:
-    std = dict(zip(regression.rows.names, map(float, solution.covariance.std), strict=True))
-    return tuple(
-        EstimatedParameter(
-            p.name,
-            p.symbol,
-            joint.unit(p),
-            periods.get(p.name, float(value)),
-            std.get(p.name),
-            p.free,
-            p.free,
-            of_joint=p.name not in periods,
-        )
-        for p, value in zip(regression.parameters, values, strict=True)
     )
 
 
