@@ -1,8 +1,8 @@
 """Compare all methods that a record allows: where they agree, the result does not depend on the method.
 
-DIDIM from torque and reference; IDIM by ordinary, weighted and robust least squares and by instrumental variables,
-from positions; each with the joint's own friction, and DIDIM and ordinary least squares with the other law too. A
-method that cannot run is listed with the reason.
+The registry says which runs a method has in a comparison: DIDIM from torque and reference; IDIM by ordinary, weighted
+and robust least squares and by instrumental variables, from positions. Each has the joint's own friction, and the first
+run of a method the other law too. A run that is not possible is listed with the reason.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import chain, combinations
 
 import numpy as np
 
@@ -19,10 +19,9 @@ from jointid.common.errors import JointidError
 from jointid.common.progress import Progress, silent
 from jointid.common.text import number
 from jointid.estimation.identify import identify
-from jointid.estimation.identify_record import Method
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
-from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.registry import Method, methods
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.params import EstimatedParameter
 from jointid.models.friction import friction_named
@@ -134,20 +133,22 @@ def _list_methods(
 ) -> Iterator[tuple[str, ClosedLoop | Joint, Method]]:
     """Yield the name of each method, the model with its friction law, and the method."""
     joint = model.joint if isinstance(model, ClosedLoop) else model
-    torque_only = didim or (FlexibleDIDIM() if joint.model == "flexible" else DIDIM())
-    yield "DIDIM", model, torque_only
-    yield "IDIM-LS", model, IDIM()
-    if joint.model == "flexible":  # of a rigid joint's one equation the weight changes nothing
-        yield "IDIM-WLS", model, IDIM("weighted")
-    yield "IDIM-IRLS", model, IDIM("robust")
-    yield "IDIM-IV", model, IDIM("iv")
+    runs = [made.compared(joint.model) for made in methods() if joint.model in made.models]
+    runs = [tuple((label, _chosen(method, didim)) for label, method in each) for each in runs if each]
+    for label, method in chain.from_iterable(runs):
+        yield label, model, method
     if joint.gravity is not None and joint.gravity.load == "constant":  # not identifiable beside the other law
         return
     other = friction_named(joint.friction.contrast)
     turned = replace(joint, friction=other)
     variant = ClosedLoop(turned, model.controller) if isinstance(model, ClosedLoop) else turned
-    yield f"DIDIM {other.name}", variant, torque_only
-    yield f"IDIM-LS {other.name}", variant, IDIM()
+    for (label, method), *_ in runs:
+        yield f"{label} {other.name}", variant, method
+
+
+def _chosen(method: Method, given: Method | None) -> Method:
+    """Return the settings that are given instead of a method's own, if they are of it."""
+    return given if given is not None and given.name == method.name else method
 
 
 def _describe_disagreements(tried: list[MethodResult]) -> tuple[str, ...]:

@@ -21,7 +21,6 @@ from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.result.estimate import (
     Estimate,
     IdentifiedJoint,
-    MethodName,
     fingerprint,
     law_fingerprint,
     relative_error,
@@ -71,7 +70,7 @@ class Validation(Documented):
     """
 
     test: Literal["direct", "cross"]
-    method: MethodName
+    method: str
     record: str
     identified_from: str
     channels: tuple[str, ...]

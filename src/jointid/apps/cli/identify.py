@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from jointid.apps.cli.options import Changes
+from jointid.estimation.methods.registry import MethodName
 
 if TYPE_CHECKING:
     from jointid import Estimate, Windowing
@@ -23,7 +24,7 @@ def identify(
     window: float | None = None,
     settling: float | None = None,
     changes: Changes = (),
-    method: Literal["didim", "idim", "drive_side", "open_loop"] | None = None,
+    method: MethodName | None = None,
     filtering: Literal["default", "published", "as-printed"] | None = None,
     friction: str | None = None,
     minimiser: Literal["least-squares", "nelder-mead"] | None = None,
