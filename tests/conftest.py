@@ -16,7 +16,7 @@ from hypothesis import settings
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from jointid.estimation.identify_record import Method
+    from jointid.estimation.methods.registry import Method
     from jointid.estimation.result.estimate import Estimate
     from jointid.records.record import Record
 

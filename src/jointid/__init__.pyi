@@ -4,11 +4,11 @@ from .common.errors import ExtraError, JointFileError, JointidError, MethodError
 from .config import JointFile, load
 from .controller_id.learn import learn_loop
 from .diagnostics.check_loop import check_loop
-from .diagnostics.compare_estimates import compare_reports
+from .diagnostics.compare_estimates import compare_estimates
 from .diagnostics.experiment_design import advise
 from .diagnostics.intervals import intervals
-from .diagnostics.method_comparison import compare
-from .diagnostics.stiffness_test_design import revealing, what_would_tell_more
+from .diagnostics.method_comparison import compare_methods
+from .diagnostics.stiffness_test_design import design_stiffness_test
 from .diagnostics.validation import Validation, validate
 from .estimation.identify import identify
 from .estimation.methods.didim import DIDIM
@@ -126,9 +126,10 @@ __all__ = [
     "Windowing",
     "advise",
     "check_loop",
-    "compare",
-    "compare_reports",
+    "compare_estimates",
+    "compare_methods",
     "convert",
+    "design_stiffness_test",
     "export",
     "frequencies",
     "frequency_response",
@@ -144,7 +145,6 @@ __all__ = [
     "read_report",
     "report_estimate",
     "report_file",
-    "revealing",
     "rigid_sums",
     "save",
     "simulate",
@@ -158,6 +158,5 @@ __all__ = [
     "tuning_figure",
     "twin",
     "validate",
-    "what_would_tell_more",
     "write",
 ]

@@ -17,12 +17,13 @@ from jointid.config import (
     dumps,
     loads,
 )
-from jointid.config.schema import DIDIMS, FILTERINGS
+from jointid.config.schema import FILTERINGS
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.open_loop import OpenLoopFit
+from jointid.estimation.methods.registry import METHODS, MODELS
 from jointid.models.controllers import (
     PD,
     PID,
@@ -149,8 +150,9 @@ def test_every_word_of_the_objects_is_a_word_of_the_file() -> None:
     assert table("TorqueTable")["tap"]["enum"] == [str(word) for word in Tap]
     assert table("InjectedTable")["at"]["enum"] == [str(word) for word in InjectionPoint]
     assert table("FilteringTable")["preset"]["enum"] == list(FILTERINGS)
-    assert table("JointTable")["model"]["enum"] == list(DIDIMS)
+    assert table("JointTable")["model"]["enum"] == list(MODELS)
     assert table("GravityTable")["load"]["enum"] == list(GRAVITY_PARAMETERS)
+    assert table("MethodTable")["name"]["enum"] == list(METHODS)
     assert table("MethodTable")["drift"]["enum"] == list(get_args(get_type_hints(Drift)["of"]))
 
 

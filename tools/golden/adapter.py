@@ -24,12 +24,12 @@ import tomli_w
 
 import jointid as ji
 from jointid.apps.cli import main
-from jointid.diagnostics.check_loop import with_loop_verdict
-from jointid.diagnostics.report_data import dossier as collect
+from jointid.diagnostics.check_loop import add_loop_verdict
+from jointid.diagnostics.report_data import collect_report_data as collect
 from jointid.paper.errata import ERRATA
 from jointid.paper.published import TABLES
-from jointid.paper.recomputed import comparison as recomputed
-from jointid.paper.recomputed import misprints
+from jointid.paper.recomputed import compare_table as recomputed
+from jointid.paper.recomputed import find_misprints
 from jointid.paper.reproduce import reproduce
 from jointid.simulation.sensitivities import simulate_sensitivities, warm_up
 from jointid.uncertainty.bootstrap import Bootstrapping
@@ -836,7 +836,7 @@ def total(found: Any, names: Sequence[str]) -> list[Any]:
 
 def check_loop(found: Any, record: Any) -> Json:
     """Return the check of loop and log, and the verdict on it."""
-    judged = with_loop_verdict(found, record)
+    judged = add_loop_verdict(found, record)
     verdicts = {code(v.subject): v.good for v in judged.checks.verdicts}
     return _loop_check(ji.to_dict(ji.check_loop(found, record))) | {"verdicts": verdicts}
 
@@ -1164,7 +1164,7 @@ def dossier(found: Any, record: Any) -> Json:
 
 def revealing(found: Any, record: Any) -> Json:
     """Return which test would show a refused stiffness."""
-    return _revealing(ji.to_dict(ji.revealing(found, record)))
+    return _revealing(ji.to_dict(ji.design_stiffness_test(found, record)))
 
 
 # Files
@@ -1225,7 +1225,7 @@ def published() -> Json:
         str(n): {
             "rows": {_name(name): [str(cell) for cell in cells] for name, cells in table.rows.items()},
             "recomputed": {row.name: [list(row.printed), list(row.recomputed)] for row in recomputed(table).rows},
-            "misprints": sorted([str(column), _name(name)] for column, name in misprints(table)),
+            "misprints": sorted([str(column), _name(name)] for column, name in find_misprints(table)),
         }
         for n, table in sorted(TABLES.items())
     }

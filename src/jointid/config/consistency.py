@@ -12,15 +12,16 @@ from functools import partial
 
 from jointid.common import messages
 from jointid.config.mechanics import GravityTable, JointTable
-from jointid.config.schema import CLOSINGS, OF_IDIM, MethodTable, ParameterTable, RunTable
+from jointid.config.schema import MethodTable, ParameterTable, RunTable, keys_of
 from jointid.config.table import refusal
-from jointid.estimation.methods.inverse_model import idim_channels
+from jointid.estimation.methods.registry import METHODS, MODELS, method_of, methods
 from jointid.estimation.problems.nuisance_parameters import surrounding
 from jointid.models.controllers import Controller, numbers_of, with_numbers
 from jointid.models.friction import FRICTIONS
 from jointid.models.gravity import GRAVITY_PARAMETERS
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
+from jointid.simulation.loop_input import ClosedLoop
 
 _NEXT_TO_ZERO = 1e-200
 _BESIDE_LOAD = (
@@ -32,7 +33,6 @@ _BESIDE_FRICTION = (
     " cannot be identified beside {} friction: a constant adds to the Coulomb force forwards and takes as much "
     'from it backwards, so the two cannot be told apart; give it a value, or set joint.friction = "symmetric".'
 )
-_OTHER = {"didim": "idim", "idim": "didim", "drive_side": "didim", "open_loop": "didim"}
 
 
 def choose_method(name: str | None, channels: Collection[str], controlled: bool, model: str) -> str | None:
@@ -48,18 +48,22 @@ def choose_method(name: str | None, channels: Collection[str], controlled: bool,
     """
     if name is not None:
         return name
-    if controlled and {"torque", "reference"} <= set(channels):
-        return "didim"
-    return "idim" if set(idim_channels(model)) <= set(channels) else None
+    for default in _defaults():
+        method = method_of(default, model)
+        if (controlled or not method.needs_controller) and set(method.channels(model)) <= set(channels):
+            return default
+    return None
 
 
 def needed_channels(method: str, controller: Controller | None, model: str) -> tuple[str, ...]:
     """Return the names of the channels that a method reads; of a controller not known, only the reference."""
-    if method == "idim":
-        return idim_channels(model)
-    if method in CLOSINGS:
-        return "torque", "motor_position"
-    return ("torque", *(("reference",) if controller is None else controller.channels))
+    return method_of(method, model).channels(model, controller)
+
+
+def _defaults() -> tuple[str, ...]:
+    """Return the names of the methods that a joint file need not name, the first choice first."""
+    found = (method.name for method in methods() if method.default_for in (ClosedLoop, Joint))
+    return tuple(dict.fromkeys(found))
 
 
 def method_faults(
@@ -78,40 +82,44 @@ def method_faults(
 
     def lacking(method: str) -> list[str]:
         missing = [f"record.channels.{n}" for n in needed_channels(method, controller, of_model) if n not in channels]
-        return missing if controlled or method != "didim" else [*missing, "controller"]
+        needed = method_of(method, of_model).needs_controller
+        return [*missing, "controller"] if needed and not controlled else missing
 
     name = choose_method(table.name, channels, controlled, of_model)
     if name is None:
-        yield _no_method({method: lacking(method) for method in ("didim", "idim")}, channels, controlled, of_model)
+        yield _no_method({method: lacking(method) for method in _defaults()}, channels, controlled, of_model)
     else:
-        other = _OTHER[name]
+        other = next(default for default in _defaults() if default != name)
+        if of_model not in method_of(name, of_model).models:
+            remedy = f'use method.name = "{other}", or set joint.model = {messages.either(_models_of(name))}'
+            yield f'method.name is "{name}", which is not for a {of_model} joint: {remedy}.'
         for key in lacking(name):
             yield (
-                f"{key} is missing, but {_called(name, of_model)} needs it: add it, "
+                f"{key} is missing, but {method_of(name, of_model).called(of_model)} needs it: add it, "
                 f'or use method.name = "{other}", which needs only {_needs(other, of_model)}.'
             )
-        if name == "idim" and table.estimator == "iv":
+        if "estimator" in keys_of(method_of(name, of_model)) and table.estimator == "iv":
             for key in [key for key in lacking("didim") if key not in lacking(name)]:
                 yield f'{key} is missing, but method.estimator = "iv" simulates the loop: add it, or use another.'
     for key, sentence in _not_its_own(table, name, model):
         yield f"method.{key}{sentence}"
 
 
-def _called(method: str, model: str) -> str:
-    """Return what a sentence on a method's needs calls it: those of IDIM are the model's."""
-    if method in CLOSINGS:
-        return f"the {method.replace('_', ' ')} method"
-    return "IDIM of a flexible joint" if (method, model) == ("idim", "flexible") else method.upper()
+def _models_of(name: str, key: str | None = None) -> tuple[str, ...]:
+    """Return the joint models that a method is for, or a key of it."""
+    named = [method for method in methods() if method.name == name and (key is None or key in keys_of(method))]
+    return tuple(model for method in named for model in method.models)
 
 
 def _needs(method: str, model: str) -> str:
-    *most, last = idim_channels(model) if method == "idim" else ("torque", "reference", "controller")
+    made = method_of(method, model)
+    *most, last = [*made.channels(model), *(["controller"] if made.needs_controller else [])]
     return f"{', '.join(most)} and {last}"
 
 
 def _no_method(lacking: Mapping[str, list[str]], channels: Collection[str], controlled: bool, model: str) -> str:
     """Return the sentence on a file that has what no method needs."""
-    lacks = [f"{_called(method, model)} lacks {' and '.join(keys)}" for method, keys in lacking.items()]
+    lacks = [f"{method_of(method, model).called(model)} lacks {' and '.join(keys)}" for method, keys in lacking.items()]
     rigid = choose_method(None, channels, controlled, "rigid") is not None
     remedy = "add what one of them lacks" + (', or set joint.model = "rigid"' if rigid else "")
     return f"method.name is missing, and no method can be chosen: {', '.join(lacks)}; {remedy}."
@@ -120,21 +128,20 @@ def _no_method(lacking: Mapping[str, list[str]], channels: Collection[str], cont
 def _not_its_own(table: MethodTable, name: str | None, model: str | None) -> Iterator[tuple[str, str]]:
     """Yield the key and the rest of the sentence on settings of the other model or method, or of a preset."""
     for key, value in table.given("name").items():
-        own = table.model_of(key)
-        if key in OF_IDIM:
-            if name not in (None, "idim"):
-                other = "DIDIM" if name == "didim" else f'"{name}"'
-                yield key, f' is for IDIM, but the method is {other}: leave it out, or use method.name = "idim".'
-        elif name in CLOSINGS or (table.of_closing(key) and name is not None):
-            others = [method for method in ("didim", *CLOSINGS) if table.is_of(key, method)]
-            if name not in others:
-                remedy = f"leave it out, or use method.name = {messages.either(others)}"
-                yield key, f' is not for the method "{name}": {remedy}.'
-        elif None not in (own, model) and own != model:
-            remedy = f'leave it out, or set joint.model = "{own}"'
-            yield key, f" is for DIDIM of a {own} joint, but the joint is {model}: {remedy}."
-        elif name == "idim":
-            yield key, ' is for DIDIM, but the method is IDIM: leave it out, or use method.name = "didim".'
+        owners = [owner for owner in METHODS if _models_of(owner, key)]
+        owner = name if name in owners else owners[0]
+        models = _models_of(owner, key)
+        strange = name is not None and name not in owners
+        title = method_of(owner, models[0]).title
+        if strange and not {owner, name} <= set(_defaults()):
+            remedy = f"leave it out, or use method.name = {messages.either(owners)}"
+            yield key, f' is not for the method "{name}": {remedy}.'
+        elif model is not None and model not in models:
+            remedy = f'leave it out, or set joint.model = "{models[0]}"'
+            yield key, f" is for {title} of a {models[0]} joint, but the joint is {model}: {remedy}."
+        elif name is not None and strange:
+            other = method_of(name, models[0]).title
+            yield key, f' is for {title}, but the method is {other}: leave it out, or use method.name = "{owner}".'
         elif key in table.beside_preset():
             yield key, messages.beside_preset(value, str(table.preset))
 
@@ -265,7 +272,7 @@ def _open(lower: float) -> float:
 def _no_parameter(name: str, joint: JointTable, gravity: GravityTable | None, known: Collection[str]) -> str:
     """Return the rest of the sentence on a parameter that this model does not have."""
     remedy = messages.suggest(name, known, "leave it out")
-    for key, choices in (("model", ("rigid", "flexible")), ("friction", FRICTIONS)):
+    for key, choices in (("model", MODELS), ("friction", FRICTIONS)):
         for choice in choices:
             other: Joint = joint.model_copy(update={key: choice}).joint(None, gravity=None)
             if name in [parameter.name for parameter in other.parameters]:

@@ -13,13 +13,11 @@ from jointid.common.progress import Progress, silent
 from jointid.config import serialise
 from jointid.config.channels import list_channels, torque_unit
 from jointid.config.consistency import change_parameter, choose_method, needed_channels
-from jointid.config.schema import CLOSINGS
 from jointid.config.sources import Run, Source
 from jointid.config.validation import check_tables
 from jointid.estimation.identify import identify
-from jointid.estimation.identify_record import Method
 from jointid.estimation.methods.flexible import FlexibleDIDIM
-from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller, with_numbers
 from jointid.models.joints import Joint
@@ -42,7 +40,7 @@ class JointFile:
     Attributes:
         joint: the model; its torque is in A or V where the torque's channel is.
         columns: the channels, and where they are found; with a profile of the drive it finds the others.
-        method: `DIDIM` (rigid), `FlexibleDIDIM` or `IDIM` with its settings.
+        method: with its settings.
         controller: the controller's law as the joint sees it through its transmission, None while it is not known.
         filtering: how signals are filtered.
         parameters: changes to the joint's parameters by name, as `identify` takes them.
@@ -202,7 +200,7 @@ class JointFile:
     @property
     def _columns(self) -> dict[str, Column]:
         """The channels to read: those that the method needs, and others if they are there."""
-        needed = {*needed_channels(self._method_name, self.controller, self.joint.model), "injected"}
+        needed = {*needed_channels(self.method.name, self.controller, self.joint.model), "injected"}
         columns = {n: c if n in needed else replace(c, optional=True) for n, c in self.columns.items()}
         if self.drive.traces is not None:  # it is to find what the method needs and the file does not name
             columns |= {n: Column() for n in needed if n not in columns and n != "injected"}
@@ -284,7 +282,7 @@ class JointFile:
         """Return this file with some choices replaced, and checked again; None leaves a choice as it is.
 
         Args:
-            method: "didim" or "idim"; another one than the file's comes with its default settings.
+            method: its name; another one than the file's comes with its default settings.
             filtering: a preset, "default", "published" or "as-printed".
             friction: name of the friction law, "symmetric" or another of `jointid.models.friction`.
             minimiser: of DIDIM for a flexible joint, "least-squares" or "nelder-mead".
@@ -299,7 +297,7 @@ class JointFile:
                 setting is not one of the method's.
         """
         tables = self.tables()
-        if method is not None and method != self._method_name:
+        if method is not None and method != self.method.name:
             tables["method"] = {"name": method}
         if filtering is not None:
             tables["filtering"] = {"preset": filtering}
@@ -347,9 +345,3 @@ class JointFile:
             ),
         }
         return {name: table for name, table in tables.items() if table}
-
-    @property
-    def _method_name(self) -> str:
-        if isinstance(self.method, IDIM):
-            return "idim"
-        return next((name for name, made in CLOSINGS.items() if isinstance(self.method, made)), "didim")

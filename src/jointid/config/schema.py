@@ -15,6 +15,7 @@ from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
 
 from jointid.common import messages
 from jointid.common.messages import Says
+from jointid.common.settings import settings_of
 from jointid.config.gearing import TransmissionTable
 from jointid.config.generate import keys_from
 from jointid.config.laws import ControllerTable
@@ -30,17 +31,12 @@ from jointid.config.values import (
     Number,
     Positive,
 )
-from jointid.estimation.identify_record import Method
-from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.drive_side import DriveSideFit
-from jointid.estimation.methods.flexible import FlexibleDIDIM
-from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.open_loop import OpenLoopFit
+from jointid.estimation.methods.registry import Method, MethodName, method_of, methods
 from jointid.models.disturbances import Drift, Effect, PositionHarmonics
 from jointid.records.signals.filtering import Filtering
 
-OF_IDIM = ("estimator", "harmonics", "period", "drift")
-"""The keys of [method] that are IDIM's."""
+EFFECTS = ("harmonics", "period", "drift")
+"""The keys of [method] that say the effects of a method that has any."""
 
 FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
     "default": Filtering,
@@ -48,12 +44,6 @@ FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
     "as-printed": Filtering.as_printed,
 }
 """The presets of [filtering]."""
-
-DIDIMS: Mapping[str, type[DIDIM] | type[FlexibleDIDIM]] = {"rigid": DIDIM, "flexible": FlexibleDIDIM}
-"""Settings of the method "didim", by the joint's model."""
-
-CLOSINGS: Mapping[str, type[DriveSideFit] | type[OpenLoopFit]] = {"drive_side": DriveSideFit, "open_loop": OpenLoopFit}
-"""Settings of the other methods that simulate, by their name; neither needs the controller."""
 
 
 @keys_from(Filtering)
@@ -77,11 +67,11 @@ class FilteringTable(Table):
         return Filtering(**self.settings())
 
 
-@keys_from(*DIDIMS.values(), *CLOSINGS.values(), IDIM)
+@keys_from(*methods())
 class MethodTable(Table):
     """[method]: how the joint is identified; some keys are for a rigid joint only, others for a flexible one."""
 
-    name: Literal["didim", "idim", "drive_side", "open_loop"] | None = Field(
+    name: MethodName | None = Field(
         None, description="by which method; without it didim if the record has what it needs, else idim"
     )
     preset: Literal["paper"] | None = Field(
@@ -101,38 +91,38 @@ class MethodTable(Table):
         if self.period is not None and self.harmonics == 0:
             yield "period", f" is {self.period:g}, but there are no harmonics; add harmonics = 1, or leave it out."
 
-    def model_of(self, key: str) -> str | None:
-        """Return the joint's model that a key is for, None where it is for both."""
-        models = [model for model, made in DIDIMS.items() if key in {field.name for field in fields(made)}]
-        return models[0] if len(models) == 1 else None
-
-    def is_of(self, key: str, name: str) -> bool:
-        """True if a key is a setting of the method of that name."""
-        made = [CLOSINGS[name]] if name in CLOSINGS else list(DIDIMS.values())
-        return any(key in {field.name for field in fields(one)} for one in made)
-
-    def of_closing(self, key: str) -> bool:
-        """True if a key is only for the methods that prescribe a motion or a torque."""
-        return any(self.is_of(key, name) for name in CLOSINGS) and not self.is_of(key, "didim")
-
     def beside_preset(self) -> dict[str, Any]:
         """Return the values that the preset sets too; the paper knew its frequency, and another joint has another."""
         return {} if self.preset is None else self.given("name", "preset", "frequency")
 
     def effects(self) -> tuple[Effect, ...]:
-        """Return the further columns of IDIM."""
+        """Return the further columns of a regression."""
         ripple = (PositionHarmonics(self.period, self.harmonics),) if self.harmonics else ()
         return (*ripple, *(() if self.drift is None else (Drift(self.drift),)))
 
     def method(self, name: str, model: str) -> Method:
         """Return the method of that name with these settings, for a joint of that model."""
-        if name == "idim":
-            return IDIM(self.estimator, self.effects())
-        given = self.settings("name", "preset")
-        if name in CLOSINGS:
-            return CLOSINGS[name](**given | ({"current_lag": None} if self.current_lag == "estimated" else {}))
-        made = DIDIMS[model]
-        return made.paper(**given) if self.preset == "paper" else made(**given)
+        made: Any = method_of(name, model)
+        given = self.settings("name", "preset", *EFFECTS)
+        for one in settings_of(made):
+            if one.setting.none and given.get(one.name) == one.setting.none:
+                given[one.name] = None
+        if has_effects(made):
+            given["effects"] = self.effects()
+        method: Method = made.paper(**given) if self.preset == "paper" else made(**given)
+        return method
+
+
+def has_effects(method: type[Method]) -> bool:
+    """True if a method takes effects, whose keys are `EFFECTS`."""
+    made: Any = method
+    return "effects" in {field.name for field in fields(made)}
+
+
+def keys_of(method: type[Method]) -> tuple[str, ...]:
+    """Return the keys of [method], beside its name, that a method has."""
+    settings = tuple(one.name for one in settings_of(method))
+    return (*settings, *(EFFECTS if has_effects(method) else ()), *(("preset",) if hasattr(method, "paper") else ()))
 
 
 class ParameterTable(Table):

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from jointid.common.errors import JointFileError
-from jointid.config.schema import CLOSINGS, DIDIMS, FILTERINGS
-from jointid.estimation.identify_record import Method
-from jointid.estimation.methods.idim import IDIM
+from jointid.common.settings import settings_of
+from jointid.config.schema import FILTERINGS
+from jointid.estimation.methods.registry import Method, method_of
 from jointid.models.controllers import FILTERS, LAWS, Controller, DigitalFilter
 from jointid.models.disturbances import Drift, Effect, PositionHarmonics
 from jointid.models.friction import FRICTIONS
@@ -86,20 +86,16 @@ def filtering_table(filtering: Filtering) -> dict[str, Any]:
 
 def method_table(method: Method, model: str) -> dict[str, Any]:
     """Return [method] for a joint of that model."""
-    if isinstance(method, IDIM):
-        return {"name": "idim", **settings(method, "effects"), **_effects(method.effects)}
-    for name, of_closing in CLOSINGS.items():
-        if isinstance(method, of_closing):
-            lag = {"current_lag": "estimated"} if getattr(method, "current_lag", 0.0) is None else {}
-            return {"name": name, **settings(method), **lag}
-    if type(method) is not DIDIMS[model]:  # it would be read back as the other one
-        made = type(method).__name__
-        raise JointFileError(f"{made} is not for a {model} joint; use {DIDIMS[model].__name__}.")
-    return {"name": "didim", **settings(method)}
+    made = method_of(method.name, model)
+    if type(method) is not made:  # it would be read back as the other one
+        raise JointFileError(f"{type(method).__name__} is not for a {model} joint; use {made.__name__}.")
+    words = {one.name: one.setting.none for one in settings_of(made) if one.setting.none}
+    given = {name: word for name, word in words.items() if getattr(method, name) is None}
+    return {"name": method.name, **settings(method, "effects"), **given, **_effects(getattr(method, "effects", ()))}
 
 
 def _effects(effects: tuple[Effect, ...]) -> dict[str, Any]:
-    """Return the keys of [method] that say the same as IDIM's effects."""
+    """Return the keys of [method] that say the same as a method's effects."""
     found: dict[str, Any] = {}
     for effect in effects:
         match effect:

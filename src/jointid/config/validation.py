@@ -19,8 +19,9 @@ from jointid.config.gearing import TransmissionTable, side_faults, transmission_
 from jointid.config.laws import LAW_TABLES, LawTable
 from jointid.config.mechanics import GravityTable, JointTable
 from jointid.config.record_table import ChannelsTable, ChannelTable, DriveTable
-from jointid.config.schema import DIDIMS, FileTable, MethodTable, ParameterTable, RunTable, TogetherTable
+from jointid.config.schema import FileTable, MethodTable, ParameterTable, RunTable, TogetherTable
 from jointid.config.table import Table, sentences
+from jointid.estimation.methods.registry import MODELS
 from jointid.models.controllers import Controller
 from jointid.models.parameters import Kind
 from jointid.models.transmission import Side
@@ -188,7 +189,7 @@ def _part(model: type[T], raw: object) -> T | None:
 def _model(joint: object) -> str | None:
     """Return the model that [joint] names, right otherwise or not; None for a model that there is not."""
     named = joint.get("model", "rigid") if isinstance(joint, dict) else None
-    return next((model for model in DIDIMS if model == named), None)
+    return next((model for model in MODELS if model == named), None)
 
 
 def _table(raw: Mapping[str, Any], *path: str) -> Mapping[str, Any]:

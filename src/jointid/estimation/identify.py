@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
-from jointid.estimation.identify_record import Method, identify_record
+from jointid.estimation.identify_record import identify_record
+from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.several_records.identify_several import identify_several
 from jointid.estimation.several_records.settings import SeveralRecords

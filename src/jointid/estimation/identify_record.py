@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TypeAlias
 
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.estimation.methods.cross_axis import record_warnings
-from jointid.estimation.methods.didim import DIDIM, identify_didim
-from jointid.estimation.methods.drive_side import DriveSideFit, identify_drive_side
-from jointid.estimation.methods.flexible import FlexibleDIDIM, identify_flexible
-from jointid.estimation.methods.idim import IDIM, identify_idim
-from jointid.estimation.methods.open_loop import OpenLoopFit, identify_open_loop
+from jointid.estimation.methods.registry import Method, default_method, method_of
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter, Quantity, adjusted
@@ -23,8 +18,6 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.open_loop import OpenLoop
-
-Method: TypeAlias = DIDIM | FlexibleDIDIM | IDIM | DriveSideFit | OpenLoopFit
 
 
 def identify_record(
@@ -42,8 +35,7 @@ def identify_record(
     """
     loop = model if isinstance(model, ClosedLoop) else None
     joint = model.joint if isinstance(model, ClosedLoop | DriveSide | OpenLoop) else model
-    of_closing = {DriveSide: DriveSideFit, OpenLoop: OpenLoopFit}.get(type(model))
-    chosen = method or (of_closing() if of_closing else default_method(joint, loop is not None))
+    chosen = method or default_method(model, joint.model)()
     wanted = adjusted(joint.parameters, parameters or {})
     check_record(record)
     estimate = _identified(record, joint, loop, chosen, filtering or Filtering(), wanted, progress)
@@ -97,30 +89,13 @@ def _identified(
     parameters: tuple[Parameter, ...],
     progress: Progress,
 ) -> Estimate:
-    if isinstance(method, DriveSideFit):
-        return identify_drive_side(record, DriveSide(joint), parameters, filtering, method, progress)
-    if isinstance(method, OpenLoopFit):
-        return identify_open_loop(record, OpenLoop(joint), parameters, filtering, method, progress)
-    if isinstance(method, IDIM):
-        delay = loop.controller.law(record.torque.sample_time).delay if loop and record.torque else 0.0
-        return identify_idim(record, joint, parameters, filtering, delay, method, loop)
-    if loop is None:
+    if method.needs_controller and loop is None:
         raise MethodError(
-            "DIDIM simulates the closed loop, so it needs the controller; give a ClosedLoop, or use IDIM with a "
-            "motor_position."
+            f"{method.title} simulates the closed loop, so it needs the controller; give a ClosedLoop, or use IDIM "
+            "with a motor_position."
         )
-    if isinstance(method, FlexibleDIDIM) != (joint.model == "flexible"):
-        raise MethodError(
-            f"{type(method).__name__} is not for a {joint.model} joint; "
-            f"use {type(default_method(joint, True)).__name__}."
-        )
-    if isinstance(method, FlexibleDIDIM):
-        return identify_flexible(record, loop, parameters, filtering, method, progress)
-    return identify_didim(record, loop, parameters, filtering, method, progress)
-
-
-def default_method(joint: Joint, controlled: bool) -> Method:
-    """Return DIDIM for the joint's model where the controller is known, else IDIM."""
-    if not controlled:
-        return IDIM()
-    return FlexibleDIDIM() if joint.model == "flexible" else DIDIM()
+    if joint.model not in method.models:
+        other = method_of(method.name, joint.model)
+        remedy = other if joint.model in other.models else default_method(loop or joint, joint.model)
+        raise MethodError(f"{type(method).__name__} is not for a {joint.model} joint; use {remedy.__name__}.")
+    return method.identify(record, joint, loop, parameters, filtering, progress)

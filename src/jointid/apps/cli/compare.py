@@ -21,7 +21,7 @@ def compare(
         level: chance that anything is called changed where nothing is, for all quantities together.
         json: also write the answer as JSON to this file.
     """
-    from jointid import compare_reports as run
+    from jointid import compare_estimates as run
     from jointid.apps.cli.console import check_outputs, show
     from jointid.output import json as answers
 

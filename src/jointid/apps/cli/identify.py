@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from jointid.apps.cli.options import Changes
+from jointid.estimation.methods.registry import MethodName
 
 if TYPE_CHECKING:
     from jointid import Estimate, Windowing
@@ -23,7 +24,7 @@ def identify(
     window: float | None = None,
     settling: float | None = None,
     changes: Changes = (),
-    method: Literal["didim", "idim", "drive_side", "open_loop"] | None = None,
+    method: MethodName | None = None,
     filtering: Literal["default", "published", "as-printed"] | None = None,
     friction: str | None = None,
     minimiser: Literal["least-squares", "nelder-mead"] | None = None,
@@ -67,7 +68,7 @@ def identify(
     from jointid import Windowing
     from jointid.apps.cli.console import check_outputs, identified, progress, show
     from jointid.config import load
-    from jointid.diagnostics.check_loop import with_loop_verdict
+    from jointid.diagnostics.check_loop import add_loop_verdict
 
     listener = progress(quiet)
     check_outputs(figure, json)
@@ -91,7 +92,7 @@ def identify(
     else:
         logged, estimate = identified(file, records[0] if records else None, listener)
         if file.tells_of_its_loop:
-            estimate = with_loop_verdict(estimate, logged)
+            estimate = add_loop_verdict(estimate, logged)
     show(estimate, details=details)
     if json is not None:
         from jointid.output import json as answers
@@ -102,9 +103,9 @@ def identify(
 
         save(torque_figure(estimate), figure)
     if logged is not None and estimate.checks.bounds:
-        from jointid import what_would_tell_more
+        from jointid import design_stiffness_test
 
-        show(f"\n{what_would_tell_more(estimate, logged)}")
+        show(f"\n{design_stiffness_test(estimate, logged)}")
     if estimate.fit.interrupted:
         raise KeyboardInterrupt
 

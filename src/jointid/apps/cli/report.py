@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from jointid.apps.cli.options import Changes
+from jointid.estimation.methods.registry import MethodName
 
 
 def report(
@@ -19,7 +20,7 @@ def report(
     html: Path | None = None,
     markdown: Path | None = None,
     figures: Path | None = None,
-    method: Literal["didim", "idim", "drive_side", "open_loop"] | None = None,
+    method: MethodName | None = None,
     filtering: Literal["default", "published", "as-printed"] | None = None,
     friction: str | None = None,
     no_profiles: Annotated[bool, Parameter(negative=())] = False,

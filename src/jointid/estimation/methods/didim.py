@@ -22,13 +22,15 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.settings import check_settings, documented, setting
 from jointid.common.text import number
+from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.result.build_estimate import answer
+from jointid.estimation.result.closed_loop_estimate import build_closed_loop_estimate
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.search.history import History, free_more
 from jointid.estimation.search.search import End, Search, State, Step, require_simulated
 from jointid.estimation.search.starts import Start, given_start, inversion_start, regular_start
-from jointid.models.controllers import REFERENCE
+from jointid.models.controllers import REFERENCE, Controller
+from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -46,8 +48,14 @@ _WORSE = 2.0  # times the residual: with an approximate Jacobian, a little worse
 
 @documented
 @dataclass(frozen=True, slots=True)
-class DIDIM:
+class DIDIM(Method):
     """Settings of DIDIM."""
+
+    name = "didim"
+    title = "DIDIM"
+    models = ("rigid",)
+    default_for = ClosedLoop
+    needs_controller = True
 
     form: Literal["residual", "paper"] = setting(
         "residual",
@@ -84,6 +92,32 @@ class DIDIM:
     def paper(cls) -> DIDIM:
         """Return the settings of the paper: form (11), regular start, stop at 2.5 % or after 10 iterations."""
         return cls("paper", "regular", 1, 0.025, 0.025, 10, "reference")
+
+    @classmethod
+    def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:
+        """Return torque, and what the controller reads."""
+        del model
+        return ("torque", *(("reference",) if controller is None else controller.channels))
+
+    @classmethod
+    def compared(cls, model: str) -> tuple[tuple[str, Method], ...]:
+        """Return the one run of DIDIM in a comparison."""
+        del model
+        return (("DIDIM", cls()),)
+
+    def identify(
+        self,
+        record: Record,
+        joint: Joint,
+        loop: ClosedLoop | None,
+        parameters: tuple[Parameter, ...],
+        filtering: Filtering,
+        progress: Progress,
+    ) -> Estimate:
+        """Identify a rigid joint; see `identify_didim`."""
+        del joint
+        assert loop is not None
+        return identify_didim(record, loop, parameters, filtering, self, progress)
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,7 +277,9 @@ def identify_didim(
     else:
         known = _known(end.problem, end.state)
     state = end.state
-    found = answer(record, end.problem, state.x, state.simulation, (end.stop, end.converged), known, state.J)
+    found = build_closed_loop_estimate(
+        record, end.problem, state.x, state.simulation, (end.stop, end.converged), known, state.J
+    )
     form = "the paper's form (11)" if settings.form == "paper" else "residual form"
     return found.amended(
         settings={"variant": f"DIDIM in {form} from {'an' if began == 'inversion' else 'a'} {began} start"},

@@ -24,48 +24,42 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.settings import check_settings, documented, setting
 from jointid.estimation.methods.endogeneity import Judgement, judged
-from jointid.estimation.problems.base import RecordProblem
+from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.drive_side import CURRENT_LAG, DriveSideProblem, motion_problem
 from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
-from jointid.estimation.result.estimate import (
-    Checks,
-    Data,
-    Estimate,
-    Fit,
-    Iteration,
-    Settings,
-    fingerprint,
-    poor_fit,
-    relative_error,
-)
-from jointid.estimation.result.params import EstimatedParameter, Params
-from jointid.models.joints import acts_on_whole
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.prescribed_estimate import build_prescribed_estimate
+from jointid.models.controllers import Controller
+from jointid.models.joints import Joint, acts_on_whole
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
-from jointid.simulation.drive_side import LOAD_STATE, DriveSide
-from jointid.solvers.bounds import Bounds
+from jointid.simulation.drive_side import DriveSide
+from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
 from jointid.solvers.multistart import Multistart
 from jointid.solvers.solution import Solution, Step, Watch
 from jointid.solvers.solve import solve
-from jointid.uncertainty.bands import band_words, with_bands
-from jointid.uncertainty.covariance import Covariance, sandwich, words
+from jointid.uncertainty.bands import with_bands
+from jointid.uncertainty.covariance import Covariance, sandwich
 
 _GUESSES = 28  # motor-locked frequencies to try, evenly on a logarithmic scale ...
 _LOWEST = 0.05  # ... from this share of the cut-off up to it
 _DAMPING = 0.05  # of the load that is tried: as wide as the steps of the grid
 _REFINED, _WORSE = 3, 3.0  # valleys of the grid that are refined, at most; and how much worse than the best
 _MOST_LATE = 20.0  # samples that the log may be late, or early
-_INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
 _RESTING = 0.02  # of the record: more is said
 
 
 @documented
 @dataclass(frozen=True, slots=True)
-class DriveSideFit:
+class DriveSideFit(Method):
     """Settings of the drive-side identification."""
+
+    name = "drive_side"
+    title = "the drive-side method"
+    default_for = DriveSide
 
     log_delay: float | None = setting(
         None,
@@ -103,6 +97,31 @@ class DriveSideFit:
             delay if self.log_delay is None else delay.fixed(self.log_delay),
             lag if self.current_lag is None else CURRENT_LAG.fixed(self.current_lag),
         )
+
+    @classmethod
+    def called(cls, model: str) -> str:
+        """Return what a sentence on its needs calls it."""
+        del model
+        return "the drive side method"
+
+    @classmethod
+    def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:
+        """Return torque and motor position."""
+        del model, controller
+        return "torque", "motor_position"
+
+    def identify(
+        self,
+        record: Record,
+        joint: Joint,
+        loop: ClosedLoop | None,
+        parameters: tuple[Parameter, ...],
+        filtering: Filtering,
+        progress: Progress,
+    ) -> Estimate:
+        """Identify a joint without its controller; see `identify_drive_side`."""
+        del loop
+        return identify_drive_side(record, DriveSide(joint), parameters, filtering, self, progress)
 
 
 def identify_drive_side(
@@ -217,69 +236,18 @@ def _vector(problem: DriveSideProblem, found: Mapping[str, float]) -> FloatArray
 
 def _answer(record: Record, problem: DriveSideProblem, solution: Solution, verdict: Judgement) -> Estimate:
     """Return the estimate: of least squares, or of the instruments where these were preferred."""
-    assert record.torque is not None
-    covariance = verdict.covariance or covariance_of(solution)
-    x = solution.x if verdict.x is None else verdict.x
-    values, predicted = problem.values(x), problem.predicted(x)
-    error = problem.residual(x)
-    spread = dict(zip((p.name for p in problem.free), map(float, covariance.std), strict=True))
-    own = {p.name for p in problem.joint.parameters}
-    lost = unsure(values, spread)
-    rows = tuple(
-        EstimatedParameter(
-            p.name, p.symbol, problem.joint.unit(p), values[p.name], spread.get(p.name), p.free,
-            p.free and p.name not in lost, of_joint=p.name in own,
-        )
-        for p in problem.parameters
-    )  # fmt: skip
-    borders = problem.filtering.borders
-    filtered_error = float(np.linalg.norm(error) / np.linalg.norm(problem.filtered(problem.measured)))
     resting = 1 - float(np.mean(problem.weights))
     rest = f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
-    warnings = (
-        *warnings_of(problem, x, covariance, lost, solution),
-        *((rest,) if resting > _RESTING else ()),
-        *verdict.warnings,
-        *poor_fit(filtered_error),
-    )
     how = "least squares" if verdict.x is None else "instrumental variables"
-    return Estimate(
-        params=Params(
-            rows,
-            tuple(p.name for p in problem.free),
-            covariance.correlation,
-            f"from the sensitivities of the torque: {words(covariance)}; {band_words()}",
-        ),
-        fit=Fit(
-            measured=problem.measured,
-            predicted=predicted,
-            borders=borders,
-            relative_error=relative_error(problem.measured, predicted, borders),
-            filtered_error=filtered_error,
-            rows=error.size,
-            conditioning=None,
-            initial=None,
-            trace=trace_of(problem, solution),
-            simulations=solution.evaluations + verdict.simulations,
-            stop=solution.message,
-            converged=solution.converged,
-        ),
-        checks=Checks(warnings=warnings),
-        data=Data(
-            channels=("torque", "motor_position", *verdict.channels),
-            record=record.name,
-            sample_time=problem.sample_time,
-            torque_unit=record.torque.unit,
-            fingerprint=fingerprint(record.torque.values),
-        ),
-        settings=Settings(
-            method="drive_side",
-            variant=f"drive-side by {how}",
-            joint=problem.joint,
-            loop=None,
-            filtering=problem.filtering,
-            delay=-values[LOG_DELAY.name],
-        ),
+    return build_prescribed_estimate(
+        record,
+        problem,
+        solution.x if verdict.x is None else verdict.x,
+        replace(solution, evaluations=solution.evaluations + verdict.simulations),
+        verdict.covariance or covariance_of(solution),
+        ("torque", "motor_position", *verdict.channels),
+        ("drive_side", f"drive-side by {how}"),
+        after=(*((rest,) if resting > _RESTING else ()), *verdict.warnings),
     )
 
 
@@ -301,53 +269,3 @@ def reported(progress: Progress) -> Watch:
         progress(f"iteration {next(numbers)}: residual {step.norm:.6g}")
 
     return watch
-
-
-def trace_of(problem: RecordProblem, solution: Solution) -> tuple[Iteration, ...]:
-    """Return every step of a descent."""
-    lines: list[Iteration] = []
-    for number, (x, norm) in enumerate((step.x, step.norm) for step in solution.trace):
-        change = step = None
-        if lines:
-            before = problem.vector(lines[-1].values)
-            change = abs(norm - lines[-1].residual_norm) / max(lines[-1].residual_norm, 1e-300)
-            step = float(np.max(np.abs(x - before) / np.maximum(np.abs(x), 1e-300)))
-        lines.append(Iteration(number, problem.values(x), norm, change, step, number + 1))
-    return tuple(lines)
-
-
-def unsure(values: Mapping[str, float], spread: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the names of the inertias and the stiffness that the record does not tell from 0."""
-    physical = ("motor_inertia", "load_inertia", "stiffness")
-    return tuple(name for name in physical if name in spread and values[name] <= 2 * spread[name])
-
-
-def warnings_of(
-    problem: RecordProblem, x: FloatArray, covariance: Covariance, lost: Sequence[str], solution: Solution
-) -> tuple[str, ...]:
-    """Return what the reader of an answer must know of the search and the parameters."""
-    found = [f"{name} is not identifiable from this record: its interval holds 0" for name in lost]
-    if not solution.converged:
-        found.append("the search did not converge; the values are where it stopped")
-    names = [p.name for p in problem.free]
-    found += [
-        f"{p.name} is not told by this record: it may be anything within its bounds"
-        for p, std in zip(problem.free, covariance.std, strict=True)
-        if 2 * std > p.upper - p.lower
-    ]
-    columns = np.linalg.norm(solution.jacobian, axis=0).clip(1e-300)
-    near = 1e-6 * np.maximum(np.abs(x), np.linalg.norm(solution.residual) / columns)
-    held = Bounds.of(problem.free).reached(x, near)
-    found += [
-        f"{p.name} is at its bound, where it does not follow the record"
-        for p, at in zip(problem.free, held, strict=True)
-        if at
-    ]
-    found += [
-        f"{names[i]} and {names[j]} are hard to tell apart in this record "
-        f"(correlation {covariance.correlation[i, j]:+.3f})"
-        for i in range(len(names))
-        for j in range(i)
-        if abs(covariance.correlation[i, j]) > _INSEPARABLE and not {names[i], names[j]} & set(LOAD_STATE)
-    ]
-    return (*found, *problem.filtering.warnings(problem.sample_time))

@@ -22,16 +22,18 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.progress import Progress, silent
 from jointid.common.settings import check_settings, documented, setting
+from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
-from jointid.estimation.result.build_estimate import answer
+from jointid.estimation.result.closed_loop_estimate import build_closed_loop_estimate
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.stiffness_identifiability import Visibility, visible
 from jointid.estimation.search.exploration import rigid_estimate
 from jointid.estimation.search.history import History, Solved, free_more, least_squares
 from jointid.estimation.search.multistart import by_least_squares, or_moving, simplex_start
 from jointid.estimation.search.starts import resting_position
-from jointid.models.joints import FlexibleJoint, acts_on_whole
+from jointid.models.controllers import Controller
+from jointid.models.joints import FlexibleJoint, Joint, acts_on_whole
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -52,8 +54,14 @@ _NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
 
 @documented
 @dataclass(frozen=True, slots=True)
-class FlexibleDIDIM:
+class FlexibleDIDIM(Method):
     """Settings of DIDIM for a flexible joint."""
+
+    name = "didim"
+    title = "DIDIM"
+    models = ("flexible",)
+    default_for = ClosedLoop
+    needs_controller = True
 
     minimiser: Literal["least-squares", "nelder-mead"] = setting(
         "least-squares", "least squares with the output sensitivities, or the paper's simplex by MATLAB's fminsearch"
@@ -105,6 +113,32 @@ class FlexibleDIDIM:
         """
         return cls("nelder-mead", frequency, None, 1e-4, 6000, 1, "inverse-model")
 
+    @classmethod
+    def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:
+        """Return torque, and what the controller reads."""
+        del model
+        return ("torque", *(("reference",) if controller is None else controller.channels))
+
+    @classmethod
+    def compared(cls, model: str) -> tuple[tuple[str, Method], ...]:
+        """Return the one run of DIDIM in a comparison."""
+        del model
+        return (("DIDIM", cls()),)
+
+    def identify(
+        self,
+        record: Record,
+        joint: Joint,
+        loop: ClosedLoop | None,
+        parameters: tuple[Parameter, ...],
+        filtering: Filtering,
+        progress: Progress,
+    ) -> Estimate:
+        """Identify a flexible joint; see `identify_flexible`."""
+        del joint
+        assert loop is not None
+        return identify_flexible(record, loop, parameters, filtering, self, progress)
+
 
 def stopping_tolerance(settings: FlexibleDIDIM) -> float:
     """Return the tolerance that settings stop at: their own, or their minimiser's."""
@@ -155,13 +189,13 @@ def identify_flexible(
     paper = settings.minimiser == "nelder-mead"
     how = "Nelder-Mead" if paper else "least squares"
     if settings.statistics == "inverse-model":
-        found = answer(record, problem, x, run, (stop, converged), known, J)
+        found = build_closed_loop_estimate(record, problem, x, run, (stop, converged), known, J)
         history.tally.evaluations += 1
         found = with_paper_statistics(found, inverse_model_covariance(problem, x, error), len(problem.free_joint))
     else:
         spring = visible(problem, x, known, starts, progress)
         history.tally.evaluations += spring.simulations
-        found = answer(record, problem, x, run, (stop, converged), known, J, spring.rigid_error)
+        found = build_closed_loop_estimate(record, problem, x, run, (stop, converged), known, J, spring.rigid_error)
         found = found.amended(checks={"verdicts": (*found.checks.verdicts, spring.verdict)})
         found = found if spring.shown else refused(found, spring)
     variant = f"DIDIM by {how} {'from the pseudo-regular start' if paper else 'from a grid of starts'}"

@@ -15,23 +15,25 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.progress import Progress
 from jointid.common.settings import check_settings, documented, setting
 from jointid.estimation.methods.harmonic_period import PeriodColumn, is_searched, moved, with_periods
 from jointid.estimation.methods.instruments import Instrumented, by_instruments, simulated_instruments
 from jointid.estimation.methods.inverse_model import InverseModel, idim_channels, motion_of
 from jointid.estimation.methods.linear import Rows, Solution, ordinary, robust, weighted
+from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import require_free
+from jointid.estimation.result.build_estimate import build_data, build_rows
 from jointid.estimation.result.estimate import (
     Checks,
-    Data,
     Estimate,
     Fit,
     Settings,
-    fingerprint,
     poor_fit,
     relative_error,
 )
-from jointid.estimation.result.params import EstimatedParameter, Params
+from jointid.estimation.result.params import Params
+from jointid.models.controllers import Controller
 from jointid.models.disturbances import Effect, effect_parameters, require_effects
 from jointid.models.joints import Joint, acts_on_whole
 from jointid.models.parameters import Parameter
@@ -55,8 +57,12 @@ _ALIKE = 0.99  # a correlation that says two forces are known only together
 
 @documented
 @dataclass(frozen=True, slots=True)
-class IDIM:
+class IDIM(Method):
     """Settings of IDIM; its effects are further columns, `PositionHarmonics` or `Drift`."""
+
+    name = "idim"
+    title = "IDIM"
+    default_for = Joint
 
     estimator: Estimator = setting(
         "ols",
@@ -68,6 +74,37 @@ class IDIM:
 
     def __post_init__(self) -> None:
         check_settings(self)
+
+    @classmethod
+    def called(cls, model: str) -> str:
+        """Return what a sentence on its needs calls it: they are the joint model's."""
+        return "IDIM of a flexible joint" if model == "flexible" else cls.title
+
+    @classmethod
+    def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:
+        """Return torque and motor position, and the load's where the joint is flexible."""
+        del controller
+        return idim_channels(model)
+
+    @classmethod
+    def compared(cls, model: str) -> tuple[tuple[str, Method], ...]:
+        """Return a run for each estimator; the weights change nothing of a rigid joint's one equation."""
+        weighted = (("IDIM-WLS", cls("weighted")),) if model == "flexible" else ()
+        return (("IDIM-LS", cls()), *weighted, ("IDIM-IRLS", cls("robust")), ("IDIM-IV", cls("iv")))
+
+    def identify(
+        self,
+        record: Record,
+        joint: Joint,
+        loop: ClosedLoop | None,
+        parameters: tuple[Parameter, ...],
+        filtering: Filtering,
+        progress: Progress,
+    ) -> Estimate:
+        """Identify a joint; see `identify_idim`."""
+        del progress
+        delay = loop.controller.law(record.torque.sample_time).delay if loop and record.torque else 0.0
+        return identify_idim(record, joint, parameters, filtering, delay, self, loop)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -225,9 +262,11 @@ def _answer(
     model, values = regression.model, regression.whole(found.solution.fit.values)
     measured, predicted = model.torque[0], model.columns[0] @ values
     injected = ("injected",) if record.injected is not None else ()
+    named = dict(zip((p.name for p in regression.parameters), map(float, values), strict=True)) | found.periods
+    std = dict(zip(regression.rows.names, map(float, solution.covariance.std), strict=True))
     return Estimate(
         params=Params(
-            _table(joint, regression, solution, values, found.periods),
+            build_rows(regression.parameters, named, std, joint.unit, named.keys() - found.periods.keys()),
             regression.rows.names,
             solution.covariance.correlation,
             f"of the regression, {words(solution.covariance)}",
@@ -253,12 +292,8 @@ def _answer(
             ),
             tests=(iv.test,) if iv else (),
         ),
-        data=Data(
-            channels=("torque", *driven, *idim_channels(joint.model)[1:], *injected),
-            record=record.name,
-            sample_time=record.torque.sample_time,
-            torque_unit=record.torque.unit,
-            fingerprint=fingerprint(record.torque.values),
+        data=build_data(
+            record, ("torque", *driven, *idim_channels(joint.model)[1:], *injected), record.torque.sample_time
         ),
         settings=Settings(
             method="idim",
@@ -269,25 +304,6 @@ def _answer(
             delay=delay,
             effects=found.effects,
         ),
-    )
-
-
-def _table(
-    joint: Joint, regression: _Regression, solution: Solution, values: FloatArray, periods: dict[str, float]
-) -> tuple[EstimatedParameter, ...]:
-    std = dict(zip(regression.rows.names, map(float, solution.covariance.std), strict=True))
-    return tuple(
-        EstimatedParameter(
-            p.name,
-            p.symbol,
-            joint.unit(p),
-            periods.get(p.name, float(value)),
-            std.get(p.name),
-            p.free,
-            p.free,
-            of_joint=p.name not in periods,
-        )
-        for p, value in zip(regression.parameters, values, strict=True)
     )
 
 

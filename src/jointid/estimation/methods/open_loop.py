@@ -12,49 +12,35 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from jointid.common.progress import Progress, silent
 from jointid.common.settings import check_settings, documented, setting
-from jointid.estimation.methods.drive_side import (
-    DriveSideFit,
-    covariance_of,
-    identify_drive_side,
-    reported,
-    trace_of,
-    unsure,
-    warnings_of,
-)
-from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
+from jointid.estimation.methods.drive_side import DriveSideFit, covariance_of, identify_drive_side, reported
+from jointid.estimation.methods.registry import Method
+from jointid.estimation.problems.closed_loop import initial_of
 from jointid.estimation.problems.open_loop import OpenLoopProblem, position_problem
-from jointid.estimation.result.estimate import (
-    Checks,
-    Data,
-    Estimate,
-    Fit,
-    Settings,
-    fingerprint,
-    poor_fit,
-    relative_error,
-)
-from jointid.estimation.result.params import EstimatedParameter, Params
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.prescribed_estimate import build_prescribed_estimate
+from jointid.models.controllers import Controller
+from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import Initial
 from jointid.simulation.drive_side import DriveSide
+from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.open_loop import OpenLoop
 from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
 from jointid.solvers.solution import Solution
 from jointid.solvers.solve import solve
-from jointid.uncertainty.bands import band_words
-from jointid.uncertainty.covariance import words
 
 
 @documented
 @dataclass(frozen=True, slots=True)
-class OpenLoopFit:
+class OpenLoopFit(Method):
     """Settings of the open-loop identification."""
+
+    name = "open_loop"
+    title = "the open-loop method"
+    default_for = OpenLoop
 
     log_delay: float | None = setting(
         None,
@@ -75,6 +61,31 @@ class OpenLoopFit:
 
     def __post_init__(self) -> None:
         check_settings(self)
+
+    @classmethod
+    def called(cls, model: str) -> str:
+        """Return what a sentence on its needs calls it."""
+        del model
+        return "the open loop method"
+
+    @classmethod
+    def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:
+        """Return torque and motor position."""
+        del model, controller
+        return "torque", "motor_position"
+
+    def identify(
+        self,
+        record: Record,
+        joint: Joint,
+        loop: ClosedLoop | None,
+        parameters: tuple[Parameter, ...],
+        filtering: Filtering,
+        progress: Progress,
+    ) -> Estimate:
+        """Identify a joint in open loop; see `identify_open_loop`."""
+        del loop
+        return identify_open_loop(record, OpenLoop(joint), parameters, filtering, self, progress)
 
 
 def identify_open_loop(
@@ -113,59 +124,15 @@ def identify_open_loop(
 
 
 def _answer(record: Record, problem: OpenLoopProblem, solution: Solution) -> Estimate:
-    assert record.torque is not None
-    covariance, x = covariance_of(solution), solution.x
-    values, predicted = problem.values(x), problem.predicted(x)
-    spread = dict(zip((p.name for p in problem.free), map(float, covariance.std), strict=True))
-    own, lost = {p.name for p in problem.joint.parameters}, unsure(values, spread)
-    rows = tuple(
-        EstimatedParameter(
-            p.name, p.symbol, problem.joint.unit(p), values[p.name], spread.get(p.name), p.free,
-            p.free and p.name not in lost, of_joint=p.name in own,
-        )
-        for p in problem.parameters
-    )  # fmt: skip
-    borders = problem.filtering.borders
-    filtered_error = float(np.linalg.norm(solution.residual) / np.linalg.norm(problem.filtered(problem.measured)))
     drift = f"positions slower than {problem.highpass:g} Hz are drift in open loop, and were not compared"
-    return Estimate(
-        params=Params(
-            rows,
-            tuple(p.name for p in problem.free),
-            covariance.correlation,
-            f"from the sensitivities of the position: {words(covariance)}; {band_words()}",
-        ),
-        fit=Fit(
-            measured=problem.measured,
-            predicted=predicted,
-            borders=borders,
-            relative_error=relative_error(problem.measured, predicted, borders),
-            filtered_error=filtered_error,
-            rows=solution.residual.size,
-            conditioning=None,
-            initial=Initial(values["initial_position"], values["initial_velocity"]),
-            trace=trace_of(problem, solution),
-            simulations=solution.evaluations,
-            stop=solution.message,
-            converged=solution.converged,
-            compared="position",
-        ),
-        checks=Checks(
-            warnings=(drift, *warnings_of(problem, x, covariance, lost, solution), *poor_fit(filtered_error))
-        ),
-        data=Data(
-            channels=("torque", "motor_position"),
-            record=record.name,
-            sample_time=problem.sample_time,
-            torque_unit=record.torque.unit,
-            fingerprint=fingerprint(record.torque.values),
-        ),
-        settings=Settings(
-            method="open_loop",
-            variant="open loop by least squares",
-            joint=problem.joint,
-            loop=None,
-            filtering=problem.filtering,
-            delay=-values[LOG_DELAY.name],
-        ),
+    found = build_prescribed_estimate(
+        record,
+        problem,
+        solution.x,
+        solution,
+        covariance_of(solution),
+        ("torque", "motor_position"),
+        ("open_loop", "open loop by least squares"),
+        before=(drift,),
     )
+    return found.amended(fit={"initial": initial_of(problem.values(solution.x))})

@@ -1,149 +1,115 @@
-"""The answer of an identification in closed loop: the estimate that a search's end, its simulation and its errors make.
-
-Rigid or flexible, by whatever search, an answer says alike how well the torque is explained, what is known of each
-parameter, and what its reader must be warned of.
-"""
+"""What every method writes alike in an estimate: the rows of its parameters, its record, and what it warns of."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
-from jointid.estimation.result.estimate import (
-    Checks,
-    Data,
-    Estimate,
-    Fit,
-    Settings,
-    fingerprint,
-    poor_fit,
-    relative_error,
-)
-from jointid.estimation.result.params import EstimatedParameter, Params
+from jointid.estimation.result.estimate import Data, fingerprint
+from jointid.estimation.result.params import EstimatedParameter
+from jointid.models.parameters import Parameter, Quantity
 from jointid.records.record import Record
-from jointid.simulation.closed_loop import Simulation
+from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.bounds import Bounds
-from jointid.uncertainty.identifiability import identifiability
-from jointid.uncertainty.position_dependent_error import Uncertainty
-from jointid.uncertainty.residual_tests import residual_report
-from jointid.uncertainty.verdict import (
-    bounds_verdict,
-    fit_verdict,
-    identifiability_verdict,
-    residual_verdicts,
-    solver_verdict,
-)
 
+NOT_CONVERGED = "the search did not converge; the values are where it stopped"
+
+_PHYSICAL = (Quantity.INERTIA, Quantity.STIFFNESS)  # what no joint has none of
 _AT_LIMIT = 0.01  # of the periods: more is said
+_INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
 
 
-def answer(
-    record: Record,
-    problem: ClosedLoopProblem,
-    x: FloatArray,
-    run: Simulation,
-    end: tuple[str, bool],
-    known: Uncertainty,
-    J: FloatArray,
-    rigid_error: FloatArray | None = None,
-) -> Estimate:
-    """Return the estimate that ends a simulation of the loop; how it was found is for the caller to add.
+def build_rows(
+    parameters: Iterable[Parameter],
+    values: Mapping[str, float],
+    std: Mapping[str, float],
+    unit: Callable[[Parameter], str],
+    of_joint: Collection[str],
+    lost: Collection[str] = (),
+) -> tuple[EstimatedParameter, ...]:
+    """Return the table of an estimate.
 
     Args:
-        record: what was identified from.
-        problem: what was solved.
-        x: free parameters.
-        run: simulation with them.
-        end: why the search ended, and whether that is a good end.
-        known: of the errors of the free parameters.
-        J: (rows, free) sensitivities, filtered.
-        rigid_error: (rows,) what a rigid joint leaves, for a flexible one.
+        parameters: in its order.
+        values: of all of them, by name.
+        std: standard deviations of the free ones, by name.
+        unit: of a parameter.
+        of_joint: names of those that belong to the joint, and not to what surrounds it.
+        lost: names of free ones that the record does not determine.
     """
-    assert record.torque is not None
-    assert problem.filtering.cutoff is not None
-    values, joint, borders = problem.values(x), problem.loop.joint, problem.filtering.borders
-    spread = dict(zip((p.name for p in problem.free), map(float, known.covariance.std), strict=True))
-    of_joint = {p.name for p in joint.parameters}
-    rows = tuple(
+    return tuple(
         EstimatedParameter(
-            p.name, p.symbol, joint.unit(p), values[p.name], spread.get(p.name), p.free, p.free,
+            p.name,
+            p.symbol,
+            unit(p),
+            values[p.name],
+            std.get(p.name),
+            p.free,
+            p.free and p.name not in lost,
             of_joint=p.name in of_joint,
         )
-        for p in problem.parameters
-    )  # fmt: skip
-    error, whole = problem.seen(run, problem.measured[:, np.newaxis])
-    whole = whole[:, 0]
-    left = float(np.linalg.norm(error) / np.linalg.norm(whole))
-    step = problem.experiment.sample_time * (problem.filtering.decimation or 1)
-    report = residual_report(
-        error, whole, step, problem.filtering.cutoff, record.torque.unit, rigid_error=rigid_error,
-        repeatable=known.repeatable,
-    )  # fmt: skip
-    told = identifiability(problem.free, problem.units, x, J, known.covariance)
-    verdicts = (
-        solver_verdict(*end),
-        fit_verdict(report),
-        *residual_verdicts(report),
-        identifiability_verdict(told),
-        bounds_verdict(_touched(problem, x)),
-    )
-    return Estimate(
-        params=Params(
-            rows,
-            tuple(p.name for p in problem.free),
-            known.covariance.correlation,
-            f"from the output sensitivities, {known.basis}",
-        ),
-        fit=Fit(
-            measured=problem.measured,
-            predicted=run.torque,
-            borders=borders,
-            relative_error=relative_error(problem.measured, run.torque, borders),
-            filtered_error=left,
-            rows=error.size,
-            conditioning=None,
-            initial=initial_of(values),
-            trace=(),
-            simulations=0,
-            stop=end[0],
-            converged=end[1],
-            residuals=report,
-        ),
-        checks=Checks(warnings=_warnings(problem, run, known, end[1], left), verdicts=verdicts, known=told),
-        data=Data(
-            channels=(*problem.loop.channels, *(("injected",) if record.injected is not None else ())),
-            record=record.name,
-            sample_time=problem.experiment.sample_time,
-            torque_unit=record.torque.unit,
-            fingerprint=fingerprint(record.torque.values),
-        ),
-        settings=Settings(
-            method="didim",
-            variant="DIDIM",
-            joint=joint,
-            loop=problem.loop_at(x),
-            filtering=problem.filtering,
-            delay=values.get("delay", problem.experiment.law.delay),
-        ),
+        for p in parameters
     )
 
 
-def _touched(problem: ClosedLoopProblem, x: FloatArray) -> tuple[str, ...]:
-    """Return the names of the parameters that a bound holds."""
-    scale = np.where(x != 0.0, np.abs(x), np.max(np.abs(x)) * 1e-6)
-    held = Bounds.of(problem.free).reached(x, 1e-6 * scale)
-    return tuple(p.name for p, at in zip(problem.free, held, strict=True) if at)
+def build_data(record: Record, channels: tuple[str, ...], sample_time: float) -> Data:
+    """Return what an estimate says of the one record that it was identified from."""
+    assert record.torque is not None
+    return Data(
+        channels=channels,
+        record=record.name,
+        sample_time=sample_time,
+        torque_unit=record.torque.unit,
+        fingerprint=fingerprint(record.torque.values),
+    )
 
 
-def _warnings(
-    problem: ClosedLoopProblem, run: Simulation, known: Uncertainty, converged: bool, left: float
-) -> tuple[str, ...]:
-    found = [] if converged else ["the search did not converge; the values are where it stopped"]
-    if run.at_limit > _AT_LIMIT:
-        found.append(
-            f"the controller is at its limit in {100 * run.at_limit:.1f} % of the periods, where the "
-            "torque says nothing of the joint"
-        )
-    aliased = problem.filtering.warnings(problem.experiment.sample_time)
-    return (*found, *map(str, known.warnings), *aliased, *poor_fit(left))
+def list_loop_channels(loop: ClosedLoop, record: Record) -> tuple[str, ...]:
+    """Return the channels of a record that a simulation of its loop reads."""
+    return (*loop.channels, *(("injected",) if record.injected is not None else ()))
+
+
+def holds_zero(p: Parameter, value: float, std: float) -> bool:
+    """True if the interval of an inertia or a stiffness holds 0, which no joint has."""
+    return p.quantity in _PHYSICAL and value <= 2 * std
+
+
+def find_at_bound(free: Sequence[Parameter], x: FloatArray, near: FloatArray | None = None) -> tuple[str, ...]:
+    """Return the names of the free parameters that a bound holds, within `near` of it."""
+    held = Bounds.of(free).reached(x) if near is None else Bounds.of(free).reached(x, near)
+    return tuple(p.name for p, at in zip(free, held, strict=True) if at)
+
+
+def warn_of_bounds(names: Iterable[str], records: str = "record") -> list[str]:
+    """Return a sentence on each parameter that a bound holds."""
+    return [f"{name} is at its bound, where it does not follow the {records}" for name in names]
+
+
+def warn_of_limit(share: float) -> list[str]:
+    """Return a sentence on a controller that was at its limit in more than a few of its periods."""
+    if share <= _AT_LIMIT:
+        return []
+    return [
+        f"the controller is at its limit in {100 * share:.1f} % of the periods, where the torque says nothing of the "
+        "joint"
+    ]
+
+
+def warn_of_inseparable(
+    names: Sequence[str], correlation: FloatArray, told: Iterable[int], records: str = "this record"
+) -> list[str]:
+    """Return a sentence on each two parameters that are known only together.
+
+    Args:
+        names: of the free parameters.
+        correlation: of their errors.
+        told: which of them are of interest.
+        records: what does not tell them apart.
+    """
+    of_interest = list(told)
+    return [
+        f"{names[i]} and {names[j]} are hard to tell apart in {records} (correlation {correlation[i, j]:+.3f})"
+        for i in of_interest
+        for j in of_interest
+        if j < i and abs(correlation[i, j]) > _INSEPARABLE
+    ]

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -41,8 +41,6 @@ _PERIOD = 1e-4  # s, at which two controllers without one of their own are compa
 _MOST = 64  # times that a position loop may be slower
 _POOR = 0.15  # of the filtered torque: the EMPS axis leaves 0.045, the paper's 0.08
 
-MethodName: TypeAlias = Literal["didim", "idim", "drive_side", "open_loop"]
-
 
 @dataclass(frozen=True, slots=True)
 class Iteration:
@@ -72,7 +70,7 @@ class IdentifiedJoint:
     """The part of an estimate that predicts a torque; it can be read back from a file.
 
     Attributes:
-        method: "didim", "idim", "drive_side" or "open_loop".
+        method: its name, as in a joint file.
         joint: the model.
         loop: the closed loop, for DIDIM.
         values: every parameter of the joint, and of its effects, by name.
@@ -84,7 +82,7 @@ class IdentifiedJoint:
         effects: torques beside the joint's own model; `values` has their parameters too.
     """
 
-    method: MethodName
+    method: str
     joint: Joint
     loop: ClosedLoop | None
     values: dict[str, float]
@@ -199,7 +197,7 @@ class Settings:
     """The model and the method, defaults filled in.
 
     Attributes:
-        method: "didim", "idim", "drive_side" or "open_loop"; variant: how it was run, in words.
+        method: its name, as in a joint file; variant: how it was run, in words.
         joint: the model. loop: the closed loop, when the method simulated one.
         filtering: as used.
         delay: seconds from the logged torque to the torque that acts, as declared, or as found where it was free.
@@ -207,7 +205,7 @@ class Settings:
         weighting: of the rows of several records, in words.
     """
 
-    method: MethodName
+    method: str
     variant: str
     joint: Joint
     loop: ClosedLoop | None

@@ -24,9 +24,10 @@ import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress
-from jointid.estimation.identify_record import Method, identify_record
+from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.cross_axis import record_warnings
 from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITIAL_TORQUE
 from jointid.estimation.problems.several_records import several

@@ -11,6 +11,14 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_o
 from jointid.estimation.problems.nuisance_parameters import INITIAL
 from jointid.estimation.problems.several_records import at_rows
 from jointid.estimation.problems.sum import SumProblem
+from jointid.estimation.result.build_estimate import (
+    NOT_CONVERGED,
+    find_at_bound,
+    holds_zero,
+    list_loop_channels,
+    warn_of_bounds,
+    warn_of_inseparable,
+)
 from jointid.estimation.result.estimate import (
     Checks,
     Data,
@@ -26,16 +34,14 @@ from jointid.estimation.result.record_fit import RecordFit
 from jointid.estimation.several_records.heterogeneity import Agreement, Alone, agreement
 from jointid.estimation.several_records.per_record_fit import BySelf
 from jointid.estimation.several_records.record_layout import Arrangement
-from jointid.models.parameters import Parameter, Quantity
+from jointid.models.parameters import Parameter
 from jointid.records.record import Record
 from jointid.solvers.bounds import Bounds
 from jointid.solvers.solution import Solution
 from jointid.uncertainty.covariance import Covariance, covariance_of
 from jointid.uncertainty.position_dependent_error import Uncertainty, cells, uncertainty
 
-_INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
 _ROUNDING = 1e-8  # of a value
-_PHYSICAL = (Quantity.INERTIA, Quantity.STIFFNESS)  # what no joint has none of
 
 
 def concluded(
@@ -219,7 +225,7 @@ class _Ended:
             fingerprint=fingerprint(record.torque.values),
             resampled=record.resampled,
             loop=problem.loop,
-            channels=(*problem.loop.channels, *(("injected",) if record.injected is not None else ())),
+            channels=list_loop_channels(problem.loop, record),
             added_inertia=sum(self.arranged.added[number].values()),
             alone=self.by_itself(number),
             values={p.name: values[p.name] for p in self.arranged.joint.parameters},
@@ -238,21 +244,15 @@ class _Ended:
 
     def warnings(self, judged: Uncertainty, compared: Agreement, covariance: Covariance) -> tuple[str, ...]:
         """Return what the reader must know, one sentence each."""
-        found = [] if self.end.converged else ["the search did not converge; the values are where it stopped"]
+        found = [] if self.end.converged else [NOT_CONVERGED]
         found += [str(compared)] if compared.differs else []
         free = self.criterion.free
         for p, value, std in zip(free, self.end.x, covariance.std, strict=True):
-            if p.quantity in _PHYSICAL and value <= 2 * std:
+            if holds_zero(p, value, std):
                 found.append(f"{p.name} is not identifiable from these records: its interval holds 0")
-        held = Bounds.of(free).reached(self.end.x, 1e-6 * np.abs(self.end.x))
-        found += [f"{p.name} is at its bound, where it does not follow the records" for p in np.array(free)[held]]
+        found += warn_of_bounds(find_at_bound(free, self.end.x, 1e-6 * np.abs(self.end.x)), "records")
         told = [i for i, p in enumerate(free) if p.name.partition("@")[0] not in INITIAL]
-        found += [
-            f"{free[i].name} and {free[j].name} are hard to tell apart in these records (correlation {r:+.3f})"
-            for i in told
-            for j in told
-            if j < i and abs(r := covariance.correlation[i, j]) > _INSEPARABLE
-        ]
+        found += warn_of_inseparable(self.names, covariance.correlation, told, "these records")
         found += [*map(str, judged.warnings), *([str(judged.repeatable)] if judged.repeatable.significant else [])]
         for number, one in enumerate(self.alone, 1):
             size = np.linalg.norm(one.problem.filtered(one.problem.measured))
@@ -265,7 +265,7 @@ class _Ended:
     def _row(self, p: Parameter, value: float, std: float | None) -> EstimatedParameter:
         """Return a line of the table; a record's own parameter under its plain name."""
         name = p.name.partition("@")[0]
-        told = std is not None and not (p.quantity in _PHYSICAL and value <= 2 * std)
+        told = std is not None and not holds_zero(p, value, std)
         own = {q.name for q in self.arranged.joint.parameters}
         return EstimatedParameter(
             name, p.symbol.partition("@")[0], self.arranged.unit(p), value, std, std is not None, told,

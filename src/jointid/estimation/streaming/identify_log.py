@@ -19,24 +19,32 @@ import numpy as np
 
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.progress import Progress
-from jointid.estimation.identify_record import Method, default_method, identify_record
+from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.registry import Method, default_method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.result.build_estimate import (
+    build_rows,
+    find_at_bound,
+    holds_zero,
+    list_loop_channels,
+    warn_of_bounds,
+    warn_of_limit,
+)
 from jointid.estimation.result.estimate import Checks, Data, Estimate, Fit, Settings, poor_fit
-from jointid.estimation.result.params import EstimatedParameter, Params
+from jointid.estimation.result.params import Params
 from jointid.estimation.result.record_fit import Windows
 from jointid.estimation.streaming.position_bins import Places, repeats
 from jointid.estimation.streaming.segments import drift
 from jointid.estimation.streaming.settings import Windowing
 from jointid.estimation.streaming.streaming_gauss_newton import End, Pass, Passes
 from jointid.estimation.streaming.window import Model, motion, moves, settling_of
-from jointid.models.parameters import Parameter, Quantity, adjusted
+from jointid.models.parameters import Parameter, adjusted
 from jointid.records.reading.chunks import Chunk, LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
-from jointid.solvers.bounds import Bounds
 from jointid.uncertainty.covariance import Covariance, larger
 from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.jackknife import left_out, root_of, total
@@ -44,7 +52,6 @@ from jointid.uncertainty.position_dependent_error import Repeatable
 
 _STARTS = 5  # windows that are tried to start from
 _CLOCKS = 1000  # a period of the controller is taken to be a fraction of samples with no larger denominator
-_AT_LIMIT = 0.01  # of the periods: more is said
 
 
 def identify_log(
@@ -60,7 +67,7 @@ def identify_log(
 
     See `jointid.identify`. An interrupt of the last passes ends them, and the estimate is of what was read.
     """
-    chosen = method or default_method(loop.joint, True)
+    chosen = method or default_method(loop, loop.joint.model)()
     if not isinstance(chosen, DIDIM | FlexibleDIDIM):
         raise MethodError("A long record is identified by simulating its loop; give the method didim.")
     filtering, wanted = filtering or Filtering(), adjusted(loop.joint.parameters, parameters or {})
@@ -134,20 +141,14 @@ def _concluded(
     spread = dict(zip((p.name for p in problem.free), map(float, covariance.std), strict=True))
     values, own = problem.values(end.x), {p.name for p in joint.parameters}
     shown = [p for p in problem.parameters if p.name in own or p.free]
+    lost = [p.name for p in problem.free if holds_zero(p, values[p.name], spread[p.name])]
     at_limit = float(np.mean([w.at_limit for w in found.windows]))
     error = math.sqrt(sums.square / sums.size) if sums.size > 0 else 0.0
-    reached = Bounds.of(problem.free).reached(end.x)
-    held = [p.name for p, at in zip(problem.free, reached, strict=True) if at]
-    warnings = [f"{name} is at its bound, where it does not follow the record" for name in held]
-    if at_limit > _AT_LIMIT:
-        warnings.append(
-            f"the controller is at its limit in {100 * at_limit:.1f} % of the periods, where the torque says nothing "
-            "of the joint"
-        )
+    warnings = [*warn_of_bounds(find_at_bound(problem.free, end.x)), *warn_of_limit(at_limit)]
     loop = problem.loop_at(end.x)
     return Estimate(
         params=Params(
-            tuple(_row(p, values[p.name], spread.get(p.name), problem, p.name in own) for p in shown),
+            build_rows(shown, values, spread, joint.unit, own, lost),
             tuple(p.name for p in problem.free),
             covariance.correlation,
             intervals,
@@ -175,7 +176,7 @@ def _concluded(
         data=Data(
             torque_unit=first.torque.unit,
             record=source.name,
-            channels=(*model.loop.channels, *(("injected",) if first.injected is not None else ())),
+            channels=list_loop_channels(model.loop, first),
             sample_time=problem.experiment.sample_time,
             windows=Windows(
                 length=length * problem.experiment.sample_time,
@@ -213,13 +214,3 @@ def _covariance(found: Pass, repeated: Repeatable) -> tuple[Covariance, str]:
         covariance = larger(covariance, left_out(places))
         said += f", or each of {len(places)} places by direction and speed: the larger in every direction"
     return covariance, said
-
-
-def _row(
-    p: Parameter, value: float, std: float | None, problem: ClosedLoopProblem, of_joint: bool
-) -> EstimatedParameter:
-    physical = p.quantity in (Quantity.INERTIA, Quantity.STIFFNESS)
-    told = std is not None and not (physical and value <= 2 * std)
-    return EstimatedParameter(
-        p.name, p.symbol, problem.units[p.name], value, std, p.free, told, of_joint=of_joint
-    )  # fmt: skip

@@ -6,10 +6,10 @@ import json
 import math
 import os
 from pathlib import Path
-from typing import get_args
 
 from jointid.common.errors import MethodError, RecordError
-from jointid.estimation.result.estimate import IdentifiedJoint, MethodName
+from jointid.estimation.methods.registry import METHODS, method_of
+from jointid.estimation.result.estimate import IdentifiedJoint
 from jointid.models.disturbances import effect_parameters
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import Joint
@@ -128,14 +128,14 @@ def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identifi
         given["timing"],
         given["aliasing"],
     )
-    method: MethodName = answer["method"]
-    if method not in get_args(MethodName):
+    method = answer["method"]
+    if method not in tuple(METHODS):
         raise ValueError
     record = answer["record"]
     return IdentifiedJoint(
         method,
         joint,
-        loop if method == "didim" else None,
+        loop if method_of(method, joint.model).needs_controller else None,
         values,
         filtering,
         float(answer["delay"]),

@@ -7,12 +7,12 @@ from typing import Any
 
 from jointid.common.errors import MethodError
 from jointid.controller_id.learned import LearnedLoop
-from jointid.diagnostics.compare_estimates import ReportComparison
+from jointid.diagnostics.compare_estimates import EstimateComparison
 from jointid.diagnostics.experiment_design import Advice
 from jointid.diagnostics.loop_check import LoopCheck
-from jointid.diagnostics.method_comparison import Comparison
-from jointid.diagnostics.minimum_detectable_change import Detectable
-from jointid.diagnostics.stiffness_test_design import Revealing
+from jointid.diagnostics.method_comparison import MethodComparison
+from jointid.diagnostics.minimum_detectable_change import MinimumDetectableChange
+from jointid.diagnostics.stiffness_test_design import StiffnessTestDesign
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
 from jointid.output.json.assessments import (
@@ -33,14 +33,14 @@ from jointid.tuning.tuned import Tuned
 
 _WRITERS: Mapping[type, Callable[[Any], Json]] = {
     Advice: advice_answer,
-    Comparison: comparison_answer,
-    Detectable: detectable_answer,
+    MethodComparison: comparison_answer,
+    MinimumDetectableChange: detectable_answer,
     Estimate: estimate_answer,
     Inspection: inspection_answer,
     LearnedLoop: learned_answer,
     LoopCheck: loop_answer,
-    ReportComparison: drift_answer,
-    Revealing: revealing_answer,
+    EstimateComparison: drift_answer,
+    StiffnessTestDesign: revealing_answer,
     Tuned: tuning_answer,
     Validation: validation_answer,
 }
@@ -51,7 +51,7 @@ def to_dict(result: object) -> Json:
 
     Args:
         result: of `identify`, `validate`, `compare`, `check_loop`, `advise`, `tune`, `learn_loop`, `inspect`,
-            `compare_reports`.
+            `compare_estimates`.
 
     Raises:
         MethodError: it is no such result.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from jointid.common.text import interval, number
-from jointid.diagnostics.report_data import Dossier
+from jointid.diagnostics.report_data import ReportData
+from jointid.estimation.methods.registry import method_of
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.friction import DIRECTIONS, Part
 from jointid.models.joints import frequencies
@@ -22,21 +23,17 @@ QUESTIONS = {
 }
 _CHANNELS = {"injected": "injected signal"}
 _FRICTIONS: tuple[tuple[Part, str], ...] = (("viscous", "viscous"), ("coulomb", "Coulomb"))
-_METHODS = {
-    "didim": "DIDIM",
-    "idim": "IDIM",
-    "drive_side": "the drive-side method",
-    "open_loop": "the open-loop method",
-}
 
 
 def report_title(estimate: Estimate, name: str = "") -> str:
     """Return the title of a report."""
     settings = estimate.settings
-    return f"{name or estimate.data.record}: {settings.joint.model} joint, identified by {_METHODS[settings.method]}"
+    model = settings.joint.model
+    title = method_of(settings.method, model).title
+    return f"{name or estimate.data.record}: {model} joint, identified by {title}"
 
 
-def report_result(given: Dossier) -> tuple[str, ...]:
+def report_result(given: ReportData) -> tuple[str, ...]:
     """Return the result in sentences, the most important first."""
     estimate = given.estimate
     channels = _listed([_CHANNELS.get(name, name.replace("_", " ")) for name in estimate.data.channels])

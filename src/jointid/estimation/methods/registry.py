@@ -1,0 +1,130 @@
+"""The registry of the identification methods: their names, and what each says of itself.
+
+A method is a frozen dataclass of its settings that is a `Method`, in a file of its own, and a line in `METHODS`. All
+that knows methods asks here: identification, the joint file with its checks, the command line, the comparison.
+
+The line holds a name and an address, so that the command line can list the methods without loading them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from importlib import import_module
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, TypeAlias
+
+if TYPE_CHECKING:
+    from jointid.common.progress import Progress
+    from jointid.estimation.result.estimate import Estimate
+    from jointid.models.controllers import Controller
+    from jointid.models.joints import Joint
+    from jointid.models.parameters import Parameter
+    from jointid.records.record import Record
+    from jointid.records.signals.filtering import Filtering
+    from jointid.simulation.loop_input import ClosedLoop
+
+METHODS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "didim": ("didim.DIDIM", "flexible.FlexibleDIDIM"),
+        "idim": ("idim.IDIM",),
+        "drive_side": ("drive_side.DriveSideFit",),
+        "open_loop": ("open_loop.OpenLoopFit",),
+    }
+)
+"""Module and class of every method by its name; several classes are one method with settings for each joint model.
+
+Of two methods whose needs are met the first is the default.
+"""
+
+if TYPE_CHECKING:
+    MethodName: TypeAlias = str
+else:
+    MethodName = Literal[tuple(METHODS)]
+"""The type of a method's name: one of the registry's."""
+
+MODELS = ("rigid", "flexible")
+"""The models of a joint."""
+
+
+class Method(Protocol):
+    """One identification method: a dataclass of its settings that inherits from this.
+
+    Attributes:
+        name: in the joint file, on the command line and in an answer.
+        title: in a report.
+        models: of the joints that it is for.
+        default_for: the type of model that it identifies where no method is named, None if it must be named.
+        needs_controller: whether it simulates the closed loop.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    models: ClassVar[tuple[str, ...]] = MODELS
+    default_for: ClassVar[Any] = None
+    needs_controller: ClassVar[bool] = False
+
+    @classmethod
+    def called(cls, model: str) -> str:
+        """Return what a sentence on its needs calls it, for a joint of that model."""
+        del model
+        return cls.title
+
+    @classmethod
+    def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:
+        """Return the names of the channels that it reads; of a controller not known, only the reference."""
+        ...
+
+    @classmethod
+    def compared(cls, model: str) -> tuple[tuple[str, Method], ...]:
+        """Return label and settings of each of its runs in a comparison of methods; the first is the usual one."""
+        del model
+        return ()
+
+    def identify(
+        self,
+        record: Record,
+        joint: Joint,
+        loop: ClosedLoop | None,
+        parameters: tuple[Parameter, ...],
+        filtering: Filtering,
+        progress: Progress,
+    ) -> Estimate:
+        """Identify a joint from a record.
+
+        Args:
+            record: what was logged.
+            joint: the model.
+            loop: the joint under its controller; None where that is not known, which a method that needs it never sees.
+            parameters: of the joint; free ones are estimated.
+            filtering: how the signals are filtered.
+            progress: is told the iterations.
+        """
+        ...
+
+
+@cache
+def methods() -> tuple[type[Method], ...]:
+    """Return every method's class, in the order of the registry."""
+    places = [address.split(".") for addresses in METHODS.values() for address in addresses]
+    return tuple(getattr(import_module(f"{__package__}.{module}"), made) for module, made in places)
+
+
+def method_of(name: str, model: str) -> type[Method]:
+    """Return the class of the method of that name for a joint model; any of its classes where it has none for it."""
+    named = [method for method in methods() if method.name == name]
+    return next((method for method in named if model in method.models), named[0])
+
+
+def default_method(model: object, joint_model: str) -> type[Method]:
+    """Return the class of the method that identifies a model where none is named.
+
+    Args:
+        model: the closed loop, the drive side, the open loop, or the joint alone.
+        joint_model: of its joint.
+    """
+    return next(
+        method
+        for method in methods()
+        if method.default_for is not None and isinstance(model, method.default_for) and joint_model in method.models
+    )
