@@ -21,7 +21,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.text import aligned
-from jointid.diagnostics.minimum_detectable_change import detectable
+from jointid.diagnostics.minimum_detectable_change import compute_minimum_detectable_change
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM, refined_least_squares
 from jointid.estimation.problems.closed_loop import torque_problem
@@ -212,7 +212,7 @@ def changes(
     for done, pair in enumerate(pairs, 1):
         seeds = iter(range(10_000 + 10 * pair, 10_010 + 10 * pair))
         first = drive.identified(drive.record(next(seeds)))
-        stated = detectable(first)
+        stated = compute_minimum_detectable_change(first)
         again = _again(first, drive.record(next(seeds)))
         for name in names:
             told = stated[name]

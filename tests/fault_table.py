@@ -6,7 +6,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from jointid.diagnostics.misspecification_tests import LoopTests, suspected
+from jointid.diagnostics.misspecification_tests import LoopTests, find_faults
 from tests.faults import FAULTS, PAIRS, Loop, Noise, on, problem, setting, solved
 
 LEVEL = 0.05
@@ -17,15 +17,15 @@ def named(name: Loop, fault: str | None, noise: Noise, seed: int) -> tuple[str, 
     """What is named of one run of the twin, two at most, in order."""
     where = setting(name)
     made = problem(where, on(name, fault) if fault else None, noise, seed)
-    found = suspected(made, solved(made, where, 1e-4), LoopTests(most=2)).findings
-    return tuple(f.suspect.name for f in found)
+    found = find_faults(made, solved(made, where, 1e-4), LoopTests(most=2)).findings
+    return tuple(f.test.name for f in found)
 
 
 def first_named(name: Loop, fault: str | None, noise: Noise, seed: int) -> str:
     """What is named first; at a fraction of the cost, since nothing is solved again."""
     where = setting(name)
     made = problem(where, on(name, fault) if fault else None, noise, seed)
-    top = suspected(made, solved(made, where, 1e-4), LoopTests(level=1e-300)).suspects[0]
+    top = find_faults(made, solved(made, where, 1e-4), LoopTests(level=1e-300)).tests[0]
     return top.name if top.p_value <= LEVEL else NOTHING
 
 

@@ -1,25 +1,14 @@
 """The public names and where they live: the one list, which `__init__.py` loads them by."""
 
-from .common.errors import (
-    ExtraError,
-    JointFileError,
-    JointidError,
-    MethodError,
-    RecordError,
-)
+from .common.errors import ExtraError, JointFileError, JointidError, MethodError, RecordError
 from .config import JointFile, load
 from .controller_id.learn import learn_loop
-from .controller_id.learned import LearnedLoop
 from .diagnostics.check_loop import check_loop
-from .diagnostics.compare_estimates import ReportComparison, compare_reports
-from .diagnostics.experiment_design import Advice, advise
-from .diagnostics.intervals import Intervals, intervals
-from .diagnostics.loop_check import LoopCheck
-from .diagnostics.method_comparison import Comparison, compare
-from .diagnostics.minimum_detectable_change import Detectable, detectable
-from .diagnostics.misspecification_tests import LoopTests
-from .diagnostics.report_data import Dossier, dossier
-from .diagnostics.stiffness_test_design import Revealing, revealing, what_would_tell_more
+from .diagnostics.compare_estimates import compare_estimates
+from .diagnostics.experiment_design import advise
+from .diagnostics.intervals import intervals
+from .diagnostics.method_comparison import compare_methods
+from .diagnostics.stiffness_test_design import design_stiffness_test
 from .diagnostics.validation import Validation, validate
 from .estimation.identify import identify
 from .estimation.methods.didim import DIDIM
@@ -28,8 +17,6 @@ from .estimation.methods.flexible import FlexibleDIDIM
 from .estimation.methods.idim import IDIM
 from .estimation.methods.open_loop import OpenLoopFit
 from .estimation.result.estimate import Estimate, IdentifiedJoint
-from .estimation.result.params import EstimatedParameter, Params
-from .estimation.result.record_fit import RecordFit
 from .estimation.several_records.settings import SeveralRecords
 from .estimation.streaming.settings import Windowing
 from .models.controllers import (
@@ -50,52 +37,34 @@ from .models.joints import FlexibleJoint, RigidJoint, frequencies, rigid_sums
 from .models.linear import frequency_response
 from .models.parameters import Parameter
 from .models.transmission import Transmission
-from .output.export.export import Export, export, read_estimated, state_space
+from .output.export.export import export, read_estimated, state_space
 from .output.export.joint_toml import JointToml
 from .output.export.linear import Matlab, StateSpaceJson
 from .output.export.mjcf import Mjcf
-from .output.export.modelica import Modelica
-from .output.export.state_space import StateSpace
-from .output.export.urdf import Urdf
-from .output.figures.channels import channels_figure
-from .output.figures.figures import residual_figure, save, torque_figure
+from .output.figures.figures import save, torque_figure
 from .output.figures.tuning_figure import tuning_figure
-from .output.json import (
-    advice_answer,
-    comparison_answer,
-    drift_answer,
-    estimate_answer,
-    inspection_answer,
-    learned_answer,
-    loop_answer,
-    read_report,
-    revealing_answer,
-    simulation_answer,
-    tuning_answer,
-    validation_answer,
-)
+from .output.json import read_report
+from .output.json.to_dict import to_dict
 from .output.report.report import Report, report_estimate, report_file
-from .paper.twin import Twin, twin
-from .records.checks.record_checks import check_record
+from .paper.twin import twin
 from .records.columns import Column
 from .records.drives.drive import Drive
-from .records.files.converting import Conversion, convert
-from .records.files.inspection import Inspection, inspect
+from .records.files.converting import convert
+from .records.files.inspection import inspect
 from .records.files.writing import write
 from .records.reading.chunks import Log
 from .records.reading.read import read
-from .records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, record_of
+from .records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
 from .records.signals.excitation import pulses, trapezoids
 from .records.signals.filtering import Filtering
 from .records.time_base.resampling import Resampling
-from .simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_many
+from .simulation.closed_loop import Initial, simulate, simulate_many
 from .simulation.drive_side import DriveSide
 from .simulation.loop_input import ClosedLoop, prepare
 from .simulation.open_loop import OpenLoop
 from .simulation.synthesis import simulated_record
 from .tuning.settings import Tuning
 from .tuning.tune import tune
-from .tuning.tuned import Tuned
 
 __version__: str
 __all__ = [
@@ -103,25 +72,18 @@ __all__ = [
     "IDIM",
     "PD",
     "PID",
-    "Advice",
     "AsymmetricFriction",
     "Cascade",
     "Channel",
     "ClosedLoop",
     "Column",
-    "Comparison",
-    "Conversion",
     "Counterbalance",
-    "Detectable",
     "DigitalFilter",
-    "Dossier",
     "Drift",
     "Drive",
     "DriveSide",
     "DriveSideFit",
     "Estimate",
-    "EstimatedParameter",
-    "Export",
     "ExtraError",
     "Filtering",
     "FirstOrder",
@@ -132,102 +94,69 @@ __all__ = [
     "Initial",
     "Injection",
     "InjectionPoint",
-    "Inspection",
-    "Intervals",
     "JointFile",
     "JointFileError",
     "JointToml",
     "JointidError",
-    "LearnedLoop",
     "Log",
-    "LoopCheck",
-    "LoopTests",
     "Matlab",
     "MethodError",
     "Mjcf",
-    "Modelica",
     "MovingAverage",
     "Notch",
     "OpenLoop",
     "OpenLoopFit",
-    "Outcome",
     "Parameter",
-    "Params",
     "PositionHarmonics",
     "Record",
     "RecordError",
-    "RecordFit",
     "Report",
-    "ReportComparison",
     "Resampling",
-    "Revealing",
     "RigidJoint",
     "SecondOrder",
     "SeveralRecords",
-    "Simulation",
-    "StateSpace",
     "StateSpaceController",
     "StateSpaceJson",
     "SymmetricFriction",
     "Tap",
     "Timing",
     "Transmission",
-    "Tuned",
     "Tuning",
-    "Twin",
-    "Urdf",
     "Validation",
     "Windowing",
-    "advice_answer",
     "advise",
-    "channels_figure",
     "check_loop",
-    "check_record",
-    "compare",
-    "compare_reports",
-    "comparison_answer",
+    "compare_estimates",
+    "compare_methods",
     "convert",
-    "detectable",
-    "dossier",
-    "drift_answer",
-    "estimate_answer",
+    "design_stiffness_test",
     "export",
     "frequencies",
     "frequency_response",
     "identify",
     "inspect",
-    "inspection_answer",
     "intervals",
     "learn_loop",
-    "learned_answer",
     "load",
-    "loop_answer",
     "prepare",
     "pulses",
     "read",
     "read_estimated",
     "read_report",
-    "record_of",
     "report_estimate",
     "report_file",
-    "residual_figure",
-    "revealing",
-    "revealing_answer",
     "rigid_sums",
     "save",
     "simulate",
     "simulate_many",
     "simulated_record",
-    "simulation_answer",
     "state_space",
+    "to_dict",
     "torque_figure",
     "trapezoids",
     "tune",
-    "tuning_answer",
     "tuning_figure",
     "twin",
     "validate",
-    "validation_answer",
-    "what_would_tell_more",
     "write",
 ]

@@ -11,10 +11,10 @@ import pytest
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.diagnostics.experiment_design import Advice, advise, at_estimate
-from jointid.diagnostics.sensor_information import informations, load_alone, with_information
-from jointid.diagnostics.stiffness_test_design import TOLD, revealing, what_would_tell_more
-from jointid.diagnostics.variations import faster, pulsed
+from jointid.diagnostics.experiment_design import Advice, advise, rebuild_declared_problem
+from jointid.diagnostics.sensor_information import add_information, compute_encoder_information, subtract_driven_motion
+from jointid.diagnostics.stiffness_test_design import DETECTED, design_stiffness_test
+from jointid.diagnostics.variations import add_pulses, double_acceleration
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
@@ -61,10 +61,10 @@ def test_the_law_makes_of_the_torque_what_the_encoder_would_tell(disturbed: tupl
     And why a load encoder tells nothing of the motor's side: its motion explains the load's but for the reversals.
     """
     axis, estimate = disturbed
-    problem, x = at_estimate(estimate, axis.record)
+    problem, x = rebuild_declared_problem(estimate, axis.record)
     law, seen = problem.experiment.law, problem.positions(x)
     motor, load = seen.motor_position, seen.load_position
-    alone = load_alone(problem, x, motor, load)
+    alone = subtract_driven_motion(problem, x, motor, load)
     for j, p in enumerate(problem.free_joint):
         nothing = np.zeros_like(problem.experiment.inputs)
         back = invert(law, seen.torque[:, j].copy(), nothing, np.zeros(law.order))
@@ -85,7 +85,7 @@ def test_a_load_encoder_separates_the_viscous_frictions(advice: Advice) -> None:
     assert 15 <= 2 * advice.std["motor_viscous"] <= 45
     (load,) = (one for one in advice.sensors if one.name == "load encoder")
     assert 3 <= 2 * load.std["motor_viscous"] <= 6
-    assert "5e-08 m" in load.described
+    assert "5e-08 m" in load.description
 
 
 @pytest.mark.statistical
@@ -110,13 +110,13 @@ def test_a_motor_encoder_beside_a_noisy_log_helps_enormously(logged: tuple[Twin,
 def test_and_does_what_is_predicted_of_it(logged: tuple[Twin, Estimate]) -> None:
     """Least squares of torque and motor position, each by its own noise, one step from the truth."""
     axis, estimate = logged
-    problem, _ = at_estimate(estimate, axis.record)
+    problem, _ = rebuild_declared_problem(estimate, axis.record)
     truth = problem.vector({**axis.truth, "initial_position": 0.0})
     error, J = problem.linearised(truth)
     variance = float(error @ error) / error.size
     spread = np.linalg.inv(J.T @ J) * variance
-    added = informations(problem, truth, "log", STEP, STEP).motor
-    predicted = np.sqrt(np.diag(with_information(spread, added)))
+    added = compute_encoder_information(problem, truth, "log", STEP, STEP).motor
+    predicted = np.sqrt(np.diag(add_information(spread, added)))
     seen = problem.positions(truth).motor_position
     seen = (seen - seen.mean(axis=0)) / np.sqrt(STEP**2 / 12)
     stacked = np.concatenate([J / np.sqrt(variance), seen])
@@ -138,8 +138,8 @@ def test_pulses_do_what_is_predicted_of_them(disturbed: tuple[Twin, Estimate], a
     axis, estimate = disturbed
     assert axis.record.reference is not None
     assert axis.record.injected is not None
-    problem, _ = at_estimate(estimate, axis.record)
-    added = pulsed(problem, 99.0, 0.02).experiment.after_limit - problem.experiment.after_limit
+    problem, _ = rebuild_declared_problem(estimate, axis.record)
+    added = add_pulses(problem, 99.0, 0.02).experiment.after_limit - problem.experiment.after_limit
     white = np.random.default_rng(3).standard_normal(added.size)
     record = simulated_record(
         axis.loop, axis.record.reference.values, axis.truth, sample_time=SAMPLE_TIME, disturbance=axis.noise * white,
@@ -154,8 +154,8 @@ def test_pulses_do_what_is_predicted_of_them(disturbed: tuple[Twin, Estimate], a
 
 def test_the_faster_motion_has_twice_the_acceleration(disturbed: tuple[Twin, Estimate]) -> None:
     axis, estimate = disturbed
-    problem, _ = at_estimate(estimate, axis.record)
-    fast = faster(problem, axis.record)
+    problem, _ = rebuild_declared_problem(estimate, axis.record)
+    fast = double_acceleration(problem, axis.record)
     before, after = (np.abs(np.diff(e.inputs[::50, 0], 2)).max() for e in (problem.experiment, fast.experiment))
     assert after / before == pytest.approx(2.0, rel=0.05)
     assert fast.samples == pytest.approx(problem.experiment.samples / np.sqrt(2), abs=1)
@@ -166,9 +166,9 @@ def test_information_adds_to_a_covariance_that_may_be_singular() -> None:
     A, B = rng.standard_normal((2, 4, 4))
     covariance, information = A @ A.T, B @ B.T
     direct = np.linalg.inv(np.linalg.inv(covariance) + information)
-    assert with_information(covariance, information) == pytest.approx(direct)
+    assert add_information(covariance, information) == pytest.approx(direct)
     singular = np.ones((2, 2))  # two parameters of which only one direction is not known exactly
-    assert with_information(singular, np.diag([3.0, 0.0])) == pytest.approx(singular / 4)
+    assert add_information(singular, np.diag([3.0, 0.0])) == pytest.approx(singular / 4)
 
 
 def test_the_step_of_an_encoder_is_read_off_its_positions() -> None:
@@ -199,8 +199,8 @@ def test_what_cannot_be_advised_on(disturbed: tuple[Twin, Estimate], logged: tup
         advise(identify(axis.record, axis.loop.joint, IDIM()), axis.record)
     with pytest.raises(MethodError, match="is a positive number; received -1"):
         advise(estimate, axis.record, encoder_step=-1.0)
-    with pytest.raises(MethodError, match="refuses no stiffness"):
-        what_would_tell_more(estimate, axis.record)
+    with pytest.raises(MethodError, match="identifies its stiffness"):
+        design_stiffness_test(estimate, axis.record)
 
 
 def test_a_rigid_joint_has_no_load_to_put_an_encoder_on(disturbed: tuple[Twin, Estimate]) -> None:
@@ -212,20 +212,19 @@ def test_a_rigid_joint_has_no_load_to_put_an_encoder_on(disturbed: tuple[Twin, E
 
 def test_a_refused_stiffness_is_answered_with_what_would_show_it(stiff_axis: tuple[Record, Estimate]) -> None:
     record, estimate = stiff_axis
-    answer = revealing(estimate, record)
+    answer = design_stiffness_test(estimate, record)
     assert answer.step == pytest.approx(1e-6, rel=1e-3)
     assert {one.share for one in answer.pulses} <= {0.1, 0.33}
     assert "would" in str(answer)
-    assert str(answer) == what_would_tell_more(estimate, record)
-    stronger = revealing(estimate, record, pulse=(3 * answer.height, answer.width))
+    stronger = design_stiffness_test(estimate, record, pulse=(3 * answer.height, answer.width))
     for weak, strong in zip(answer.pulses, stronger.pulses, strict=True):
         assert strong.deviation < weak.deviation
         assert (strong.mode or 0.0) >= (weak.mode or 0.0)
-        assert (weak.mode is None) == (weak.deviation > TOLD)
+        assert (weak.mode is None) == (weak.deviation > DETECTED)
     for rung, seen in zip(answer.pulses, answer.encoder, strict=True):
         assert (seen.mode or 0.0) >= rung.softest
     assert json.loads(dumps(revealing_answer(answer)))["schema"] == "jointid.revealing/1"
-    with pytest.raises(MethodError, match="refuses the stiffness"):
+    with pytest.raises(MethodError, match="stiffness is not identifiable"):
         advise(estimate, record)
 
 
@@ -235,10 +234,10 @@ def test_what_was_kept_fixed_is_no_reason_not_to_answer(stiff_axis: tuple[Record
     stiffness = next(p for p in loop.joint.parameters if p.name == "stiffness")
     estimate = identify(record, loop, parameters={"stiffness": stiffness.fixed(1e9)})
     assert estimate.checks.bounds
-    assert "would" in what_would_tell_more(estimate, record)
+    assert "would" in str(design_stiffness_test(estimate, record))
 
 
 def test_the_tap_says_where_the_noise_is(stiff_axis: tuple[Record, Estimate]) -> None:
     record, estimate = stiff_axis
-    measured = revealing(estimate, replace(record, tap=Tap.MEASURED))
-    assert measured.encoder[-1].deviation != revealing(estimate, record).encoder[-1].deviation
+    measured = design_stiffness_test(estimate, replace(record, tap=Tap.MEASURED))
+    assert measured.encoder[-1].deviation != design_stiffness_test(estimate, record).encoder[-1].deviation

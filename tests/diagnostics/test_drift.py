@@ -36,15 +36,15 @@ def test_a_page_and_its_answer_hold_the_same_estimate(tmp_path: Path) -> None:
 
 def test_one_record_twice_is_not_tested(tmp_path: Path) -> None:
     path = of_rigid(1, tmp_path)
-    found = ji.compare_reports(ji.read_report(path), ji.read_report(path))
+    found = ji.compare_estimates(ji.read_report(path), ji.read_report(path))
     assert found.same_record
     assert all(row.p_value is None and row.difference == 0 for row in found.rows)
-    assert "Both are of one record" in str(found)
+    assert "Both are of the same record" in str(found)
 
 
 def test_a_difference_has_the_variance_of_both_and_holms_p_value(tmp_path: Path) -> None:
     before, after = ji.read_report(of_rigid(1, tmp_path)), ji.read_report(of_rigid(2, tmp_path, inertia=0.0408))
-    found = ji.compare_reports(before, after)
+    found = ji.compare_estimates(before, after)
     rows = {row.name: row for row in found.rows}
     assert "initial_position" not in rows
     stds = [q.std for told in (before, after) for q in told.quantities if q.name == "inertia"]
@@ -63,9 +63,9 @@ def test_what_is_fixed_or_refused_is_said(tmp_path: Path) -> None:
     changed = replace(
         after, quantities=(replace(inertia, value=None, std=None), replace(viscous, std=None, free=False), *rest)
     )
-    rows = {row.name: row for row in ji.compare_reports(before, changed).rows}
-    assert rows["inertia"].said == "not told in B"
-    assert rows["viscous"].said == "kept fixed in B"
+    rows = {row.name: row for row in ji.compare_estimates(before, changed).rows}
+    assert rows["inertia"].reason == "not identified in B"
+    assert rows["viscous"].reason == "fixed in B"
     assert rows["viscous"].difference is not None
     assert rows["inertia"].p_value is rows["viscous"].p_value is None
 
@@ -83,18 +83,18 @@ def test_what_is_fixed_or_refused_is_said(tmp_path: Path) -> None:
 def test_other_joints_are_not_compared(change: dict[str, str], words: str, tmp_path: Path) -> None:
     one = ji.read_report(of_rigid(1, tmp_path))
     with pytest.raises(ji.MethodError, match=words):
-        ji.compare_reports(one, replace(one, **change))  # type: ignore[arg-type]
+        ji.compare_estimates(one, replace(one, **change))  # type: ignore[arg-type]
 
 
 def test_other_units_and_settings_are_said(tmp_path: Path) -> None:
     one, other = ji.read_report(of_rigid(1, tmp_path)), ji.read_report(of_rigid(2, tmp_path))
     units = replace(other, quantities=(replace(other.quantities[0], unit="kg"), *other.quantities[1:]))
     with pytest.raises(ji.MethodError, match="inertia is in kg m2"):
-        ji.compare_reports(one, units)
+        ji.compare_estimates(one, units)
     settings = replace(other, settings={**other.settings, "method": "IDIM"})
-    assert any("They differ in method" in note for note in ji.compare_reports(one, settings).notes)
+    assert any("They differ in method" in note for note in ji.compare_estimates(one, settings).notes)
     with pytest.raises(ji.MethodError, match="between 0 and 1"):
-        ji.compare_reports(one, other, level=0.0)
+        ji.compare_estimates(one, other, level=0.0)
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_the_command_prints_the_table_and_writes_the_answer(tmp_path: Path, caps
 @pytest.mark.statistical
 def test_seldom_is_anything_called_changed_where_nothing_did(tmp_path: Path) -> None:
     files = [ji.read_report(of_rigid(seed, tmp_path)) for seed in range(60)]
-    alarms = [bool(ji.compare_reports(files[i], files[i + 1]).changed) for i in range(0, 60, 2)]
+    alarms = [bool(ji.compare_estimates(files[i], files[i + 1]).changed) for i in range(0, 60, 2)]
     assert sum(alarms) <= 5  # of 30 at 5 %: more happens once in a hundred
 
 
@@ -163,8 +163,8 @@ def test_a_spring_that_grew_softer_is_found(tmp_path: Path) -> None:
         return told(found, tmp_path, f"twin{seed}")
 
     before, same, softer = (ji.read_report(estimate(seed, by)) for seed, by in ((1, 1.0), (2, 1.0), (3, 0.95)))
-    assert not ji.compare_reports(before, same).changed
-    found = ji.compare_reports(before, softer)
+    assert not ji.compare_estimates(before, same).changed
+    found = ji.compare_estimates(before, softer)
     names = {row.name for row in found.changed}
     assert "stiffness" in names
     assert not names & {"motor_inertia", "load_inertia", "total inertia"}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import RecordError
-from jointid.diagnostics.method_comparison import Comparison, compare
+from jointid.diagnostics.method_comparison import MethodComparison, compare_methods
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.models.joints import RigidJoint
 from jointid.output import json as answers
@@ -21,12 +21,12 @@ from tests.estimation.conftest import CONTROLLER
 
 
 @pytest.fixture(scope="module")
-def flexible() -> Comparison:
+def flexible() -> MethodComparison:
     axis = twin()
-    return compare(axis.record, axis.loop, didim=FlexibleDIDIM(frequency=30.0))
+    return compare_methods(axis.record, axis.loop, didim=FlexibleDIDIM(frequency=30.0))
 
 
-def test_every_method_that_can_run_has_run(flexible: Comparison) -> None:
+def test_every_method_that_can_run_has_run(flexible: MethodComparison) -> None:
     names = ["DIDIM", "IDIM-LS", "IDIM-WLS", "IDIM-IRLS", "IDIM-IV", "DIDIM asymmetric", "IDIM-LS asymmetric"]
     assert [method.name for method in flexible.methods] == names
     assert list(flexible.estimates) == names
@@ -34,7 +34,7 @@ def test_every_method_that_can_run_has_run(flexible: Comparison) -> None:
     assert all(method.seconds > 0 for method in flexible.methods)
 
 
-def test_a_disagreement_is_pointed_out(flexible: Comparison) -> None:
+def test_a_disagreement_is_pointed_out(flexible: MethodComparison) -> None:
     """The disturbance in the loop has moved least squares away from DIDIM and from instruments."""
     (sentence,) = [line for line in flexible.disagreements if "on motor inertia" in line]
     assert sentence.startswith("DIDIM and IDIM-")
@@ -47,15 +47,15 @@ def test_a_disagreement_is_pointed_out(flexible: Comparison) -> None:
 
 
 def test_what_cannot_run_is_listed_with_the_reason(emps: Record) -> None:
-    found = compare(emps.without("motor_position"), ClosedLoop(RigidJoint(), CONTROLLER))
+    found = compare_methods(emps.without("motor_position"), ClosedLoop(RigidJoint(), CONTROLLER))
     assert list(found.estimates) == ["DIDIM", "DIDIM asymmetric"]
     assert "IDIM-LS cannot run: IDIM needs motor_position; this record has torque, reference" in str(found)
     assert found.disagreements == ()
     assert "no two methods differ by more than their intervals allow" in str(found)
-    alone = compare(emps, RigidJoint())
+    alone = compare_methods(emps, RigidJoint())
     assert list(alone.estimates) == ["IDIM-LS", "IDIM-IRLS", "IDIM-LS asymmetric"]
     assert "DIDIM cannot run: DIDIM simulates the closed loop, so it needs the controller" in str(alone)
-    fixed = compare(emps, RigidJoint(), parameters={"viscous": RigidJoint().parameters[1].fixed(207.0)})
+    fixed = compare_methods(emps, RigidJoint(), parameters={"viscous": RigidJoint().parameters[1].fixed(207.0)})
     assert fixed.estimates["IDIM-LS"].values["viscous"] == 207.0
     assert fixed.estimates["IDIM-LS asymmetric"].values["viscous_forwards"] == pytest.approx(171, abs=1)
 
@@ -64,10 +64,10 @@ def test_a_record_that_cannot_be_is_refused_at_once(emps: Record) -> None:
     assert emps.torque is not None
     still = replace(emps, torque=replace(emps.torque, values=np.full(len(emps.torque), 3.0)))
     with pytest.raises(RecordError, match="The torque is 3 N in every sample"):
-        compare(still, RigidJoint())
+        compare_methods(still, RigidJoint())
 
 
-def test_the_answer_is_written(flexible: Comparison, tmp_path: Path) -> None:
+def test_the_answer_is_written(flexible: MethodComparison, tmp_path: Path) -> None:
     answers.write(answers.comparison_answer(flexible), tmp_path / "out.json")
     answer = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.comparison/1"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.diagnostics.misspecification_tests import suspected
+from jointid.diagnostics.misspecification_tests import find_faults
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM, refined_least_squares
@@ -121,7 +121,7 @@ def test_a_wrong_loop_biases_nothing_where_it_is_free_and_is_flagged_where_it_is
             assert errors[:, i].std() <= 0.005 * truth[name], name
     for seed in runs[:20]:
         made = problem(where, Fault(line_7, offset=True), noise, seed)
-        assert not suspected(made, solved(made, where)).as_declared
+        assert not find_faults(made, solved(made, where)).as_declared
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,10 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.diagnostics.check_loop import check_loop
-from jointid.diagnostics.fault_signatures import sensitivities
-from jointid.diagnostics.loop_check import Change, Finding, LoopCheck, Suspect
-from jointid.diagnostics.misspecification_tests import LoopTests, suspected
-from jointid.diagnostics.scores import whitener
+from jointid.diagnostics.fault_signatures import compute_signatures
+from jointid.diagnostics.loop_check import FaultTest, Finding, LoopCheck, ParameterShift
+from jointid.diagnostics.misspecification_tests import LoopTests, find_faults
+from jointid.diagnostics.scores import fit_whitener
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
@@ -35,12 +35,12 @@ SIZES = {"kp": 0.03 * 160.18, "kv": -0.04 * 243.45, "delay": 0.4e-3, "offset": -
 def test_one_fault_is_named_and_measured(fault: str) -> None:
     where = setting("L19")
     made = problem(where, FAULTS[fault], "disturbance", 1)
-    check = suspected(made, solved(made, where))
+    check = find_faults(made, solved(made, where))
     first = check.findings[0]
-    assert first.suspect.name == fault
+    assert first.test.name == fault
     assert not check.as_declared
     if fault in SIZES:
-        assert first.suspect.size == pytest.approx(SIZES[fault], abs=3 * first.suspect.std)
+        assert first.test.size == pytest.approx(SIZES[fault], abs=3 * first.test.std)
     if fault == "limit":
         assert first.value == pytest.approx(0.7 * where.peak, rel=1e-3)
 
@@ -48,34 +48,34 @@ def test_one_fault_is_named_and_measured(fault: str) -> None:
 def test_a_torque_channel_that_is_late_is_no_late_torque() -> None:
     where = setting("L19")
     made = problem(where, FAULTS["log_delay"], "white", 1)
-    first = suspected(made, solved(made, where)).findings[0]
-    assert first.suspect.name == "log_delay"
-    assert first.suspect.size == pytest.approx(1e-3, abs=6e-5)
+    first = find_faults(made, solved(made, where)).findings[0]
+    assert first.test.name == "log_delay"
+    assert first.test.size == pytest.approx(1e-3, abs=6e-5)
     assert first.changes["motor_inertia"].sigmas < -3
 
 
 def test_several_faults_are_named_one_after_another() -> None:
     where = setting("L19")
     made = problem(where, replace(FAULTS["offset"], law=line_7), "disturbance", 1)
-    check = suspected(made, solved(made, where), LoopTests(most=4))
-    assert {"offset", "delay"} <= {f.suspect.name for f in check.findings[:2]}
+    check = find_faults(made, solved(made, where), LoopTests(most=4))
+    assert {"offset", "delay"} <= {f.test.name for f in check.findings[:2]}
 
 
 def test_a_clean_record_is_as_declared() -> None:
     where = setting("L19")
     made = problem(where, None, "disturbance", 1)
-    check = suspected(made, solved(made, where))
+    check = find_faults(made, solved(made, where))
     assert check.as_declared
     assert check.sentences[0].startswith("loop and log are as declared as far as this record shows (")
-    alike = next(s for s in check.suspects if s.name == "kv")
-    assert alike.words == "kv or gain"  # in a cascade without integral part only their product acts
+    alike = next(s for s in check.tests if s.name == "kv")
+    assert alike.label == "kv or gain"  # in a cascade without integral part only their product acts
 
 
 def test_a_stribeck_friction_looks_like_its_column() -> None:
     where = setting("L19")
     clean = problem(where, None, None)
     x = clean.vector(where.truth)
-    columns = [a for a in sensitivities(clean, x)[2] if a.name == "stribeck"]
+    columns = [a for a in compute_signatures(clean, x)[2] if a.name == "stribeck"]
     nearest = min(columns, key=lambda a: abs((a.shape or 0.0) - 5e-3))
     faulty = problem(where, FAULTS["stribeck"], None)
     shown = clean.filtered(faulty.measured - clean.measured)
@@ -88,7 +88,7 @@ def test_the_gain_of_a_known_signal_is_a_column() -> None:
     where = setting("L19")
     clean = problem(where, None, None)
     x = clean.vector(where.truth)
-    column = next(a.column for a in sensitivities(clean, x)[2] if a.name == "injected_gain")
+    column = next(a.column for a in compute_signatures(clean, x)[2] if a.name == "injected_gain")
     assert where.record.injected is not None
     known = where.record.injected.channel
     stronger = replace(where.record.injected, channel=replace(known, values=1.01 * known.values))
@@ -103,7 +103,7 @@ def test_a_measured_torque_that_holds_its_disturbance_does_not_hold_a_friction()
     columns = {}
     for tap in (Tap.COMMAND, Tap.MEASURED):
         made = problem(replace(where, record=replace(where.record, tap=tap)), None, None)
-        alternatives = sensitivities(made, made.vector(where.truth))[2]
+        alternatives = compute_signatures(made, made.vector(where.truth))[2]
         columns[tap] = next(a.column for a in alternatives if a.name == "stribeck")
     apart = np.linalg.norm(columns[Tap.MEASURED] - columns[Tap.COMMAND])
     assert apart < 1e-3 * np.linalg.norm(columns[Tap.COMMAND])
@@ -112,15 +112,15 @@ def test_a_measured_torque_that_holds_its_disturbance_does_not_hold_a_friction()
 def test_a_record_without_noise_has_no_statistics() -> None:
     where = setting("L19")
     made = problem(where, None, None)
-    assert suspected(made, made.vector(where.truth)).as_declared
+    assert find_faults(made, made.vector(where.truth)).as_declared
 
 
 def test_what_is_free_is_not_suspected() -> None:
     where = setting("L19")
     made = problem(where, FAULTS["delay"], "white", 2).freeing("delay")
-    check = suspected(made, solved(made, where))
+    check = find_faults(made, solved(made, where))
     assert check.as_declared
-    assert "delay" not in {s.name for s in check.suspects}
+    assert "delay" not in {s.name for s in check.tests}
 
 
 def test_the_whitener_leaves_no_correlation() -> None:
@@ -128,7 +128,7 @@ def test_the_whitener_leaves_no_correlation() -> None:
     coloured = np.zeros(4000)
     for i, step in enumerate(rng.standard_normal(coloured.size)[1:], start=1):
         coloured[i] = 0.8 * coloured[i - 1] + step
-    white = whitener(coloured)(coloured)
+    white = fit_whitener(coloured)(coloured)
     assert np.std(white) == pytest.approx(1.0, rel=0.05)
     for lag in range(1, 10):
         assert abs(float(white[lag:] @ white[:-lag]) / float(white @ white)) < 0.08
@@ -139,10 +139,10 @@ def test_an_answer_is_checked_with_its_record(identified: Callable[..., Estimate
     record = axis.record.without("motor_position", "load_position")
     estimate = identified("L19", FlexibleDIDIM(frequency=30.0), noise="white")
     assert check_loop(estimate, record).as_declared
-    only = check_loop(estimate, record, LoopTests(suspects=("kp", "delay")))
-    assert {s.name for s in only.suspects} == {"kp", "delay"}
-    with pytest.raises(MethodError, match="No suspect of this record is called kd; those that can be tested are gain"):
-        check_loop(estimate, record, LoopTests(suspects=("kd",)))
+    only = check_loop(estimate, record, LoopTests(faults=("kp", "delay")))
+    assert {s.name for s in only.tests} == {"kp", "delay"}
+    with pytest.raises(MethodError, match="No fault called kd can be tested in this record; choose from gain"):
+        check_loop(estimate, record, LoopTests(faults=("kd",)))
     with pytest.raises(MethodError, match="has another torque"):
         check_loop(estimate, twin(noise="white", seed=2).record)
     with pytest.raises(MethodError, match="IDIM simulates no loop"):
@@ -156,17 +156,19 @@ def test_impossible_settings_are_refused(wrong: dict[str, float]) -> None:
 
 
 def _check(name: str, size: float, std: float, declared: float = 0.0, **more: object) -> LoopCheck:
-    suspect = Suspect(name, (), declared, size, std, size / std, 1e-9, None)
-    finding = Finding(suspect, None, (), {"motor_viscous": Change(-59.0, -3.1), "stiffness": Change(1.0, 0.1)})
+    suspect = FaultTest(name, (), declared, size, std, size / std, 1e-9, None)
+    finding = Finding(
+        suspect, None, (), {"motor_viscous": ParameterShift(-59.0, -3.1), "stiffness": ParameterShift(1.0, 0.1)}
+    )
     symbols = {"motor_viscous": "Fv1", "stiffness": "K12"}
     units = {"motor_viscous": "N s/m", "stiffness": "N/m", "torque": "N", "velocity": "m/s"}
-    changed = replace(finding, suspect=replace(suspect, **{k: v for k, v in more.items() if k != "value"}))  # type: ignore[arg-type]
+    changed = replace(finding, test=replace(suspect, **{k: v for k, v in more.items() if k != "value"}))  # type: ignore[arg-type]
     if "value" in more:
         changed = replace(changed, value=more["value"])  # type: ignore[arg-type]
-    return LoopCheck((changed,), (changed.suspect,), 0.05, symbols, units)
+    return LoopCheck((changed,), (changed.test,), 0.05, symbols, units)
 
 
-_TAKEN = " (p < 1e-6); taking it in changes Fv1 by -59 N s/m (3.1 sigma)"
+_TAKEN = " (p < 1e-6); correcting it changes Fv1 by -59 N s/m (3.1 sigma)"
 
 
 @pytest.mark.parametrize(
@@ -174,7 +176,7 @@ _TAKEN = " (p < 1e-6); taking it in changes Fv1 by -59 N s/m (3.1 sigma)"
     [
         (_check("delay", 4e-4, 2.5e-5), "the torque reacts 0.400 +- 0.050 ms later than declared"),
         (_check("delay", -4e-4, 2.5e-5), "the torque reacts 0.400 +- 0.050 ms earlier than declared"),
-        (_check("log_delay", 1e-3, 2e-5), "the log shows it 1.00 +- 0.040 ms later than its stamps say"),
+        (_check("log_delay", 1e-3, 2e-5), "the logged torque is 1.00 +- 0.040 ms later than its time stamps say"),
         (_check("kp", 4.8, 0.8, 160.0), "kp is 3.0 +- 1.0 % larger than declared"),
         (_check("log_gain", -0.03, 0.005, 1.0), "the logged torque is 3.0 +- 1.0 % smaller than declared"),
         (_check("injected_gain", 0.03, 0.005, 1.0), "the injected signal is 3.0 +- 1.0 % larger than declared"),
@@ -215,7 +217,7 @@ def test_behind_a_transmission_a_fault_names_its_side(check: LoopCheck, sentence
 def test_what_cannot_be_told_apart_is_said() -> None:
     check = _check("kv", -10.0, 1.0, 240.0, alike=("gain",))
     rivalled = replace(check, findings=(replace(check.findings[0], rivals=("log_gain",)),))
-    assert "or the like of gain, which this loop does not tell from kv; log_gain would explain nearly as much" in str(
+    assert "or so is gain, which this loop cannot distinguish from kv; log_gain would explain nearly as much" in str(
         rivalled
     )
     assert "kv or gain" in str(rivalled).splitlines()[-1]
@@ -234,7 +236,7 @@ def test_the_real_axis_is_told_what_it_has(emps: Record, emps_pulses: Record) ->
     loop = ClosedLoop(RigidJoint(), CONTROLLER)
     for record in (emps, emps_pulses):
         check = check_loop(identify(record, loop), record, LoopTests(most=2))
-        friction, late = (f.suspect for f in check.findings)
+        friction, late = (f.test for f in check.findings)
         assert (friction.name, late.name) == ("presliding", "delay")
         assert friction.size == pytest.approx(7.7, abs=0.3)
         assert friction.std < 1.2

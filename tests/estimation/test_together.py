@@ -197,9 +197,9 @@ def test_what_one_record_refuses_another_may_tell() -> None:
 
 
 def test_the_answer_prints(noisy: Estimate) -> None:
-    text = str(noisy)
-    assert "2 records together" in text
-    assert "record 2: run 51, 10.000 kg added to the load; read: torque, reference, injected" in text
+    text = noisy.summary(details=True)
+    assert "of 2 records" in text
+    assert "run 51, 10.000 kg added to the load; read: torque, reference, injected" in text
     assert "1 alone" in text
     assert "agree within their intervals" in text
     assert "spectrum of its residual" in text

@@ -362,5 +362,5 @@ def test_a_limit_that_is_not_declared_is_told_in_the_torque_of_the_side() -> Non
     check = check_loop(estimate, geared)
     (finding,) = check.findings
     assert re.match(r"the controller's output stops at \d+\.?\d* N m on the load side, which is", check.sentences[0])
-    assert finding.suspect.name == "limit"
+    assert finding.test.name == "limit"
     assert finding.value == pytest.approx(100 * level, rel=5e-3)

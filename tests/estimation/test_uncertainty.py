@@ -114,11 +114,11 @@ def test_where_the_white_and_the_robust_deviations_differ_is_said() -> None:
     random = np.random.default_rng(5)
     W = np.column_stack([np.ones(2000), random.standard_normal(2000)])
     error = low_passed(random, 2000)
-    sentence = different(("mean", "quick"), white(W, error), sandwich(W, W, error))
-    assert sentence is not None
-    assert "mean 2." in sentence
-    assert "quick" not in sentence
-    assert "row by row" in sentence
+    message = different(("mean", "quick"), white(W, error), sandwich(W, W, error))
+    assert message is not None
+    assert "mean 2." in message.words
+    assert "quick" not in message.words
+    assert "row by row" in message.words
     noise = random.standard_normal(2000)
     assert different(("mean", "quick"), white(W, noise), sandwich(W, W, noise)) is None
 

@@ -12,25 +12,25 @@ import pytest
 
 from jointid.models.joints import FlexibleJoint, Motion, frequencies
 from jointid.paper.errata import ERRATA, markdown
-from jointid.paper.published import EXPERIMENT, REGRESSOR, SYMBOLS, TABLES, Table
+from jointid.paper.published import EXPERIMENT, REGRESSOR, SYMBOLS, TABLES, PublishedTable
 from jointid.paper.recomputed import (
     METHODS,
     REGRESSOR_OF_2,
     TESTS,
     agrees,
-    comparison,
-    following,
-    misprints,
-    most_decimation,
-    relative_deviations,
-    relative_errors,
-    shifts,
-    shown,
-    stiffness_from,
+    compare_table,
+    compute_relative_deviations,
+    compute_relative_errors,
+    compute_shifts,
+    compute_stiffness,
+    compute_variations,
+    find_largest_decimation,
+    find_misprints,
+    find_wrong_entries,
+    format_printed,
+    recompute_cells,
     stops,
-    sums,
-    variations,
-    wrong_entries,
+    sum_sides,
 )
 from jointid.paper.twin import TABLE_2, TABLE_4
 
@@ -70,7 +70,7 @@ def by_symbol(column: dict[str, Decimal]) -> dict[str, float]:
 )
 def test_rows_are_as_printed_to_the_last_zero(table: int, symbol: str, printed: str) -> None:
     (name,) = [name for name in TABLES[table].rows if SYMBOLS[name] == symbol]
-    assert " ".join(map(shown, TABLES[table].rows[name])) == printed
+    assert " ".join(map(format_printed, TABLES[table].rows[name])) == printed
 
 
 def test_every_table_is_whole() -> None:
@@ -134,7 +134,7 @@ def test_frequencies_and_that_print_cuts_the_free_free_one() -> None:
 
 
 def test_table_6_differs_from_tables_2_to_5_in_five_cells() -> None:
-    found = {method: by_symbol(variations(*METHODS[method])) for method in TABLES[6].columns}
+    found = {method: by_symbol(compute_variations(*METHODS[method])) for method in TABLES[6].columns}
     assert found == {
         "IDIM": {"ZZ1": -0.1, "Fv1": 3, "Fc1": 0, "K12": 0.2e5, "F12": 84, "ZZ2": 10.2, "Fv2": 0, "Fc2": -0.4},
         "DIDIM": {"ZZ1": -1.1, "Fv1": 1, "Fc1": 1, "K12": 0.1e5, "F12": -86, "ZZ2": 10.2, "Fv2": 4, "Fc2": 0},
@@ -148,12 +148,12 @@ def test_table_6_differs_from_tables_2_to_5_in_five_cells() -> None:
         ("DIDIM", "Fc1"): -1.0,
         ("DIDIM", "K12"): -0.1e5,
     }
-    assert {(method, SYMBOLS[name]) for method, name in misprints(TABLES[6])} == set(differ)
+    assert {(method, SYMBOLS[name]) for method, name in find_misprints(TABLES[6])} == set(differ)
 
 
 def test_table_7_by_both_denominators() -> None:
-    by_15 = [by_symbol(relative_errors(*test)) for test in TESTS]
-    by_idim = [by_symbol(relative_errors(*test, "IDIM")) for test in TESTS]
+    by_15 = [by_symbol(compute_relative_errors(*test)) for test in TESTS]
+    by_idim = [by_symbol(compute_relative_errors(*test, "IDIM")) for test in TESTS]
     assert [{s: round(e[s], 1) for s in ("Fv1", "Fv2", "F12")} for e in by_15] == [
         {"Fv1": 27.6, "Fv2": 44.7, "F12": 7.4},
         {"Fv1": 25.8, "Fv2": 37.5, "F12": 320.0},
@@ -168,19 +168,19 @@ def test_table_7_by_both_denominators() -> None:
 
 
 def test_table_7_has_three_cells_that_no_denominator_explains() -> None:
-    found = {(test, SYMBOLS[name]) for test, name in misprints(TABLES[7])}
+    found = {(test, SYMBOLS[name]) for test, name in find_misprints(TABLES[7])}
     assert found == {("first test", "F12"), ("first test", "K12"), ("second test", "Fc1")}
 
 
 def test_every_sum_is_as_printed() -> None:
     for n in (2, 3, 4, 5):
-        assert sums(TABLES[n]) == pytest.approx({k: float(v) for k, v in TABLES[n].sums.items()}, rel=1e-12)
+        assert sum_sides(TABLES[n]) == pytest.approx({k: float(v) for k, v in TABLES[n].sums.items()}, rel=1e-12)
 
 
 def test_one_relative_deviation_follows_neither_rounded_nor_cut() -> None:
     tables = [TABLES[n] for n in (1, 2, 3, 4, 5)]
     pairs = {
-        (table.number, SYMBOLS[name]): (printed, relative_deviations(table)[name])
+        (table.number, SYMBOLS[name]): (printed, compute_relative_deviations(table)[name])
         for table in tables
         for name, printed in table.column("relative_percent").items()
     }
@@ -192,19 +192,19 @@ def test_one_relative_deviation_follows_neither_rounded_nor_cut() -> None:
     assert cut - rounded == {
         (2, "Fv2"), (3, "K12"), (3, "F12"), (3, "ZZ2"), (3, "Fv2"), (4, "ZZ1"), (5, "ZZ1"),
     }  # fmt: skip
-    assert [table.number for table in tables if misprints(table)] == [5]
+    assert [table.number for table in tables if find_misprints(table)] == [5]
 
 
 def test_the_viscous_frictions_are_not_permuted() -> None:
-    moved = [by_symbol(variations(*test)) for test in TESTS]
+    moved = [by_symbol(compute_variations(*test)) for test in TESTS]
     assert [(m["Fv1"], m["Fv2"]) for m in moved] == [(35, -34), (33, -30)]
-    sigmas = [{SYMBOLS[name]: shift for name, shift in shifts(*test).items()} for test in TESTS]
+    sigmas = [{SYMBOLS[name]: shift for name, shift in compute_shifts(*test).items()} for test in TESTS]
     assert [(round(s["Fv1"], 1), round(s["Fv2"], 1)) for s in sigmas] == [(26.4, -28.6), (24.6, -25.4)]
 
 
 def test_a_shift_is_measured_in_both_deviations() -> None:
     """By hand: ZZ2 of Tables 2 and 4 has 2 sigma of 0.19 and 0.20, and moves by 10.2."""
-    assert shifts(*METHODS["IDIM"])["load_inertia"] == pytest.approx(10.2 / math.sqrt(0.095**2 + 0.1**2))
+    assert compute_shifts(*METHODS["IDIM"])["load_inertia"] == pytest.approx(10.2 / math.sqrt(0.095**2 + 0.1**2))
 
 
 def test_the_damping_is_not_zero_by_its_own_interval() -> None:
@@ -213,7 +213,7 @@ def test_the_damping_is_not_zero_by_its_own_interval() -> None:
 
 
 def test_one_in_six_is_the_most_for_60_hz() -> None:
-    assert most_decimation(EXPERIMENT.flexible_cutoff, EXPERIMENT.sample_rate) == 6
+    assert find_largest_decimation(EXPERIMENT.flexible_cutoff, EXPERIMENT.sample_rate) == 6
     assert EXPERIMENT.decimation == 12
     assert round(EXPERIMENT.sample_rate / 2 / EXPERIMENT.decimation, 1) == 41.7
 
@@ -228,7 +228,7 @@ def test_the_stop_rule_as_printed_stops_at_any_decrease() -> None:
 @pytest.mark.parametrize("n", [2, 3, 4, 5])
 def test_the_stiffness_start_turns_the_free_free_frequency_round(n: int) -> None:
     values = TABLES[n].values
-    found = stiffness_from(values["motor_inertia"], values["load_inertia"], frequencies(values)["free_free"])
+    found = compute_stiffness(values["motor_inertia"], values["load_inertia"], frequencies(values)["free_free"])
     assert found == pytest.approx(values["stiffness"], rel=1e-12)
 
 
@@ -247,7 +247,7 @@ def test_the_regressor_is_that_of_the_joint_and_print_has_two_other_entries() ->
     assert np.array_equal([np.column_stack([signals[entry] for entry in row]) for row in REGRESSOR_OF_2], expected)
     printed = np.array([np.column_stack([signals[entry] for entry in row]) for row in REGRESSOR])
     assert sorted(set(np.nonzero(printed != expected)[2] + 1)) == [1, 6]
-    assert wrong_entries() == ((1, "v1", "a1"), (6, "v12", "a12"))
+    assert find_wrong_entries() == ((1, "v1", "a1"), (6, "v12", "a12"))
 
 
 # For readers
@@ -255,26 +255,26 @@ def test_the_regressor_is_that_of_the_joint_and_print_has_two_other_entries() ->
 
 @pytest.mark.parametrize("text", ["8.0e5", "3.0e3", "0.1e5", "-0.1e5", "0.80", "20.00", "106", "0", "-0.4"])
 def test_a_printed_number_is_shown_as_printed(text: str) -> None:
-    assert shown(Decimal(text)) == text
+    assert format_printed(Decimal(text)) == text
 
 
 @pytest.mark.parametrize("table", TABLES.values(), ids=lambda table: f"table {table.number}")
-def test_a_comparison_has_every_printed_number_and_a_text_per_heading(table: Table) -> None:
-    found = comparison(table)
+def test_a_comparison_has_every_printed_number_and_a_text_per_heading(table: PublishedTable) -> None:
+    found = compare_table(table)
     rows = {row.name: row for row in found.rows}
     assert len(rows) == len(found.rows)
     for name, numbers in table.rows.items():
-        assert rows[name].printed == tuple(map(shown, numbers))
+        assert rows[name].printed == tuple(map(format_printed, numbers))
     for row in found.rows:
         assert (len(row.printed), len(row.recomputed)) == (len(found.printed), len(found.recomputed))
     assert sum(cell != "-" for row in found.rows for cell in row.recomputed) == sum(
-        len(values) for values in following(table).values()
+        len(values) for values in recompute_cells(table).values()
     ) + (6 if table.number in (2, 3, 4, 5) else 0)
 
 
 def test_how_table_5_reads_beside_its_recomputed_self() -> None:
     assert (
-        str(comparison(TABLES[5]))
+        str(compare_table(TABLES[5]))
         == """\
                              printed value  printed 2 sigma  printed %  recomputed value  recomputed %
 ------------------------------------------------------------------------------------------------------
@@ -297,7 +297,7 @@ Fc1 + Fc2 (N)                         21.0                -          -          
 
 
 def test_how_table_7_reads_by_both_denominators() -> None:
-    header, _, *rows = str(comparison(TABLES[7])).splitlines()
+    header, _, *rows = str(compare_table(TABLES[7])).splitlines()
     assert header.split("  ")[-1] == "recomputed second test, by the IDIM value"
     assert [row.split() for row in rows] == [
         ["ZZ1", "(%)", "1.0", "2.3", "0.862", "2.34", "0.855", "2.28"],

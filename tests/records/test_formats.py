@@ -77,7 +77,7 @@ def test_a_long_record_is_read_in_pieces(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["mat", "mcap", "db3"])
 def test_what_has_no_rows_one_after_the_other_is_read_whole(name: str, tmp_path: Path) -> None:
     path = made(name, tmp_path)
-    with pytest.raises(RecordError, match="cannot be read in pieces"):
+    with pytest.raises(RecordError, match="cannot be read in chunks"):
         next(iter(read_blocks(path, 10)))
     (table,) = read_tables(path, 10)
     assert table.columns.keys() == read_table(path).columns.keys()

@@ -152,7 +152,7 @@ def test_what_cannot_be_read_in_pieces_says_so(tmp_path: Path) -> None:
     write_table(made, Table(numbers()))
     with pytest.raises(
         RecordError,
-        match=r"day\.mat is a MAT file of version 7 or older, which cannot be read in pieces; save it with -v7\.3",
+        match=r"day\.mat is a MAT file of version 7 or older, which cannot be read in chunks; save it with -v7\.3",
     ):
         list(Log(made, CHANNELS).chunks(20, 4))
     with pytest.raises(RecordError, match="torque has one of its own"):

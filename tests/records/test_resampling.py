@@ -261,7 +261,7 @@ def test_faults_of_a_joint_file(old: str, new: str, said: str) -> None:
 
 
 def test_a_record_in_pieces_is_not_resampled() -> None:
-    with pytest.raises(RecordError, match="in pieces is not resampled"):
+    with pytest.raises(RecordError, match="in chunks is not resampled"):
         loads(FILE.replace(', time = "t"', "")).log("day.csv")
 
 
@@ -283,7 +283,7 @@ def test_every_answer_says_that_its_record_was_resampled(saved: Saved) -> None:
     assert 'resampled     to 1 ms (torque hold, reference hold); stamps of "t" 1 ms, off by up to 0.1' in str(estimate)
     check = ji.validate(estimate, record)
     assert "resampled     to 1 ms" in str(check)
-    for answer in (ji.estimate_answer(estimate)["record"], ji.validation_answer(check)):
+    for answer in (ji.to_dict(estimate)["record"], ji.to_dict(check)):
         told = json.loads(json.dumps(answer))["resampled"]
         assert told["sample_time"] == T
         assert told["channels"]["torque"] == {"method": "hold", "time": "t"}

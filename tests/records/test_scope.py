@@ -191,7 +191,7 @@ def test_a_damaged_export_is_refused_in_one_sentence(read: Callable[..., Table],
 def test_an_export_is_not_read_in_pieces(tmp_path: Path) -> None:
     path = tmp_path / "axis.csv"
     path.write_text(scope_text(ONE_CLOCK), encoding="utf-8")
-    with pytest.raises(RecordError, match="whose rows are no instants: it cannot be read in pieces"):
+    with pytest.raises(RecordError, match="whose rows are no instants: it cannot be read in chunks"):
         next(read_blocks(path, 10))
 
 

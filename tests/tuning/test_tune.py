@@ -11,7 +11,7 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.common.message import Message
-from jointid.diagnostics.minimum_detectable_change import detectable
+from jointid.diagnostics.minimum_detectable_change import compute_minimum_detectable_change
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
@@ -229,7 +229,7 @@ def test_what_cannot_be_tuned_is_refused_in_a_sentence(estimate: Estimate) -> No
     with pytest.raises(MethodError, match=r"received gain_margin = 0\.5, confidence = 1"):
         Tuning(gain_margin=0.5, confidence=1.0)
     with pytest.raises(MethodError, match="false-alarm rate"):
-        detectable(estimate, false_alarm=0.0)
+        compute_minimum_detectable_change(estimate, false_alarm=0.0)
     impossible = tune(estimate, Tuning(gain_margin=1e6))
     assert impossible.proposed is None
     assert "no gains of this structure were found that keep the asked margins" in str(impossible)
@@ -251,13 +251,13 @@ def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estim
 
 
 def test_a_change_that_is_told_follows_from_both_records(estimate: Estimate) -> None:
-    found = detectable(estimate)
+    found = compute_minimum_detectable_change(estimate)
     spring = found["stiffness"]
     assert spring.std == estimate["stiffness"].stderr
     assert spring.size == pytest.approx((2.575829 + 1.281552) * math.sqrt(2) * spring.std, rel=1e-6)
     assert spring.limit == pytest.approx(2.575829 * math.sqrt(2) * spring.std, rel=1e-6)
     assert found["Fv1 + Fv2"].size < 0.3 * found["Fv1"].size
-    assert detectable(estimate, power=0.5)["K12"].size == pytest.approx(spring.limit)
+    assert compute_minimum_detectable_change(estimate, power=0.5)["K12"].size == pytest.approx(spring.limit)
 
 
 def test_the_answer_is_complete_and_finite(tuned: Tuned) -> None:

@@ -24,11 +24,12 @@ import tomli_w
 
 import jointid as ji
 from jointid.apps.cli import main
-from jointid.diagnostics.check_loop import with_loop_verdict
+from jointid.diagnostics.check_loop import add_loop_verdict
+from jointid.diagnostics.report_data import collect_report_data as collect
 from jointid.paper.errata import ERRATA
 from jointid.paper.published import TABLES
-from jointid.paper.recomputed import comparison as recomputed
-from jointid.paper.recomputed import misprints
+from jointid.paper.recomputed import compare_table as recomputed
+from jointid.paper.recomputed import find_misprints
 from jointid.paper.reproduce import reproduce
 from jointid.simulation.sensitivities import simulate_sensitivities, warm_up
 from jointid.uncertainty.bootstrap import Bootstrapping
@@ -788,7 +789,7 @@ def identify_file(joint: Path, record: Path, **overridden: Any) -> Any:
 
 def whole(found: Any) -> Json:
     """Return an estimate with its covariance, its predicted torque and all that is known of combinations."""
-    answer = estimate(ji.estimate_answer(found))
+    answer = estimate(ji.to_dict(found))
     free = [p for p in found.params if p.free]
     known, fitted = found.checks.known, found.fit
     correlation = np.asarray(found.params.correlation)
@@ -835,9 +836,9 @@ def total(found: Any, names: Sequence[str]) -> list[Any]:
 
 def check_loop(found: Any, record: Any) -> Json:
     """Return the check of loop and log, and the verdict on it."""
-    judged = with_loop_verdict(found, record)
+    judged = add_loop_verdict(found, record)
     verdicts = {code(v.subject): v.good for v in judged.checks.verdicts}
-    return _loop_check(ji.loop_answer(ji.check_loop(found, record))) | {"verdicts": verdicts}
+    return _loop_check(ji.to_dict(ji.check_loop(found, record))) | {"verdicts": verdicts}
 
 
 def intervals(
@@ -1034,7 +1035,7 @@ def fit_together(records: Sequence[Any], loops: Any, **given: Any) -> Json:
     several = _keywords(given)
     rest = {name: several.pop(name) for name in ("method", "filtering", "parameters") if name in several}
     found = ji.identify(records, loops, several=ji.SeveralRecords(**several), **rest)
-    return _together(ji.estimate_answer(found))
+    return _together(ji.to_dict(found))
 
 
 _WINDOWING = {"window": "length", "settling": "settling"}
@@ -1044,13 +1045,13 @@ def fit_long(record: Any, driven: Any, **given: Any) -> Json:
     """Identify from one record in windows."""
     rest = _keywords(given)
     windows = ji.Windowing(**{new: rest.pop(old) for old, new in _WINDOWING.items() if old in rest})
-    return _long(ji.estimate_answer(ji.identify(record, driven, windows=windows, **rest)))
+    return _long(ji.to_dict(ji.identify(record, driven, windows=windows, **rest)))
 
 
 def learned(record: Any, **given: Any) -> Json:
     """Learn the law of a record."""
     found = ji.learn_loop(record, **_keywords(given))
-    answer = ji.learned_answer(found)
+    answer = ji.to_dict(found)
     return {
         "law": {"kind": code(answer["law"]["name"]), "numbers": _named(answer["law"]["numbers"])},
         "numbers": [_only_numbers(one) for one in answer["numbers"]],
@@ -1138,7 +1139,7 @@ def read_export(identified: Path, joint_path: Path) -> Any:
 
 def dossier(found: Any, record: Any) -> Json:
     """Return what a report is made of and its page does not carry: motion, spectra and responses."""
-    made = ji.dossier(found, record, profiles=(), loop=False)
+    made = collect(found, record, profiles=(), loop=False)
     spectra, answering = made.spectra, made.response
     return {
         "channels": [[number(one.sample_time), one.samples, one.unit] for one in made.channels],
@@ -1163,7 +1164,7 @@ def dossier(found: Any, record: Any) -> Json:
 
 def revealing(found: Any, record: Any) -> Json:
     """Return which test would show a refused stiffness."""
-    return _revealing(ji.revealing_answer(ji.revealing(found, record)))
+    return _revealing(ji.to_dict(ji.design_stiffness_test(found, record)))
 
 
 # Files
@@ -1224,7 +1225,7 @@ def published() -> Json:
         str(n): {
             "rows": {_name(name): [str(cell) for cell in cells] for name, cells in table.rows.items()},
             "recomputed": {row.name: [list(row.printed), list(row.recomputed)] for row in recomputed(table).rows},
-            "misprints": sorted([str(column), _name(name)] for column, name in misprints(table)),
+            "misprints": sorted([str(column), _name(name)] for column, name in find_misprints(table)),
         }
         for n, table in sorted(TABLES.items())
     }
@@ -1251,8 +1252,8 @@ def reproduction(seed: int) -> Json:
             "idim": _brief(part.idim),
             "didim": _brief(part.didim),
             "best": _brief(part.best),
-            "idim_simulated": _validation(ji.validation_answer(part.idim_simulated)),
-            "didim_direct": _validation(ji.validation_answer(part.didim_direct)),
+            "idim_simulated": _validation(ji.to_dict(part.idim_simulated)),
+            "didim_direct": _validation(ji.to_dict(part.didim_direct)),
         }
 
     return {
@@ -1270,7 +1271,7 @@ def reproduction(seed: int) -> Json:
 
 
 def _brief(found: Any) -> Json:
-    answer = estimate(ji.estimate_answer(found))
+    answer = estimate(ji.to_dict(found))
     keys = (
         "parameters", "raw_error_percent", "filtered_error_percent", "rows", "condition", "simulations", "converged",
         "verdicts", "combinations", "residuals", "warnings",

@@ -1113,5 +1113,5 @@ def refusals(at: Workspace) -> Any:
         "unknown_option": ask.exit_code("identify", twin, "--nothing", "1"),
         "no_command": ask.exit_code("nothing"),
         "version": ask.exit_code("--version"),
-        "inspect": ask.exit_code("inspect", at.twin()),
+        "inspect": ask.exit_code("data", "inspect", at.twin()),
     }

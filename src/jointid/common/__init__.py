@@ -1,1 +1,1 @@
-"""What every room may use: errors a user can meet, units, progress."""
+"""Common to all rooms: errors a user can meet, units, settings, documents, progress."""

@@ -167,7 +167,7 @@ class JointFile:
         return not isinstance(self.method, FlexibleDIDIM) or self.method.minimiser == "least-squares"
 
     def log(self, path: str | os.PathLike[str] | None = None) -> Log:
-        """Return the record as one that is read in pieces, when it is asked for; see `record`.
+        """Return the record as one that is read in chunks, when it is asked for; see `record`.
 
         Raises:
             RecordError: a channel has a sample time of its own, or no record is named.

@@ -1,1 +1,1 @@
-"""What an answer is worth."""
+"""Diagnostics: validation, loop check, methods side by side, intervals, sensors and tests, changes."""

@@ -1,4 +1,4 @@
-"""The check of an answer's loop: is it as declared, and what is wrong with this record?"""
+"""Check that the closed loop and the log of an estimate are as declared."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from jointid.common.errors import MethodError
 from jointid.diagnostics.loop_check import LoopCheck
-from jointid.diagnostics.misspecification_tests import LoopTests, suspected
+from jointid.diagnostics.misspecification_tests import LoopTests, find_faults
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL
 from jointid.estimation.result.estimate import Estimate
@@ -15,15 +15,16 @@ from jointid.uncertainty.verdict import Status, Subject, Verdict, not_tested
 
 
 def check_loop(estimate: Estimate, record: Record, settings: LoopTests | None = None) -> LoopCheck:
-    """Return whether the loop and the log of a record are as declared, and what is not.
+    """Test whether the loop and the log of a record are as declared, and name the faults.
 
     Args:
-        estimate: by DIDIM, of this record; what was identified beside the joint is not suspected.
+        estimate: by DIDIM, of this record; parameters identified beside the joint are not tested.
         record: that it was identified from.
         settings: see `LoopTests`.
 
     Raises:
-        MethodError: the estimate did not simulate a loop, is of another record, or refuses a parameter.
+        MethodError: the estimate did not simulate a loop, is of another record, or has a parameter that is not
+            identifiable.
 
     Example:
         >>> import jointid as ji
@@ -48,35 +49,37 @@ def check_loop(estimate: Estimate, record: Record, settings: LoopTests | None = 
         if p.value is None:
             raise MethodError(
                 f"The estimate gives no {p.name}, so its loop cannot be simulated; identify a joint whose parameters "
-                "this record determines."
+                "are identifiable from this record."
             )
         values[p.name] = p.value
-    freed = [p.name for p in estimate.params if not p.of_joint and p.name not in INITIAL]
+    beside = [p.name for p in estimate.params if not p.of_joint and p.name not in INITIAL]
     free = {p.name for p in estimate.params if p.free}
     kept = tuple(p if p.name in free else p.fixed(values[p.name]) for p in problem.parameters)
-    solved = replace(problem, parameters=kept).freeing(*freed)
-    return suspected(solved, solved.vector(values), settings)
+    solved = replace(problem, parameters=kept).freeing(*beside)
+    return find_faults(solved, solved.vector(values), settings)
 
 
-def with_loop_verdict(estimate: Estimate, record: Record) -> Estimate:
-    """Return an estimate with one more verdict: whether its loop and its log are as declared.
+def add_loop_verdict(estimate: Estimate, record: Record) -> Estimate:
+    """Return an estimate with the verdict of its loop check added.
 
-    An estimate that simulated no loop, or refuses a parameter, comes back with the verdict that it was not looked at,
-    or as it is.
+    An estimate that simulated no loop is returned as it is; one with a parameter that is not identifiable, with the
+    verdict that the loop was not checked.
 
     Args:
         estimate: of the record.
         record: that it was identified from.
     """
-    return looked_at(estimate, record)[0]
+    return add_loop_check(estimate, record)[0]
 
 
-def looked_at(estimate: Estimate, record: Record) -> tuple[Estimate, LoopCheck | None]:
-    """Return an estimate as `with_loop_verdict` does, and the check; None where there was none."""
+def add_loop_check(estimate: Estimate, record: Record) -> tuple[Estimate, LoopCheck | None]:
+    """Return an estimate with the verdict of its loop check added, and the check; None where there is none."""
     if estimate.settings.loop is None:
         return estimate, None
     if any(p.value is None for p in estimate.params):
-        verdict = not_tested(Subject.LOOP, "not looked at, since the joint is not known; identify it as rigid")
+        verdict = not_tested(
+            Subject.LOOP, "not checked, because the joint is not fully identified; identify it as rigid"
+        )
         return estimate.amended(checks={"verdicts": (*estimate.checks.verdicts, verdict)}), None
     check = check_loop(estimate, record)
     verdict = Verdict(Subject.LOOP, Status.of(check.as_declared), check.reasons)

@@ -1,9 +1,9 @@
-"""What changed between two estimates of the same joint, and whether that is more than their errors.
+"""Compare two estimates of the same joint: which quantities changed significantly.
 
-Of each quantity the difference of two independent estimates has the variance of both, and is tested against 0 by the
-normal distribution. Many quantities are tested at once, so the p-values are Holm's (1979): with nothing changed, the
-chance that any of them falls below the level is at most the level. Two estimates of one record share their errors, and
-their differences, which come from the settings, are shown without a test.
+The difference of two independent estimates of a quantity has the sum of their variances, and is tested against 0 with
+the normal distribution. Many quantities are tested at once, so the p-values are adjusted by Holm (1979): with nothing
+changed, the probability that any of them falls below the level is at most the level. Two estimates of one record share
+their errors; their differences come from the settings and are shown without a test.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from jointid.common.errors import MethodError
 from jointid.common.text import number
 
 LEVEL = 0.05
-"""Share of pairs of estimates with nothing changed in which something is called changed, at most."""
+"""Family-wise significance level: largest share of unchanged pairs in which some quantity is called changed."""
 
 
 @dataclass(frozen=True, slots=True)
-class Quantity:
-    """One quantity of an estimate as its file tells it.
+class ReportedQuantity:
+    """One quantity of an estimate, read from its file.
 
     Attributes:
         name: in words.
         symbol: or formula, of a sum.
         unit: of the value.
-        value: None where it is refused.
-        std: None where it was kept fixed, or is refused.
-        free: whether it was identified.
+        value: None where it is not identifiable.
+        std: None where it was fixed or is not identifiable.
+        free: True if it was identified.
     """
 
     name: str
@@ -42,16 +42,16 @@ class Quantity:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """An estimate as far as its file tells it.
+class ReportedEstimate:
+    """An estimate, read from its file.
 
     Attributes:
-        label: what it is called here, its file's name.
-        record: its name. fingerprint: of the record's torque.
+        label: name of its file.
+        record: name of its record. fingerprint: of the record's torque.
         model, kind, friction: of the joint.
         side: of the transmission with its ratio, in words; empty without one.
         torque_unit: of the record.
-        settings: by their names, in words: where two differ it is said.
+        settings: by name; differences between two estimates become notes.
         error: of the raw torque, a ratio.
         quantities: parameters, those of the initial state left out.
         sums: of both sides of a flexible joint.
@@ -67,21 +67,21 @@ class Told:
     torque_unit: str
     settings: Mapping[str, str]
     error: float
-    quantities: tuple[Quantity, ...]
-    sums: tuple[Quantity, ...]
+    quantities: tuple[ReportedQuantity, ...]
+    sums: tuple[ReportedQuantity, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Changed:
-    """One quantity in both estimates.
+class QuantityChange:
+    """Change of one quantity between two estimates.
 
     Attributes:
-        name, symbol, unit: what it is.
-        before, after: its values; None where refused.
+        name, symbol, unit: of the quantity.
+        before, after: its values; None where not identifiable.
         difference: after less before; None where there is none.
         std: of the difference; None where it is not tested.
-        p_value: of so large a difference by chance, for all that are tested together; None where it is not tested.
-        said: why it is not tested, in words.
+        p_value: of the difference, adjusted for all quantities tested; None where it is not tested.
+        reason: why it is not tested.
     """
 
     name: str
@@ -92,80 +92,85 @@ class Changed:
     difference: float | None
     std: float | None
     p_value: float | None = None
-    said: str = ""
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class ReportComparison(Documented):
-    """What changed between two estimates.
+class EstimateComparison(Documented):
+    """Changes between two estimates.
 
     Attributes:
         before, after: the estimates.
         rows: every quantity.
         level: see `LEVEL`.
-        notes: what the reader must know, one sentence each.
+        notes: limits of the comparison, one sentence each.
     """
 
-    before: Told
-    after: Told
-    rows: tuple[Changed, ...]
+    before: ReportedEstimate
+    after: ReportedEstimate
+    rows: tuple[QuantityChange, ...]
     level: float
     notes: tuple[str, ...]
 
     @property
     def same_record(self) -> bool:
-        """Whether both are of one record."""
+        """True if both are of the same record."""
         return bool(self.before.fingerprint) and self.before.fingerprint == self.after.fingerprint
 
     @property
-    def changed(self) -> tuple[Changed, ...]:
-        """What changed, the surest first."""
+    def changed(self) -> tuple[QuantityChange, ...]:
+        """Significant changes, smallest p-value first."""
         found = [row for row in self.rows if row.p_value is not None and row.p_value <= self.level]
         return tuple(sorted(found, key=lambda row: row.p_value or 0.0))
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What was found, then the notes."""
+        """The result of the tests, then the notes."""
         tested = sum(row.p_value is not None for row in self.rows)
         if not tested:
             return ("No difference can be tested.", *self.notes)
         if not self.changed:
-            said = f"Nothing changed that is more than the errors of both, of {tested} quantities at {self.level:g}."
+            said = f"None of {tested} quantities changed significantly, at a level of {self.level:g} for all together."
             return (said, *self.notes)
-        told = [_told(row) for row in self.changed]
-        return (f"{len(told)} of {tested} quantities changed: {'; '.join(told)}.", *self.notes)
+        changes = [_describe_change(row) for row in self.changed]
+        return (f"{len(changes)} of {tested} quantities changed significantly: {'; '.join(changes)}.", *self.notes)
 
     def document(self, *, details: bool = False) -> Document:
         """Return the table and the sentences; there are no further details."""
         del details
         header = ("quantity", "A", "B", "B - A", "2 sigma", "unit", "p", "")
-        errors = " and ".join(f"{100 * told.error:.2f} %" for told in (self.before, self.after))
+        errors = " and ".join(f"{100 * one.error:.2f} %" for one in (self.before, self.after))
         sources = tuple(
             (name, f"{told.label}, of {told.record}") for name, told in (("A", self.before), ("B", self.after))
         )
         blocks = (
             Facts((*sources, ("torque error", errors))),
-            Table(header, tuple(map(self._row, self.rows)), "p is Holm's, for all of them together", words=(0, 5, 7)),
+            Table(
+                header,
+                tuple(map(self._row, self.rows)),
+                "p-values adjusted for all quantities together (Holm)",
+                words=(0, 5, 7),
+            ),
             Listing(self.sentences),
         )
         return Document("Two estimates of one joint, compared", blocks)
 
-    def _row(self, row: Changed) -> tuple[str, ...]:
-        p = "-" if row.p_value is None else _p(row.p_value)
-        mark = "changed" if row in self.changed else row.said
+    def _row(self, row: QuantityChange) -> tuple[str, ...]:
+        p = "-" if row.p_value is None else _format_p(row.p_value)
+        mark = "changed" if row in self.changed else row.reason
         return (
             row.symbol, number(row.before), number(row.after), number(row.difference, 3),
             "-" if row.std is None else number(2 * row.std, 2), row.unit, p, mark,
         )  # fmt: skip
 
 
-def compare_reports(before: Told, after: Told, level: float = LEVEL) -> ReportComparison:
-    """Return what changed from one estimate to another of the same joint.
+def compare_estimates(before: ReportedEstimate, after: ReportedEstimate, level: float = LEVEL) -> EstimateComparison:
+    """Compare two estimates of the same joint.
 
     Args:
         before: the first, from `jointid.output.json.read_report`.
         after: the second.
-        level: of the test of all quantities together.
+        level: of the tests of all quantities together.
 
     Raises:
         MethodError: they are not of the same model, on the same side and in the same units, or the level is no
@@ -173,17 +178,17 @@ def compare_reports(before: Told, after: Told, level: float = LEVEL) -> ReportCo
     """
     if not 0 < level < 1:
         raise MethodError(f"The level of a test is between 0 and 1; received {level}.")
-    _require_alike(before, after)
+    _require_comparable(before, after)
     same = bool(before.fingerprint) and before.fingerprint == after.fingerprint
     pairs = [
-        *_paired(before.quantities, after.quantities),
-        *_paired(before.sums, after.sums),
+        *_pair(before.quantities, after.quantities),
+        *_pair(before.sums, after.sums),
     ]
-    rows = [_changed(one, other, same) for one, other in pairs]
-    return ReportComparison(before, after, _holm(rows), level, _notes(before, after, same))
+    rows = [_compare(one, other, same) for one, other in pairs]
+    return EstimateComparison(before, after, _adjust_p_values(rows), level, _collect_notes(before, after, same))
 
 
-def _require_alike(before: Told, after: Told) -> None:
+def _require_comparable(before: ReportedEstimate, after: ReportedEstimate) -> None:
     """Raise a `MethodError` where two estimates cannot be compared."""
     for what, one, other in (
         ("model", before.model, after.model),
@@ -194,7 +199,7 @@ def _require_alike(before: Told, after: Told) -> None:
     ):
         if one != other:
             raise MethodError(
-                f"{before.label} and {after.label} are not of one joint as it was described: the {what} is {one} in "
+                f"{before.label} and {after.label} do not describe the same joint: the {what} is {one} in "
                 f"the one and {other} in the other; identify both with the same joint file and options."
             )
     units = {q.name: q.unit for q in before.quantities}
@@ -206,35 +211,37 @@ def _require_alike(before: Told, after: Told) -> None:
         )
 
 
-def _paired(before: Sequence[Quantity], after: Sequence[Quantity]) -> list[tuple[Quantity, Quantity]]:
-    """Return each quantity of either with that of the other, refused where the other does not have it."""
+def _pair(
+    before: Sequence[ReportedQuantity], after: Sequence[ReportedQuantity]
+) -> list[tuple[ReportedQuantity, ReportedQuantity]]:
+    """Return each quantity of either estimate with its counterpart, without a value where there is none."""
     there = {q.name: q for q in after}
     here = {q.name for q in before}
     found = [(q, there.get(q.name, replace(q, value=None, std=None))) for q in before]
     return found + [(replace(q, value=None, std=None), q) for q in after if q.name not in here]
 
 
-def _changed(before: Quantity, after: Quantity, same: bool) -> Changed:
-    """Return a quantity of both, tested where it can be; the p-value is that of it alone."""
-    found = Changed(before.name, before.symbol, before.unit, before.value, after.value, None, None)
+def _compare(before: ReportedQuantity, after: ReportedQuantity, same: bool) -> QuantityChange:
+    """Return the change of a quantity, tested where possible; the p-value is not yet adjusted."""
+    found = QuantityChange(before.name, before.symbol, before.unit, before.value, after.value, None, None)
     lost = [name for name, q in (("A", before), ("B", after)) if q.value is None]
     if before.value is None or after.value is None:
-        return replace(found, said=f"not told in {' and '.join(lost)}")
+        return replace(found, reason=f"not identified in {' and '.join(lost)}")
     found = replace(found, difference=after.value - before.value)
     fixed = [name for name, q in (("A", before), ("B", after)) if not q.free or q.std is None]
     if before.std is None or after.std is None or fixed:
-        return replace(found, said=f"kept fixed in {' and '.join(fixed)}")
+        return replace(found, reason=f"fixed in {' and '.join(fixed)}")
     std = math.hypot(before.std, after.std)
     if same:
-        return replace(found, said="one record: not tested")
+        return replace(found, reason="same record: not tested")
     if not std > 0:
-        return replace(found, said="known without error: not tested")
+        return replace(found, reason="standard deviation 0: not tested")
     assert found.difference is not None
     return replace(found, std=std, p_value=math.erfc(abs(found.difference) / std / math.sqrt(2)))
 
 
-def _holm(rows: Sequence[Changed]) -> tuple[Changed, ...]:
-    """Return rows whose p-values are for all of them together."""
+def _adjust_p_values(rows: Sequence[QuantityChange]) -> tuple[QuantityChange, ...]:
+    """Return the changes with p-values adjusted by Holm's method."""
     tested = sorted((row.p_value, i) for i, row in enumerate(rows) if row.p_value is not None)
     found, largest = list(rows), 0.0
     for rank, (p, i) in enumerate(tested):
@@ -243,28 +250,28 @@ def _holm(rows: Sequence[Changed]) -> tuple[Changed, ...]:
     return tuple(found)
 
 
-def _notes(before: Told, after: Told, same: bool) -> tuple[str, ...]:
+def _collect_notes(before: ReportedEstimate, after: ReportedEstimate, same: bool) -> tuple[str, ...]:
     notes = []
     if same:
         notes.append(
-            "Both are of one record, so they share its errors: what differs comes from the settings, and is not tested."
+            "Both are of the same record and share its errors: differences come from the settings and are not tested."
         )
     for name, value in before.settings.items():
         other = after.settings.get(name, "none")
         if value != other:
-            notes.append(f"They differ in {name}, {value} in A and {other} in B, which may move values by itself.")
+            notes.append(f"They differ in {name}, {value} in A and {other} in B, which alone may change the values.")
     return tuple(notes)
 
 
-def _told(row: Changed) -> str:
+def _describe_change(row: QuantityChange) -> str:
     assert row.difference is not None
     assert row.std is not None
     percent = f" ({100 * row.difference / abs(row.before):+.1f} %)" if row.before else ""
     sense = "rose" if row.difference > 0 else "fell"
     size = f"{number(abs(row.difference), 3)} +- {number(2 * row.std, 2)} {row.unit}"
-    return f"{row.symbol} {sense} by {size}{percent}, {_p(row.p_value or 0.0, said=True)}"
+    return f"{row.symbol} {sense} by {size}{percent}, {_format_p(row.p_value or 0.0, labelled=True)}"
 
 
-def _p(p_value: float, *, said: bool = False) -> str:
+def _format_p(p_value: float, *, labelled: bool = False) -> str:
     text = "< 1e-6" if p_value < 1e-6 else number(p_value, 2)
-    return text if not said else f"p {text}" if text.startswith("<") else f"p = {text}"
+    return text if not labelled else f"p {text}" if text.startswith("<") else f"p = {text}"

@@ -1,8 +1,8 @@
-"""Intervals of an estimate by other roads: profiles of the criterion, and bootstraps over time and over place.
+"""Intervals of an estimate by profiles of the criterion and by bootstraps over time and over position.
 
-The intervals in an estimate's table come from its slopes at one point. A profile follows the criterion itself, which
-matters where it is not a parabola, as for a stiffness that is barely seen; a bootstrap asks the record what other
-records of the same axis might have said. Both start from an estimate and the record it came from.
+The intervals in an estimate's table come from the slopes of the criterion at one point. A profile follows the criterion
+itself, which matters where it is not a parabola, as for a stiffness that is barely identifiable; a bootstrap resamples
+the residual. Both start from an estimate and its record.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from jointid.uncertainty.covariance import Covariance, covariance_of
 from jointid.uncertainty.position_dependent_error import uncertainty
 from jointid.uncertainty.profile import Profile, Profiling, profile
 
-_LEAST = 1e-4  # of the compliance: less is as good as none
+_LEAST = 1e-4  # of the compliance: a smaller one is negligible
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Intervals(Documented):
-    """What other roads say of an estimate.
+    """Intervals of an estimate by profiles and bootstraps.
 
     Attributes:
         profiles: of the quantities asked for.
@@ -77,28 +77,28 @@ def intervals(
         record: it came from.
         quantities: to profile: names of free parameters, "compliance" for 1/K12, or sums and differences of parameters,
             "motor_viscous + load_viscous".
-        bootstrap: whether to draw as well.
-        refit: whether every draw is a whole least-squares fit; one linear step otherwise.
+        bootstrap: True to bootstrap as well.
+        refit: True for a whole least-squares fit of every draw; one linear step otherwise.
         profiling: see `Profiling`.
         bootstrapping: see `Bootstrapping`.
-        progress: is told each quantity.
+        progress: called with each quantity.
 
     Raises:
-        MethodError: the estimate is not by DIDIM or refuses its parameters, a quantity is not known, or the record is
+        MethodError: the estimate is not by DIDIM or lacks a parameter, a quantity is unknown, or the record is
             another one.
     """
-    problem, x = solved(estimate, record)
+    problem, x = rebuild_problem(estimate, record)
     residual, J = problem.linearised(x)
     names = [p.name for p in problem.free]
     where = problem.cells(problem.simulate(x))
     spread = uncertainty(J, J, residual, where, names, problem.torque_unit).covariance
     profiles = []
     for quantity in quantities:
-        progress(f"following the criterion along {quantity}")
-        profiles.append(_profiled(problem, x, spread, quantity, profiling))
+        progress(f"profiling {quantity}")
+        profiles.append(_profile_quantity(problem, x, spread, quantity, profiling))
     if not bootstrap:
         return Intervals(tuple(profiles), None, None, estimate.settings.joint.transmission)
-    progress("drawing over time and over place")
+    progress("bootstrapping over time and over position")
     again = refitted(problem, x) if refit else None
     over_time = time_bootstrap(problem.free, x, residual, J, bootstrapping, again)
     over_place = cell_bootstrap(problem.free, x, residual, J, where.stretch, bootstrapping, again)
@@ -106,7 +106,7 @@ def intervals(
 
 
 def require_quantities(quantities: Sequence[str], loop: ClosedLoop) -> None:
-    """Raise a `MethodError` for a quantity that no estimate of this loop can have; which are free only a fit tells.
+    """Raise a `MethodError` for a quantity that no estimate of this loop can have, free or not.
 
     Args:
         quantities: see `intervals`.
@@ -116,15 +116,15 @@ def require_quantities(quantities: Sequence[str], loop: ClosedLoop) -> None:
     for quantity in quantities:
         if quantity == "compliance" and "stiffness" in known:
             continue
-        for name in _weights(quantity):
+        for name in _parse_weights(quantity):
             if name not in known:
                 try:
                     surrounding(name, loop.controller)
                 except MethodError:
-                    raise MethodError(_unknown(quantity, known)) from None
+                    raise MethodError(_explain_unknown(quantity, known)) from None
 
 
-def solved(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, FloatArray]:
+def rebuild_problem(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, FloatArray]:
     """Return the problem an estimate by DIDIM solved, and its free parameters.
 
     Raises:
@@ -154,11 +154,11 @@ def solved(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, Float
     return problem, problem.vector(values)
 
 
-def _profiled(
+def _profile_quantity(
     problem: ClosedLoopProblem, x: FloatArray, spread: Covariance, quantity: str, settings: Profiling | None
 ) -> Profile:
     if quantity != "compliance":
-        return profile(problem, x, _combination(problem, quantity), spread, settings)
+        return profile(problem, x, _parse_combination(problem, quantity), spread, settings)
     names = [p.name for p in problem.free]
     if "stiffness" not in names:
         raise MethodError("A compliance is that of a flexible joint whose stiffness is free; this joint has none.")
@@ -173,12 +173,12 @@ def _profiled(
     return profile(by, exchanged, wanted, turned, settings)
 
 
-def _combination(problem: ClosedLoopProblem, quantity: str) -> Combination:
-    """Return the sum that a text such as ``a + b - c`` names."""
-    weights = _weights(quantity)
+def _parse_combination(problem: ClosedLoopProblem, quantity: str) -> Combination:
+    """Return the combination of parameters in a text such as ``a + b - c``."""
+    weights = _parse_weights(quantity)
     free = {p.name: p for p in problem.free}
     if not weights.keys() <= free.keys():
-        raise MethodError(_unknown(quantity, free))
+        raise MethodError(_explain_unknown(quantity, free))
     units = {problem.units[name] for name in weights}
     if len(units) > 1:
         raise MethodError(f'"{quantity}" adds {" and ".join(sorted(units))}; only what has one unit can be added.')
@@ -187,15 +187,15 @@ def _combination(problem: ClosedLoopProblem, quantity: str) -> Combination:
     return Combination(quantity, formula, units.pop(), weights)
 
 
-def _weights(quantity: str) -> dict[str, float]:
-    """Return what a text such as ``a + b - c`` adds, by name."""
+def _parse_weights(quantity: str) -> dict[str, float]:
+    """Return the sign of each parameter in a text such as ``a + b - c``, by name."""
     terms = quantity.replace("-", "+-").split("+")
     found = {term.strip().removeprefix("-").strip(): -1.0 if "-" in term else 1.0 for term in terms if term.strip()}
     return found or {quantity: 1.0}
 
 
-def _unknown(quantity: str, names: Collection[str]) -> str:
-    """Return why a text is no quantity of an estimate with these parameters."""
+def _explain_unknown(quantity: str, names: Collection[str]) -> str:
+    """Return the message for a text that is no quantity of an estimate with these parameters."""
     compliance = ", or compliance" if "stiffness" in names else ""
     return (
         f'"{quantity}" is no quantity of this estimate; name a free parameter ({", ".join(names)}), or a sum or '

@@ -1,4 +1,4 @@
-"""The answer to "is the loop as declared?": every suspect's test, and what is named, in plain sentences."""
+"""Result of a loop check: the test of every fault, and the faults found."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from jointid.diagnostics.fault_signatures import INJECTED_GAIN, LIMIT, OFFSET, P
 from jointid.models.transmission import Side
 from jointid.uncertainty.verdict import Reason
 
-_SLIGHT = 0.5  # of a deviation: a smaller change of a parameter is not worth a word
-_TOLD = 3  # parameters whose change is told in a sentence
+_SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
+_LISTED = 3  # parameters in a sentence, at most
 _RATIOS = ("log_gain", INJECTED_GAIN)
 
 
 @dataclass(frozen=True, slots=True)
-class Suspect:
-    """The test of one alternative.
+class FaultTest:
+    """Test of one fault.
 
     Attributes:
-        name: "kp", "delay", "log_gain", ...: see `alternatives`.
-        alike: others that no record of this loop can tell from it.
-        declared: the value that is declared; 0 for what is not declared at all.
-        size: how much more than declared it is; of a limit, the share of what it cuts off that is seen.
+        name: "kp", "delay", "log_gain", ...: see `fault_signatures`.
+        alike: faults that no record of this loop can distinguish from it.
+        declared: value; 0 for what is not declared at all.
+        size: value less the declared one; of a limit, the observed share of what it cuts off.
         std: standard deviation of the size, autocorrelation-robust.
         statistic: their ratio.
-        p_value: of a statistic so large by chance, for all tests of the record together.
+        p_value: adjusted for all tests of the record together.
         shape: the level of a limit in the torque's unit, or a Stribeck speed.
     """
 
@@ -42,14 +42,14 @@ class Suspect:
     shape: float | None = None
 
     @property
-    def words(self) -> str:
-        """Its name, with those it cannot be told from."""
+    def label(self) -> str:
+        """Its name, and those of the faults it cannot be distinguished from."""
         return " or ".join((self.name, *self.alike))
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
-    """What a fault, taken in, does to a parameter of the joint: in its unit, and in its standard deviations."""
+class ParameterShift:
+    """Change of a parameter when a fault is corrected: in its unit, and in its standard deviations."""
 
     by: float
     sigmas: float
@@ -57,19 +57,19 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What is not as declared.
+    """Fault of loop or log.
 
     Attributes:
-        suspect: its test, given what was named before it.
-        value: what it is, where the problem could be solved with it free: in the unit it is declared in.
-        rivals: others that are nearly as likely: no more than 20 times less.
-        changes: of the joint's parameters, by name, when it is taken in.
+        test: of the fault, those found before it corrected.
+        value: estimated, in the unit of the declaration; None where no parameter stands for the fault.
+        rivals: faults that are at most 20 times less likely.
+        changes: of the joint's parameters, by name, when it is corrected.
     """
 
-    suspect: Suspect
+    test: FaultTest
     value: float | None
     rivals: tuple[str, ...]
-    changes: Mapping[str, Change]
+    changes: Mapping[str, ParameterShift]
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,16 +77,16 @@ class LoopCheck(Documented):
     """Whether the loop and the log are as declared.
 
     Attributes:
-        findings: what is not, the likeliest first.
-        suspects: every test as if nothing else were wrong, the likeliest first.
-        level: the share of records with nothing wrong in which something is found, at most.
+        findings: faults found, the likeliest first.
+        tests: of every fault as if it were the only one, the likeliest first.
+        level: largest share of records without a fault in which one is found.
         symbols: of the joint's parameters, by name.
         units: of the joint's parameters by name, and of "torque" and "velocity".
         side: of the transmission, on which all of these numbers are; None without one.
     """
 
     findings: tuple[Finding, ...]
-    suspects: tuple[Suspect, ...]
+    tests: tuple[FaultTest, ...]
     level: float
     symbols: Mapping[str, str]
     units: Mapping[str, str]
@@ -94,17 +94,17 @@ class LoopCheck(Documented):
 
     @property
     def as_declared(self) -> bool:
-        """Whether nothing was found."""
+        """True if no fault was found."""
         return not self.findings
 
     @property
     def reasons(self) -> tuple[Message, ...]:
         """What was found, one message each; one that says so where nothing was."""
         if self.findings:
-            return tuple(Message(Reason.LOOP_NOT_AS_DECLARED, self._told(f), _values(f)) for f in self.findings)
-        least = min((s.p_value for s in self.suspects), default=1.0)
-        tested = ", ".join(s.words for s in self.suspects)
-        said = f"loop and log are as declared as far as this record shows ({tested}: p >= {number(least, 2)})"
+            return tuple(Message(Reason.LOOP_NOT_AS_DECLARED, self._describe(f), _values(f)) for f in self.findings)
+        least = min((s.p_value for s in self.tests), default=1.0)
+        names = ", ".join(s.label for s in self.tests)
+        said = f"loop and log are as declared as far as this record shows ({names}: p >= {number(least, 2)})"
         return (Message(Reason.LOOP_AS_DECLARED, said, {"p_value": least}),)
 
     @property
@@ -120,34 +120,36 @@ class LoopCheck(Documented):
     def table(self, caption: str = "") -> Table:
         """Return the table of all tests, each as if nothing else were wrong."""
         return Table(
-            ("suspect", "more than declared", "2 sigma", "statistic", "p"), tuple(map(_row, self.suspects)), caption
+            ("fault", "more than declared", "2 sigma", "statistic", "p"), tuple(map(_format_row, self.tests)), caption
         )
 
-    def _told(self, finding: Finding) -> str:
-        s = finding.suspect
-        said = f"{self._fault(finding)} ({_p(s.p_value)})"
+    def _describe(self, finding: Finding) -> str:
+        s = finding.test
+        said = f"{self._describe_fault(finding)} ({_format_p(s.p_value)})"
         if s.alike:
-            said += f", or the like of {' or '.join(s.alike)}, which this loop does not tell from {s.name}"
+            said += f", or so is {' or '.join(s.alike)}, which this loop cannot distinguish from {s.name}"
         if finding.rivals:
             said += f"; {' or '.join(finding.rivals)} would explain nearly as much"
-        far = sorted(finding.changes.items(), key=lambda item: -abs(item[1].sigmas))[:_TOLD]
+        far = sorted(finding.changes.items(), key=lambda item: -abs(item[1].sigmas))[:_LISTED]
         moved = [
             f"{self.symbols[name]} by {change.by:+.3g} {self.units[name]} ({abs(change.sigmas):.1f} sigma)"
             for name, change in far
-            if abs(change.sigmas) >= _SLIGHT
+            if abs(change.sigmas) >= _SMALLEST_SHIFT
         ]
-        return f"{said}; taking it in changes {', '.join(moved)}" if moved else said
+        return f"{said}; correcting it changes {', '.join(moved)}" if moved else said
 
-    def _fault(self, finding: Finding) -> str:
-        """Return what is wrong, in words."""
-        s, here = finding.suspect, "" if self.side is None else f" on the {self.side} side"
+    def _describe_fault(self, finding: Finding) -> str:
+        """Return a fault in words."""
+        s, here = finding.test, "" if self.side is None else f" on the {self.side} side"
         torque = self.units["torque"] + here
         interval = f"{number(abs(s.size), 3)} +- {number(2 * s.std, 2)}"
         if s.name in ("delay", "log_delay"):
             sense = "later" if s.size > 0 else "earlier"
             late = f"{number(1e3 * abs(s.size), 3)} +- {number(2e3 * s.std, 2)} ms {sense} than"
             return (
-                f"the torque reacts {late} declared" if s.name == "delay" else f"the log shows it {late} its stamps say"
+                f"the torque reacts {late} declared"
+                if s.name == "delay"
+                else f"the logged torque is {late} its time stamps say"
             )
         if s.name == LIMIT:
             level = number(finding.value if finding.value is not None else s.shape, 4)
@@ -166,13 +168,13 @@ class LoopCheck(Documented):
 
 
 def _values(finding: Finding) -> dict[str, object]:
-    s = finding.suspect
+    s = finding.test
     return {"suspect": s.name, "alike": list(s.alike), "more_than_declared": s.size, "std": s.std, "p_value": s.p_value}
 
 
-def _row(s: Suspect) -> tuple[str, ...]:
-    return s.words, f"{s.size:+.3g}", number(2 * s.std, 2), f"{s.statistic:+.1f}", number(s.p_value, 2)
+def _format_row(s: FaultTest) -> tuple[str, ...]:
+    return s.label, f"{s.size:+.3g}", number(2 * s.std, 2), f"{s.statistic:+.1f}", number(s.p_value, 2)
 
 
-def _p(p_value: float) -> str:
+def _format_p(p_value: float) -> str:
     return "p < 1e-6" if p_value < 1e-6 else f"p = {number(p_value, 2)}"

@@ -1,8 +1,8 @@
-"""Every method that a record allows, side by side: where they agree, the answer does not hang on the method.
+"""Compare all methods that a record allows: where they agree, the result does not depend on the method.
 
-The registry says which runs a method has in a comparison: DIDIM from torque and reference; IDIM by ordinary, weighted
-and robust least squares and by instruments, from positions. Each has the joint's own friction, and the first run of a
-method the other law too. A run that cannot be is listed with the sentence that says why.
+The registry lists the runs of each method: DIDIM from torque and reference; IDIM by ordinary, weighted and robust least
+squares and by instrumental variables, from positions. Each uses the joint's own friction, and the first run of a method
+the other law too. A method that cannot run is listed with the reason.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from jointid.simulation.loop_input import ClosedLoop
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Compared:
-    """One method of a comparison.
+class MethodResult:
+    """Result of one method of a comparison.
 
     Attributes:
         name: of the method, in short.
-        estimate: what it found; None where it cannot run.
+        estimate: its result; None where it cannot run.
         refusal: why not, in a sentence; "" where it ran.
-        seconds: that it took.
+        seconds: of computing time.
     """
 
     name: str
@@ -51,24 +51,24 @@ class Compared:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison(Documented):
-    """What the methods found in one record.
+class MethodComparison(Documented):
+    """Results of all methods for one record.
 
     Attributes:
         record: its name.
         model: of the joint.
-        methods: in the order they were tried.
+        methods: in the order they were run.
         disagreements: parameters on which two methods differ by more than both their intervals allow, in sentences.
     """
 
     record: str
     model: str
-    methods: tuple[Compared, ...]
+    methods: tuple[MethodResult, ...]
     disagreements: tuple[str, ...]
 
     @property
     def estimates(self) -> dict[str, Estimate]:
-        """What those found that could run, by name."""
+        """Estimates of the methods that could run, by name."""
         return {method.name: method.estimate for method in self.methods if method.estimate is not None}
 
     def document(self, *, details: bool = False) -> Document:
@@ -84,11 +84,11 @@ class Comparison(Documented):
         agreed = ["no two methods differ by more than their intervals allow"] if len(found) > 1 else []
         listing = Listing((*lines, *(self.disagreements or agreed)))
         blocks: list[Block] = [Facts(facts)] if facts else []
-        blocks += [_table(self)] if found else []
+        blocks += [_make_table(self)] if found else []
         return Document(title, (*blocks, listing))
 
 
-def compare(
+def compare_methods(
     record: Record,
     model: ClosedLoop | Joint,
     *,
@@ -96,23 +96,23 @@ def compare(
     parameters: Mapping[str, Parameter] | None = None,
     didim: DIDIM | FlexibleDIDIM | None = None,
     progress: Progress = silent,
-) -> Comparison:
+) -> MethodComparison:
     """Identify a joint by every method that the record and the model allow.
 
     Args:
-        record: what was logged.
+        record: to identify from.
         model: the loop (joint and controller), or the joint alone when the controller is not known.
         filtering: of every method; see `Filtering`.
         parameters: changes to the joint's parameters by name; with the other friction law, those that it has too.
         didim: settings of DIDIM.
-        progress: is told each method's name.
+        progress: called with each method's name.
 
     Raises:
-        RecordError: the record cannot be what it is said to be; what single methods lack is part of the answer.
+        RecordError: the record contradicts its description; a method that lacks a channel is part of the result.
     """
     check_record(record)
     tried = []
-    for name, variant, method in _methods(model, didim):
+    for name, variant, method in _list_methods(model, didim):
         progress(f"trying {name}")
         joint = variant.joint if isinstance(variant, ClosedLoop) else variant
         has = {p.name for p in joint.parameters}
@@ -123,12 +123,12 @@ def compare(
             refusal = ""
         except JointidError as error:
             estimate, refusal = None, str(error)
-        tried.append(Compared(name, estimate, refusal, time.perf_counter() - began))
+        tried.append(MethodResult(name, estimate, refusal, time.perf_counter() - began))
     joint = model.joint if isinstance(model, ClosedLoop) else model
-    return Comparison(record.name, joint.model, tuple(tried), _disagreements(tried))
+    return MethodComparison(record.name, joint.model, tuple(tried), _describe_disagreements(tried))
 
 
-def _methods(
+def _list_methods(
     model: ClosedLoop | Joint, didim: DIDIM | FlexibleDIDIM | None
 ) -> Iterator[tuple[str, ClosedLoop | Joint, Method]]:
     """Yield the name of each method, the model with its friction law, and the method."""
@@ -151,11 +151,11 @@ def _chosen(method: Method, given: Method | None) -> Method:
     return given if given is not None and given.name == method.name else method
 
 
-def _disagreements(tried: list[Compared]) -> tuple[str, ...]:
-    """Return a sentence on each parameter's worst pair of methods, where it is beyond both intervals together.
+def _describe_disagreements(tried: list[MethodResult]) -> tuple[str, ...]:
+    """Return a sentence on the worst pair of methods for each parameter on which two differ significantly.
 
-    All read one record, so that their errors mostly go together, and an honest pair is beyond far less often than in
-    one of twenty.
+    All use the same record, so their errors are correlated, and two valid methods differ by more far less often than
+    once in twenty.
     """
     found = {method.name: method.estimate for method in tried if method.estimate is not None}
     names = dict.fromkeys(p.name for estimate in found.values() for p in estimate.params if p.of_joint)
@@ -167,26 +167,26 @@ def _disagreements(tried: list[Compared]) -> tuple[str, ...]:
             for p in estimate.params
             if p.name == name and p.value is not None and p.stderr is not None
         }
-        pairs = [(_gap(rows[one], rows[two]), one, two) for one, two in combinations(rows, 2)]
+        pairs = [(_measure_gap(rows[one], rows[two]), one, two) for one, two in combinations(rows, 2)]
         worst, one, two = max(pairs, default=(0.0, "", ""))
         if worst > 1.0:
             first, second = rows[one], rows[two]
             sentences.append(
                 f"{one} and {two} disagree on {name.replace('_', ' ')} beyond their intervals: "
-                f"{_interval(first)} and {_interval(second)} {first.unit}"
+                f"{_format_interval(first)} and {_format_interval(second)} {first.unit}"
             )
     return tuple(sentences)
 
 
-def _gap(one: EstimatedParameter, two: EstimatedParameter) -> float:
-    """Return the difference of two estimates of one parameter, in 2-sigma intervals of it."""
+def _measure_gap(one: EstimatedParameter, two: EstimatedParameter) -> float:
+    """Return the difference of two estimates of one parameter over its 2-sigma interval."""
     assert one.value is not None
     assert two.value is not None
     spread = 2 * float(np.hypot(one.stderr or 0.0, two.stderr or 0.0))
     return abs(one.value - two.value) / spread if spread else 0.0
 
 
-def _interval(p: EstimatedParameter | None) -> str:
+def _format_interval(p: EstimatedParameter | None) -> str:
     if p is None:
         return "-"
     if p.value is None:
@@ -194,7 +194,7 @@ def _interval(p: EstimatedParameter | None) -> str:
     return number(p.value) + (f" +- {number(2 * p.stderr, 2)}" if p.stderr is not None else "" if p.free else " fixed")
 
 
-def _table(comparison: Comparison) -> Table:
+def _make_table(comparison: MethodComparison) -> Table:
     found = comparison.estimates
     seconds = {method.name: method.seconds for method in comparison.methods}
     symbols: dict[str, tuple[str, str]] = {}
@@ -203,7 +203,7 @@ def _table(comparison: Comparison) -> Table:
     rows = []
     for name, (symbol, unit) in symbols.items():
         lines = [next((p for p in e.params if p.name == name), None) for e in found.values()]
-        rows.append((symbol, unit, *map(_interval, lines)))
+        rows.append((symbol, unit, *map(_format_interval, lines)))
     of_each = found.values()
     rows.append(("torque error, raw", "%", *(f"{100 * e.fit.relative_error:.2f}" for e in of_each)))
     rows.append(("filtered", "%", *(f"{100 * e.fit.filtered_error:.2f}" for e in of_each)))

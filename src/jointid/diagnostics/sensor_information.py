@@ -1,30 +1,30 @@
-"""What position encoders would add to what the torque already told, from the exact sensitivities of the positions.
+"""Information that position encoders add to that of the torque, from the exact sensitivities of the positions.
 
-An encoder adds to the information of an estimate, the inverse of its covariance P, what its own errors let through::
+An encoder adds its sensitivities g, weighted by the spectrum S of its errors, to the information of an estimate, the
+inverse of its covariance P::
 
     P1 = (P^-1 + sum_f g(f)* g(f)' / S(f))^-1
 
-The mean of every column of g is left out, because nobody knows an encoder's zero. What g and S are is decided by where
-the residual of the torque comes from:
+The mean of every column of g is left out, because an encoder's zero is not known. g and S depend on the source of the
+torque residual:
 
-- **on the log**: a measured current has noise of its own, the positions share none of it; g is the sensitivity f of the
+- **on the log**: a measured current has noise of its own, independent of the positions; g is the sensitivity f of the
   position, S the variance of rounding to the encoder's steps, ``step^2 / 12``.
 - **in the loop**: the log is the controller's output, exact, and an unknown force acts on the motor. Its answers in
   torque T_u and positions T_m, T_l are those of one force, so that the covariance of what is logged is
-  ``T T* S_d + diag(0, R_m, R_l)``. Inverted, that is the information of the torque alone, and that of what torque does
-  not already explain, ``g = f - (T / T_u) f_u``. The motor position is what the law was fed with: the torque shows it
-  without error, g = 0, and a motor encoder adds nothing. The load hangs on the motor by equations that the force does
-  not enter, so g is the sensitivity of the load position with the motor's motion prescribed, ``f_l - H f_m`` with H the
+  ``T T* S_d + diag(0, R_m, R_l)``. Inverted, that is the information of the torque alone, plus that of the part which
+  torque does not explain, ``g = f - (T / T_u) f_u``. The motor position is the input of the controller: the torque
+  determines it without error, g = 0, and a motor encoder adds nothing. The equations from motor to load do not contain
+  the force, so g is the sensitivity of the load position with the motor's motion prescribed, ``f_l - H f_m`` with H the
   load's answer to the motor while it slides, and 0 for all parameters of the motor's side.
 
   Rounding alone would promise the load's parameters 30 times better than IDIM by instruments reaches: between two
-  samples nobody knows the motor's motion, and at its reversals the load does not slide. So a force that explains the
-  residual is let loose in the simulated loop, and the spectrum of what H does not explain of the load's answer is added
+  samples the motor's motion is not known, and at its reversals the load does not slide. So a force that explains the
+  residual is applied to the simulated loop, and the spectrum of the load's response that H does not explain is added
   to S.
 
 An encoder is read whenever the torque is logged. The ratio T / T_u is not measured from simulated runs: an error of 1 %
-in it would be taken for information, because an encoder's steps are that small against what a controller lets the motor
-move.
+in it would count as information, because an encoder's steps are that small beside the motion that a controller allows.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ from jointid.simulation.log_output import as_logged
 
 Noise: TypeAlias = Literal["loop", "log"]
 
-_OF_TRAVEL = 1e-6  # of the commanded travel: an encoder's step where nothing is known of it
+_OF_TRAVEL = 1e-6  # of the commanded travel: the step assumed of an unknown encoder
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Informations:
-    """What one encoder each would add, (free, free), in the inverse squares of the parameters' units.
+class EncoderInformation:
+    """Information of one encoder each, (free, free), in the inverse squares of the parameters' units.
 
     Attributes:
         motor: of an encoder on the motor.
@@ -58,20 +58,20 @@ class Informations:
     load: FloatArray | None
 
 
-def usual_step(reference: FloatArray) -> float:
-    """Return the step that is assumed of an encoder nobody has described: a millionth of the commanded travel."""
+def assume_encoder_step(reference: FloatArray) -> float:
+    """Return the step assumed of an unknown encoder: a millionth of the commanded travel."""
     return _OF_TRAVEL * (float(np.ptp(reference)) or 1.0)
 
 
-def informations(
+def compute_encoder_information(
     problem: ClosedLoopProblem, x: FloatArray, noise: Noise, motor_step: float, load_step: float
-) -> Informations:
-    """Return what encoders would add (see the module).
+) -> EncoderInformation:
+    """Return the information of encoders (see the module).
 
     Args:
         problem: of the torque.
         x: (free,) its parameters.
-        noise: where the torque's residual comes from.
+        noise: source of the torque residual.
         motor_step: of the encoder on the motor, m or rad.
         load_step: of that on the load.
     """
@@ -80,17 +80,17 @@ def informations(
     flexible = problem.loop.joint.model == "flexible"
     if noise == "log":
         rounding = np.zeros(len(motor))
-        on_load = told(load, rounding, load_step) if flexible else None
-        return Informations(told(motor, rounding, motor_step), on_load)
+        on_load = compute_position_information(load, rounding, load_step) if flexible else None
+        return EncoderInformation(compute_position_information(motor, rounding, motor_step), on_load)
     nothing = np.zeros((x.size, x.size))
     if not flexible:
-        return Informations(nothing, None)
-    left = _left_of_load(problem, x)
-    own = load_alone(problem, x, motor, load) * np.array([_is_of_load(p.name) for p in problem.free])
-    return Informations(nothing, nothing if left is None else told(own, left, load_step))
+        return EncoderInformation(nothing, None)
+    left = _simulate_load_error(problem, x)
+    own = subtract_driven_motion(problem, x, motor, load) * np.array([_acts_on_load(p.name) for p in problem.free])
+    return EncoderInformation(nothing, nothing if left is None else compute_position_information(own, left, load_step))
 
 
-def told(columns: FloatArray, left: FloatArray, step: float) -> FloatArray:
+def compute_position_information(columns: FloatArray, left: FloatArray, step: float) -> FloatArray:
     """Return the information, (free, free), of a position.
 
     Args:
@@ -98,12 +98,12 @@ def told(columns: FloatArray, left: FloatArray, step: float) -> FloatArray:
         left: (samples,) an example of its errors beside rounding.
         step: of the encoder.
     """
-    weights = weights_of(left, step)
-    seen = np.fft.rfft(columns, axis=0)
-    return np.asarray(np.real((weights[:, np.newaxis] * seen.conj()).T @ seen))
+    weights = weigh_frequencies(left, step)
+    spectra = np.fft.rfft(columns, axis=0)
+    return np.asarray(np.real((weights[:, np.newaxis] * spectra.conj()).T @ spectra))
 
 
-def weights_of(left: FloatArray, step: float) -> FloatArray:
+def weigh_frequencies(left: FloatArray, step: float) -> FloatArray:
     """Return the weight of every frequency of a position, (samples // 2 + 1,): the inverse of its errors' spectrum.
 
     The periodogram is averaged over sqrt(samples) neighbours. The mean weighs nothing.
@@ -117,7 +117,7 @@ def weights_of(left: FloatArray, step: float) -> FloatArray:
     return np.concatenate([[0.0], both / (spectrum * count)])
 
 
-def with_information(covariance: FloatArray, information: FloatArray) -> FloatArray:
+def add_information(covariance: FloatArray, information: FloatArray) -> FloatArray:
     """Return ``(covariance^-1 + information)^-1``, all (free, free); the covariance may be singular."""
     std = np.sqrt(np.diag(covariance))
     std = np.where(std > 0, std, 1.0)
@@ -127,8 +127,10 @@ def with_information(covariance: FloatArray, information: FloatArray) -> FloatAr
     return np.asarray(root @ np.linalg.solve(np.eye(std.size) + added, root.T))
 
 
-def load_alone(problem: ClosedLoopProblem, x: FloatArray, motor: FloatArray, load: FloatArray) -> FloatArray:
-    """Return what of the load's motion the motor's does not explain, ``load - H motor``, (samples, ...) as given.
+def subtract_driven_motion(
+    problem: ClosedLoopProblem, x: FloatArray, motor: FloatArray, load: FloatArray
+) -> FloatArray:
+    """Return the load's motion less that driven by the motor, ``load - H motor``, (samples, ...) as given.
 
     ``ZZ2 a + (Fv2 + F12) v + K12 q = F12 v1 + K12 q1``, the load sliding, the motor on a straight line between two
     samples.
@@ -144,30 +146,30 @@ def load_alone(problem: ClosedLoopProblem, x: FloatArray, motor: FloatArray, loa
     return np.asarray(load - lfilter(np.ravel(top), bottom, motor, axis=0))
 
 
-def _is_of_load(name: str) -> bool:
-    """Whether a parameter stands in the load's own equation."""
+def _acts_on_load(name: str) -> bool:
+    """True if a parameter is in the load's equation of motion."""
     return name.startswith("load_") or name in ("stiffness", "damping")
 
 
-def _left_of_load(problem: ClosedLoopProblem, x: FloatArray) -> FloatArray | None:
+def _simulate_load_error(problem: ClosedLoopProblem, x: FloatArray) -> FloatArray | None:
     """Return what the motor's motion leaves of the load's answer to a force that explains the torque's residual.
 
-    A white force on the motor, as large as makes the filtered torque's answer as large as the residual. None where the
-    loop cannot be simulated under it.
+    The force is white and acts on the motor, scaled so that the filtered torque changes by as much as the residual.
+    None where the loop cannot be simulated under it.
     """
     experiment = problem.experiment
     quiet = problem.simulate(x)
     white = np.random.default_rng(0).standard_normal(experiment.after_limit.size)
     wanted, size = float(np.linalg.norm(problem.error(quiet))), 1.0
-    for attempt in range(3):  # the answer is almost linear: two steps of proportion, then the run itself
+    for attempt in range(3):  # the response is almost linear: two proportional steps, then the run itself
         forced = replace(experiment, after_limit=experiment.after_limit + size * white)
         run = replace(problem, experiment=forced).simulate(x)
         if run.outcome is not Outcome.FINISHED:
             return None
         if attempt < 2:
-            shown = run.torque - quiet.torque - as_logged(experiment, forced.shown - experiment.shown)
-            size *= wanted / float(np.linalg.norm(problem.filtered(shown)))
+            change = run.torque - quiet.torque - as_logged(experiment, forced.shown - experiment.shown)
+            size *= wanted / float(np.linalg.norm(problem.filtered(change)))
     assert run.load_position is not None
     assert quiet.load_position is not None
     motor = run.motor_position - quiet.motor_position
-    return load_alone(problem, x, motor, run.load_position - quiet.load_position)
+    return subtract_driven_motion(problem, x, motor, run.load_position - quiet.load_position)

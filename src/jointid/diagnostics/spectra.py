@@ -1,4 +1,4 @@
-"""The spectra of what was measured, of what the model says, and of their difference."""
+"""Spectra of the measured signal, of the predicted one, and of their difference."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 
-_PARTS = 8  # of the record: so many half-overlapping windows twice over are averaged
-_LONGEST = 8192  # samples of a window: a finer resolution shows no joint better
+_PARTS = 8  # of the record, each as long as a window; windows overlap by half
+_LONGEST = 8192  # samples of a window: a finer resolution adds nothing for a joint
 _SHORTEST = 64
 
 
@@ -31,7 +31,7 @@ class Spectra:
     resolution: float
 
 
-def spectra(measured: FloatArray, predicted: FloatArray, sample_time: float) -> Spectra:
+def estimate_spectra(measured: FloatArray, predicted: FloatArray, sample_time: float) -> Spectra:
     """Return the spectra of a measured and a predicted signal, and of their difference.
 
     Args:

@@ -39,18 +39,18 @@ from jointid.solvers.gauss_newton import GaussNewton
 from jointid.solvers.solve import solve
 
 _LAGS = 40  # of the residual's autocorrelation
-_STEPS = 6  # for two numbers that act almost linearly on the torque
+_STEPS = 6  # enough for two parameters that act almost linearly on the torque
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Validation(Documented):
-    """How well an estimate reproduces a record's torque.
+    """Agreement of an estimate's predicted torque with a record.
 
     Attributes:
         test: "direct" on the record it was identified from, "cross" on another.
         method: "didim" simulates the loop; "idim" evaluates the inverse model on the measured position.
         record, identified_from: names of the records.
-        channels: of the record, that were read.
+        channels: of the record that were used.
         sample_time: of the torque, seconds.
         torque_unit: of the torque: N, N m, A or V; position_unit: of the motion: m or rad.
         measured, predicted: (samples,) raw torque.
@@ -59,14 +59,14 @@ class Validation(Documented):
         filtered_error: of the filtered and decimated torque, with the estimate's own filtering; a ratio.
         tracking_error: ``||e - es|| / ||e||`` of the tracking error reference - position, where the record has a
             motor position to compare with; a ratio.
-        initial: motor state that was found, for a simulation.
-        simulations: that were run.
+        initial: estimated motor state, for a simulation.
+        simulations: number run.
         autocorrelation: (lags + 1,) of the filtered torque error, 1 at lag 0; a white one stays within `white_band`.
         rows: of the filtered torque error.
         motor: motion the error is plotted against: simulated for DIDIM, measured for IDIM.
         transmission: on whose `side` torque and motion are.
-        warnings: what the reader must know, one sentence each.
-        resampled: how the record's samples were brought to a uniform clock, None where they were logged so.
+        warnings: limits of the result, one sentence each.
+        resampled: resampling of the record to a uniform clock; None where it was logged so.
     """
 
     test: Literal["direct", "cross"]
@@ -127,14 +127,14 @@ class Validation(Documented):
 
 
 def validate(estimate: Estimate | IdentifiedJoint, record: Record) -> Validation:
-    """Compare an identified joint with a record: directly if it is the record it came from, else across.
+    """Compare an identified joint with a record: direct test on its own record, cross test on another.
 
     Args:
-        estimate: what was identified, fresh or read back from a file.
-        record: with the channels its method reads.
+        estimate: new or read back from a file.
+        record: with the channels its method uses.
 
     Raises:
-        RecordError: a channel is missing, or the record cannot be what it is said to be.
+        RecordError: a channel is missing, or the record contradicts its description.
         MethodError: the loop cannot be simulated on this record, or the estimate is of the drive side or the open
             loop.
     """
@@ -146,15 +146,19 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record) -> Validation
             "A validation simulates the closed loop of a DIDIM estimate or evaluates the inverse model of an IDIM one; "
             f'this estimate is of the method "{identified.method}": identify the other record too, and compare values.'
         )
-    return _inverse(identified, record) if identified.loop is None else _simulated(identified, record)
+    return (
+        _validate_inverse_model(identified, record)
+        if identified.loop is None
+        else _validate_simulation(identified, record)
+    )
 
 
-def _test(identified: IdentifiedJoint, record: Record) -> Literal["direct", "cross"]:
+def _name_test(identified: IdentifiedJoint, record: Record) -> Literal["direct", "cross"]:
     assert record.torque is not None
     return "direct" if fingerprint(record.torque.values) == identified.fingerprint else "cross"
 
 
-def _inverse(identified: IdentifiedJoint, record: Record) -> Validation:
+def _validate_inverse_model(identified: IdentifiedJoint, record: Record) -> Validation:
     assert record.torque is not None
     joint, filtering, sample_time = identified.joint, identified.filtering, record.torque.sample_time
     model = motion_of(record, identified.delay, filtering, joint, identified.effects)
@@ -163,7 +167,7 @@ def _inverse(identified: IdentifiedJoint, record: Record) -> Validation:
     error, _ = model.decimated(filtering, sample_time, values)
     whole, _ = model.decimated(filtering, sample_time, np.zeros_like(values))
     return Validation(
-        test=_test(identified, record),
+        test=_name_test(identified, record),
         method=identified.method,
         record=record.name,
         identified_from=identified.record,
@@ -180,14 +184,14 @@ def _inverse(identified: IdentifiedJoint, record: Record) -> Validation:
         tracking_error=None,
         initial=None,
         simulations=0,
-        autocorrelation=autocorrelation(error[: error.size // len(model.torque)]),
+        autocorrelation=autocorrelate(error[: error.size // len(model.torque)]),
         rows=error.size // len(model.torque),
         motor=model.motor,
         transmission=identified.joint.transmission,
     )
 
 
-def _simulated(identified: IdentifiedJoint, record: Record) -> Validation:
+def _validate_simulation(identified: IdentifiedJoint, record: Record) -> Validation:
     assert identified.loop is not None
     assert record.torque is not None
     loop, filtering = identified.loop, identified.filtering
@@ -197,11 +201,11 @@ def _simulated(identified: IdentifiedJoint, record: Record) -> Validation:
     measured = record.torque.values[: experiment.samples]
     around = with_torque(INITIAL_STATE, experiment, measured)
     problem = ClosedLoopProblem((*fixed, *around), measured, filtering, loop, experiment)
-    x, runs = _initial_fit(problem)
+    x, runs = _fit_initial_state(problem)
     run = require_finished(problem.simulate(x))
     error = problem.filtered(np.column_stack([measured - run.torque, measured]))
     return Validation(
-        test=_test(identified, record),
+        test=_name_test(identified, record),
         method=identified.method,
         record=record.name,
         identified_from=identified.record,
@@ -215,18 +219,18 @@ def _simulated(identified: IdentifiedJoint, record: Record) -> Validation:
         borders=filtering.borders,
         relative_error=relative_error(measured, run.torque, filtering.borders),
         filtered_error=float(np.linalg.norm(error[:, 0]) / np.linalg.norm(error[:, 1])),
-        tracking_error=_tracking(record, run, filtering.borders),
+        tracking_error=_compare_tracking(record, run, filtering.borders),
         initial=initial_of(problem.values(x)),
         simulations=runs + 1,
-        autocorrelation=autocorrelation(error[:, 0]),
+        autocorrelation=autocorrelate(error[:, 0]),
         rows=len(error),
         motor=Motion(run.motor_position, run.motor_velocity, run.motor.acceleration),
         transmission=identified.joint.transmission,
-        warnings=_warnings(identified, loop),
+        warnings=_list_warnings(identified, loop),
     )
 
 
-def autocorrelation(error: FloatArray) -> FloatArray:
+def autocorrelate(error: FloatArray) -> FloatArray:
     """Return the autocorrelation of a residual at lags 0 to `_LAGS`, (lags + 1,)."""
     centred = error - error.mean()
     power = float(centred @ centred) or 1.0
@@ -234,7 +238,7 @@ def autocorrelation(error: FloatArray) -> FloatArray:
     return np.array([float(centred[lag:] @ centred[: centred.size - lag]) / power for lag in range(lags + 1)])
 
 
-def _warnings(identified: IdentifiedJoint, loop: ClosedLoop) -> tuple[str, ...]:
+def _list_warnings(identified: IdentifiedJoint, loop: ClosedLoop) -> tuple[str, ...]:
     if identified.controller in ("", law_fingerprint(loop)):
         return ()
     return (
@@ -242,14 +246,14 @@ def _warnings(identified: IdentifiedJoint, loop: ClosedLoop) -> tuple[str, ...]:
     )
 
 
-def _initial_fit(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
+def _fit_initial_state(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
     """Return the initial state that fits best, position and velocity, and the simulations it took.
 
-    A motor at rest and one that moves are two problems (see `didim`), so both are solved.
+    A motor at rest and a moving one are two problems (see `didim`), so both are solved.
     """
     try:
         start = initial_state(problem, reconstructed_position(problem))
-    except MethodError:  # a law that cannot be inverted: begin on the reference, at rest
+    except MethodError:  # a controller that cannot be inverted: start on the reference, at rest
         start = {"initial_position": float(problem.experiment.inputs[0, 0]), "initial_velocity": 0.0}
     problems = (problem.keeping({"initial_velocity": 0.0}), problem)
     solver = GaussNewton(tolerance=1e-9, step_tolerance=math.inf, iterations=_STEPS, halvings=0)
@@ -258,8 +262,8 @@ def _initial_fit(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
     return problem.vector(which.values(best.x)), sum(end.evaluations for _, end in ends)
 
 
-def _tracking(record: Record, run: Simulation, borders: tuple[int, int]) -> float | None:
-    """Return how far the simulated tracking error is from the measured one, where there is one at the same rate."""
+def _compare_tracking(record: Record, run: Simulation, borders: tuple[int, int]) -> float | None:
+    """Return the relative error of the simulated tracking error; None without a measured one at the same rate."""
     reference, position = record.reference, record.motor_position
     if reference is None or position is None or position.sample_time != run.sample_time:
         return None

@@ -1,4 +1,4 @@
-"""Other motions than a record's, under the same loop: what a test would have driven it with."""
+"""Other motions than a record's under the same loop, for the prediction of tests."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ class Variation:
     """Another motion under the same loop.
 
     Attributes:
-        name, described: a word or two, and what it is with its numbers.
+        name, description: in a word or two, and with its numbers.
         experiment: to simulate.
         samples: of its log.
     """
 
     name: str
-    described: str
+    description: str
     experiment: LoopInput
     samples: int
 
 
-def pulse_of(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[float, float]:
-    """Return the height (N or N m) and the width (s) of pulses that ring a joint.
+def choose_pulse(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[float, float]:
+    """Return the height (N or N m) and the width (s) of pulses that excite a joint.
 
     Five times its Coulomb friction, so that they move it from rest, and 1.2 over the cut-off long, as the twin's 20 ms
     are: half a period of a mode in the middle of the fitted band.
@@ -51,8 +51,8 @@ def pulse_of(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[f
     return _COULOMB * size, _WIDTH / problem.filtering.cutoff
 
 
-def pulsed(problem: ClosedLoopProblem, height: float, width: float) -> Variation:
-    """Return the record's own motion with pulses added to the motor's force, those it had still there.
+def add_pulses(problem: ClosedLoopProblem, height: float, width: float) -> Variation:
+    """Return the record's own motion with pulses added to the motor's force and to any injected signal.
 
     Args:
         problem: of the record.
@@ -64,13 +64,13 @@ def pulsed(problem: ClosedLoopProblem, height: float, width: float) -> Variation
     more = pulses(experiment.after_limit.size, period, height, width, _EVERY * width, seed=0)
     unit = problem.loop.joint.torque_unit or TORQUE_UNIT[problem.loop.joint.kind]
     again = "more " if experiment.injected else ""
-    said = f"{again}pulses of {height:.2g} {unit} and {1e3 * width:.3g} ms, one in {_EVERY * width:.2g} s"
+    description = f"{again}pulses of {height:.2g} {unit} and {1e3 * width:.3g} ms, one in {_EVERY * width:.2g} s"
     changed = replace(experiment, after_limit=experiment.after_limit + more)
-    return Variation(f"{again}pulses", said, changed, experiment.samples)
+    return Variation(f"{again}pulses", description, changed, experiment.samples)
 
 
-def faster(problem: ClosedLoopProblem, record: Record) -> Variation:
-    """Return the same path with twice the acceleration, so often that it lasts as long as the record did.
+def double_acceleration(problem: ClosedLoopProblem, record: Record) -> Variation:
+    """Return the same path with twice the acceleration, repeated for the duration of the record.
 
     It is simulated once, 1.4 times as fast, for less time; known pulses stay as long and as far apart as they were.
     """
@@ -78,24 +78,24 @@ def faster(problem: ClosedLoopProblem, record: Record) -> Variation:
     log = record.torque or record.reference
     samples = math.floor(len(log) / _FASTER)
 
-    def hurried(channel: Channel | None, gain: float = 1.0) -> Channel | None:
+    def speed_up(channel: Channel | None, gain: float = 1.0) -> Channel | None:
         if channel is None:
             return None
         count = math.floor(samples * log.sample_time / channel.sample_time)
         at = np.minimum(_FASTER * np.arange(count), len(channel) - 1)
         return replace(channel, values=gain * np.interp(at, np.arange(len(channel)), channel.values))
 
-    def cut(channel: Channel) -> Channel:
+    def shorten(channel: Channel) -> Channel:
         return replace(channel, values=channel.values[: math.floor(samples * log.sample_time / channel.sample_time)])
 
     driven = Record(
-        torque=None if record.torque is None else cut(record.torque),
+        torque=None if record.torque is None else shorten(record.torque),
         tap=record.tap,
-        reference=hurried(record.reference),
-        reference_velocity=hurried(record.reference_velocity, _FASTER),
+        reference=speed_up(record.reference),
+        reference_velocity=speed_up(record.reference_velocity, _FASTER),
         injected=None
         if record.injected is None
-        else Injection(cut(record.injected.channel), record.injected.at, record.injected.in_torque),
+        else Injection(shorten(record.injected.channel), record.injected.at, record.injected.in_torque),
         name=record.name,
     )
     experiment = prepare(problem.loop, driven)

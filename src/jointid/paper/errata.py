@@ -1,4 +1,4 @@
-"""What we found in the paper: where print differs from what follows from it, and what jointid does about it.
+"""Errata of the paper: where print differs from what follows from it, and how jointid treats it.
 
 Every recomputed number comes out of `recomputed` when this module is loaded; none is typed in. What takes a
 measurement instead of arithmetic is left to `jointid reproduce`, and the erratum says so.
@@ -17,17 +17,17 @@ from jointid.paper.recomputed import (
     DENOMINATORS,
     TESTS,
     agrees,
-    following,
-    misprints,
-    most_decimation,
-    shifts,
-    shown,
-    significant,
-    stiffness_from,
+    compute_shifts,
+    compute_stiffness,
+    compute_variations,
+    find_largest_decimation,
+    find_misprints,
+    find_wrong_entries,
+    format_printed,
+    format_recomputed,
+    recompute_cells,
     stops,
-    sums,
-    variations,
-    wrong_entries,
+    sum_sides,
 )
 
 
@@ -36,11 +36,11 @@ class Erratum:
     """One finding.
 
     Attributes:
-        item: what it is about.
+        item: its subject.
         where: in the paper.
-        printed: what the paper says.
-        recomputed: what follows from its own numbers and equations.
-        what_we_do: in jointid.
+        printed: statement of the paper.
+        recomputed: from the paper's own numbers and equations.
+        what_we_do: treatment in jointid.
     """
 
     item: str
@@ -53,88 +53,92 @@ class Erratum:
 _FLEXIBLE = tuple(TABLES[n] for n in (2, 3, 4, 5))
 
 
-def _slashed(texts: Iterable[object]) -> str:
+def _join_slashed(texts: Iterable[object]) -> str:
     return " / ".join(map(str, texts))
 
 
-def _listed(cells: Mapping[Cell, Decimal]) -> str:
-    return ", ".join(f"{SYMBOLS[name]} {shown(value)} ({column})" for (column, name), value in cells.items())
+def _list_cells(cells: Mapping[Cell, Decimal]) -> str:
+    return ", ".join(f"{SYMBOLS[name]} {format_printed(value)} ({column})" for (column, name), value in cells.items())
 
 
-def _natural_frequency() -> Erratum:
+def _check_natural_frequency() -> Erratum:
     each = [frequencies(table.values) for table in _FLEXIBLE]
     words = {"free_free": "free-free", "motor_locked": "motor locked", "load_locked": "load locked"}
-    listed = ", ".join(f"{text} {_slashed(f'{hertz[name]:.2f}' for hertz in each)} Hz" for name, text in words.items())
+    listed = ", ".join(
+        f"{text} {_join_slashed(f'{hertz[name]:.2f}' for hertz in each)} Hz" for name, text in words.items()
+    )
     highest = max(hertz[name] for hertz in each for name in ("motor_locked", "load_locked"))
     said = f"{EXPERIMENT.natural_frequency:g} Hz"
     return Erratum(
         "The natural frequency",
         "Under Tables 2 to 5, and section V.A",
-        f"{_slashed(table.frequency for table in _FLEXIBLE)} Hz under the tables; {said} in the text, confirmed with "
-        "the output blocked.",
+        f"{_join_slashed(table.frequency for table in _FLEXIBLE)} Hz under the tables; {said} in the text, confirmed "
+        "with the output blocked.",
         f"{listed}. The printed ones are the free-free frequencies cut to whole hertz. With either side held, at most "
         f"{highest:.2f} Hz is left, so a blocked output cannot show {said}.",
         "Reports all three frequencies, each named by its boundary condition.",
     )
 
 
-def _variations() -> Erratum:
+def _check_variations() -> Erratum:
     table = TABLES[6]
-    found, wrong = following(table), misprints(table)
-    masses = _slashed(shown(found[method, "load_inertia"][0]) for method in table.columns)
+    found, wrong = recompute_cells(table), find_misprints(table)
+    masses = _join_slashed(format_printed(found[method, "load_inertia"][0]) for method in table.columns)
     return Erratum(
         "The variations with the added mass",
         "Table 6",
-        f"{_listed({cell: table.cell(cell) for cell in wrong})}.",
-        f"{_listed({cell: found[cell][0] for cell in wrong})}. The other {len(found) - len(wrong)} of {len(found)} "
+        f"{_list_cells({cell: table.cell(cell) for cell in wrong})}.",
+        f"{_list_cells({cell: found[cell][0] for cell in wrong})}. The other {len(found) - len(wrong)} of {len(found)} "
         "are as printed.",
         f"Shows the computed ones: the added {EXPERIMENT.added_mass:g} kg are found as {masses} kg by the two methods.",
     )
 
 
-def _relative_errors() -> Erratum:
+def _check_relative_errors() -> Erratum:
     table = TABLES[7]
-    found = following(table)
+    found = recompute_cells(table)
     names = ("motor_viscous", "load_viscous", "damping", "motor_coulomb", "stiffness", "motor_inertia")
 
-    def listed(texts: Mapping[Cell, str]) -> str:
-        return ", ".join(f"{SYMBOLS[name]} {_slashed(texts[test, name] for test in table.columns)}" for name in names)
+    def list_cells(texts: Mapping[Cell, str]) -> str:
+        return ", ".join(
+            f"{SYMBOLS[name]} {_join_slashed(texts[test, name] for test in table.columns)}" for name in names
+        )
 
     ways = "; ".join(
-        f"{words} {listed({cell: significant(values[way]) for cell, values in found.items()})} %"
+        f"{words} {list_cells({cell: format_recomputed(values[way]) for cell, values in found.items()})} %"
         for way, words in enumerate(DENOMINATORS.values())
     )
     first, second = zip(table.columns, ("motor_inertia", "motor_viscous"), strict=True)
     return Erratum(
         "The relative errors and their denominator",
         "Table 7 and equation (15)",
-        f"{listed({cell: shown(table.cell(cell)) for cell in found})} %, in the first / second test.",
+        f"{list_cells({cell: format_printed(table.cell(cell)) for cell in found})} %, in the first / second test.",
         f"{ways}. Equation (15) divides by the DIDIM value, most of the table by the IDIM value. "
-        f"{_listed({cell: table.cell(cell) for cell in misprints(table)})} follow from neither; "
-        f"{_listed({first: table.cell(first)})} does only if rounded to a whole percent, as "
-        f"{_listed({second: table.cell(second)})} is.",
+        f"{_list_cells({cell: table.cell(cell) for cell in find_misprints(table)})} follow from neither; "
+        f"{_list_cells({first: table.cell(first)})} does only if rounded to a whole percent, as "
+        f"{_list_cells({second: table.cell(second)})} is.",
         "Offers both denominators, labelled.",
     )
 
 
-def _sums() -> Erratum:
-    found = [sums(table) for table in _FLEXIBLE]
+def _check_sums() -> Erratum:
+    found = [sum_sides(table) for table in _FLEXIBLE]
     agreeing = [agrees(t.sums[name], one[name]) for t, one in zip(_FLEXIBLE, found, strict=True) for name in one]
-    recomputed = "; ".join(_slashed(f"{value:.1f}" for value in one.values()) for one in found)
+    recomputed = "; ".join(_join_slashed(f"{value:.1f}" for value in one.values()) for one in found)
     return Erratum(
         "The sums of both sides",
         "Under Tables 2 to 5",
-        f"{'; '.join(_slashed(table.sums.values()) for table in _FLEXIBLE)} (kg / N s/m / N).",
+        f"{'; '.join(_join_slashed(table.sums.values()) for table in _FLEXIBLE)} (kg / N s/m / N).",
         f"{recomputed}: {sum(agreeing)} of {len(agreeing)} agree.",
         "Nothing to correct; a test keeps them.",
     )
 
 
-def _relative_deviations() -> Erratum:
+def _check_relative_deviations() -> Erratum:
     tables = (TABLES[1], *_FLEXIBLE)
-    cells = [(table.cell(cell), found[0]) for table in tables for cell, found in following(table).items()]
+    cells = [(table.cell(cell), found[0]) for table in tables for cell, found in recompute_cells(table).items()]
     ways = [(agrees(*cell), agrees(*cell, ROUND_DOWN)) for cell in cells]
-    ((table, cell),) = [(table, cell) for table in tables for cell in misprints(table)]
+    ((table, cell),) = [(table, cell) for table in tables for cell in find_misprints(table)]
     value, two_sigma, printed = table.rows[cell[1]]
     return Erratum(
         "The relative deviations",
@@ -142,14 +146,14 @@ def _relative_deviations() -> Erratum:
         f"A relative deviation beside every 2 sigma; {printed} % for {SYMBOLS[cell[1]]} of Table {table.number}.",
         f"Of {len(cells)}, {ways.count((True, True))} follow rounded and cut alike, {ways.count((True, False))} only "
         f"rounded, {ways.count((False, True))} only cut, and {ways.count((False, False))} neither way: 2 sigma = "
-        f"{two_sigma} of {value} is {significant(following(table)[cell][0])} %; {printed} % would need 2 sigma = "
-        f"{printed * value / 50:.2f}.",
+        f"{two_sigma} of {value} is {format_recomputed(recompute_cells(table)[cell][0])} %; {printed} % would need "
+        f"2 sigma = {printed * value / 50:.2f}.",
         "Computes the percentage from the deviation.",
     )
 
 
-def _regressor() -> Erratum:
-    places, old, new = (" and ".join(map(str, each)) for each in zip(*wrong_entries(), strict=True))
+def _check_regressor() -> Erratum:
+    places, old, new = (" and ".join(map(str, each)) for each in zip(*find_wrong_entries(), strict=True))
     return Erratum(
         "The regressor",
         "Under equation (5)",
@@ -160,11 +164,11 @@ def _regressor() -> Erratum:
     )
 
 
-def _permuted() -> Erratum:
-    moved = [variations(*test) for test in TESTS]
+def _check_permutation() -> Erratum:
+    moved = [compute_variations(*test) for test in TESTS]
     steps = " and ".join(f"{m['motor_viscous']:+} / {m['load_viscous']:+}" for m in moved)
-    sigmas = [abs(shifts(*test)[name]) for test in TESTS for name in ("motor_viscous", "load_viscous")]
-    kept = "; ".join(" and ".join(f"{sums(table)['viscous']:g}" for table in test) for test in TESTS)
+    sigmas = [abs(compute_shifts(*test)[name]) for test in TESTS for name in ("motor_viscous", "load_viscous")]
+    kept = "; ".join(" and ".join(f"{sum_sides(table)['viscous']:g}" for table in test) for test in TESTS)
     idim, didim = (table.column("value") for table in TESTS[0])
     return Erratum(
         'The "permuted" frictions',
@@ -179,9 +183,9 @@ def _permuted() -> Erratum:
     )
 
 
-def _influence() -> Erratum:
+def _check_damping_influence() -> Erratum:
     rows = [table.rows["damping"] for table in _FLEXIBLE]
-    intervals = _slashed(f"{value} +- {two_sigma}" for value, two_sigma, _ in rows)
+    intervals = _join_slashed(f"{value} +- {two_sigma}" for value, two_sigma, _ in rows)
     away = [2 * value / two_sigma for value, two_sigma, _ in rows]
     return Erratum(
         "The influence of the damping",
@@ -193,23 +197,23 @@ def _influence() -> Erratum:
     )
 
 
-def _start() -> Erratum:
+def _check_start_values() -> Erratum:
     half = TABLES[1].values["inertia"] / 2
-    start = stiffness_from(half, half, EXPERIMENT.natural_frequency)
+    start = compute_stiffness(half, half, EXPERIMENT.natural_frequency)
     return Erratum(
         "The start of stiffness and damping",
         "Equation (13)",
         "Inertia, viscous and Coulomb friction start at half the rigid values; K12 and F12 are not mentioned.",
         "A free-free frequency f gives K12 = mu (2 pi f)^2 with mu = ZZ1 ZZ2 / (ZZ1 + ZZ2). From Table 1 and "
         f"{EXPERIMENT.natural_frequency:g} Hz that is {start / 1e5:.2f}e5 N/m, where Table 3 ends at "
-        f"{shown(TABLES[3].cell(('value', 'stiffness')))}.",
+        f"{format_printed(TABLES[3].cell(('value', 'stiffness')))}.",
         "Starts K12 there, from a known or guessed frequency; the start of F12 is our own.",
     )
 
 
-def _decimation() -> Erratum:
+def _check_decimation() -> Erratum:
     cutoff, rate, thinned = EXPERIMENT.flexible_cutoff, EXPERIMENT.sample_rate, EXPERIMENT.decimation
-    most = most_decimation(cutoff, rate)
+    most = find_largest_decimation(cutoff, rate)
     return Erratum(
         "The decimation",
         "Sections V.A and V.C",
@@ -224,15 +228,15 @@ _TOLERANCE = 0.025  # of the sister papers
 _ENDS = {True: "ends the iterations", False: "does not"}
 _PARAMETERS = len(TABLES[3].rows)
 _SPAN = max(TABLES[2].values.values()) / min(TABLES[2].values.values())
-_VISCOUS = sums(TABLES[2])["viscous"]
+_VISCOUS = sum_sides(TABLES[2])["viscous"]
 _SIGMAS = [TABLES[3].rows[name][1] / two_sigma for name, (_, two_sigma, _) in TABLES[2].rows.items()]
 
 ERRATA: tuple[Erratum, ...] = (
-    _natural_frequency(),
-    _variations(),
-    _relative_errors(),
-    _sums(),
-    _relative_deviations(),
+    _check_natural_frequency(),
+    _check_variations(),
+    _check_relative_errors(),
+    _check_sums(),
+    _check_relative_deviations(),
     Erratum(
         "The number of iterations",
         "Table 3, sections V.C, V.D and VI",
@@ -242,7 +246,7 @@ ERRATA: tuple[Erratum, ...] = (
         f"200 simulations per parameter, {200 * _PARAMETERS:,} of each.",
         "Counts both, and states cap, tolerances and scaling; `jointid reproduce` measures what it takes.",
     ),
-    _regressor(),
+    _check_regressor(),
     Erratum(
         "Two names for the damping",
         "Equation (3) and Tables 2 to 7",
@@ -261,8 +265,8 @@ ERRATA: tuple[Erratum, ...] = (
         f"Takes the absolute value. The sister papers use {100 * _TOLERANCE:g} %, on the residual and on the "
         "parameters, and at most 10 iterations.",
     ),
-    _start(),
-    _decimation(),
+    _check_start_values(),
+    _check_decimation(),
     Erratum(
         "The condition number",
         "Section V.A",
@@ -271,8 +275,8 @@ ERRATA: tuple[Erratum, ...] = (
         f"2 span a factor of {_SPAN:,.0f}, and by up to as much the first and the last may differ.",
         "Reports all three, named; `jointid reproduce` measures them.",
     ),
-    _permuted(),
-    _influence(),
+    _check_permutation(),
+    _check_damping_influence(),
     Erratum(
         "The standard deviations of DIDIM",
         "Table 3 and section V.C",

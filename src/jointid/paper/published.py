@@ -17,7 +17,7 @@ from typing import TypeAlias
 
 from jointid import FlexibleJoint, RigidJoint
 
-Rows: TypeAlias = Mapping[str, tuple[Decimal, ...]]
+PrintedRows: TypeAlias = Mapping[str, tuple[Decimal, ...]]
 Cell: TypeAlias = tuple[str, str]
 """The column and the parameter of a printed number."""
 
@@ -31,28 +31,28 @@ _IDENTIFIED = ("value", "two_sigma", "relative_percent")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Table:
+class PublishedTable:
     """One table of the paper.
 
     Attributes:
         number: in the paper.
         section: of the paper, that presents it.
-        caption: what it holds.
-        columns: what the numbers of a row are: value, two_sigma and relative_percent (100 sigma / value) in Tables 1
+        caption: its content.
+        columns: names of the numbers in a row: value, two_sigma and relative_percent (100 sigma / value) in Tables 1
             to 5; a method in Table 6; a test in Table 7.
         rows: by parameter, one number per column; kg, N s/m, N, N/m in Tables 1 to 6, % in Table 7.
         frequency: Hz, the natural frequency under the table.
         residual_percent: of the inverse model, ``||Y - W chi|| / ||Y||``.
         simulated_percent: of the simulation, ``||Y - Ys|| / ||Y||``.
         sums: of motor and load side, by the names of the rigid joint.
-        iterations: how many the paper says it took, by the place where it says so.
+        iterations: number stated in the paper, by the place of the statement.
     """
 
     number: int
     section: str
     caption: str
     columns: tuple[str, ...]
-    rows: Rows
+    rows: PrintedRows
     frequency: Decimal | None = None
     residual_percent: Decimal | None = None
     simulated_percent: Decimal | None = None
@@ -76,15 +76,15 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
-class Experiment:
-    """What the text says of the experiment.
+class PublishedSettings:
+    """Settings of the experiment, as printed in the text.
 
     Attributes:
         sample_rate: Hz [V.A].
         encoder_counts: per revolution [V.A].
-        natural_frequency: Hz, said to be confirmed with the output blocked [V.A].
+        natural_frequency: Hz, stated as confirmed with the output blocked [V.A].
         bandwidth: Hz, of the position loop [V.A].
-        condition_number: of W, which W is not said [V.A].
+        condition_number: of W, its scaling not stated [V.A].
         rigid_cutoff: Hz, of the filters for the rigid model [V.B].
         flexible_cutoff: Hz, of the filters for the flexible model [V.C].
         decimation: one sample in so many is kept [V.C].
@@ -104,35 +104,35 @@ class Experiment:
     added_mass: float
 
 
-def _rows(text: str) -> Rows:
+def _parse_rows(text: str) -> PrintedRows:
     """Read lines of a symbol and its numbers."""
     lines = [line.split() for line in text.strip().splitlines()]
     return MappingProxyType({_NAMES[symbol]: tuple(map(Decimal, numbers)) for symbol, *numbers in lines})
 
 
-def _sums(inertia: str, viscous: str, coulomb: str) -> Mapping[str, Decimal]:
+def _parse_sums(inertia: str, viscous: str, coulomb: str) -> Mapping[str, Decimal]:
     return MappingProxyType({"inertia": Decimal(inertia), "viscous": Decimal(viscous), "coulomb": Decimal(coulomb)})
 
 
 _TABLES = (
-    Table(
+    PublishedTable(
         number=1,
         section="V.B",
         caption="rigid joint by DIDIM",
         columns=_IDENTIFIED,
-        rows=_rows("""
+        rows=_parse_rows("""
             ZZ   106    0.44  0.21
             Fv   208    3.5   0.84
             Fc   20.0   0.35  0.88
         """),
         iterations=MappingProxyType({"text": 2}),
     ),
-    Table(
+    PublishedTable(
         number=2,
         section="V.C",
         caption="flexible joint by IDIM",
         columns=_IDENTIFIED,
-        rows=_rows("""
+        rows=_parse_rows("""
             ZZ1   70.2   0.20   0.14
             Fv1   92.0   1.89   1.03
             Fc1   10.0   0.47   2.35
@@ -145,14 +145,14 @@ _TABLES = (
         frequency=Decimal("29.0"),
         residual_percent=Decimal(8),
         simulated_percent=Decimal(8),
-        sums=_sums("105", "202", "20.4"),
+        sums=_parse_sums("105", "202", "20.4"),
     ),
-    Table(
+    PublishedTable(
         number=3,
         section="V.C",
         caption="flexible joint by DIDIM",
         columns=_IDENTIFIED,
-        rows=_rows("""
+        rows=_parse_rows("""
             ZZ1   69.6   0.18   0.13
             Fv1  127.0   1.86   0.73
             Fc1   10.0   0.45   2.25
@@ -164,15 +164,15 @@ _TABLES = (
         """),
         frequency=Decimal("29.0"),
         simulated_percent=Decimal(9),
-        sums=_sums("105.1", "203", "20.0"),
+        sums=_parse_sums("105.1", "203", "20.0"),
         iterations=MappingProxyType({"caption": 10, "text": 25, "conclusion": 25}),
     ),
-    Table(
+    PublishedTable(
         number=4,
         section="V.D",
         caption="flexible joint by IDIM, 10 kg added to the load",
         columns=_IDENTIFIED,
-        rows=_rows("""
+        rows=_parse_rows("""
             ZZ1   70.1   0.22   0.15
             Fv1   95.0   1.90   1.0
             Fc1   10.0   0.46   2.3
@@ -185,14 +185,14 @@ _TABLES = (
         frequency=Decimal("27.0"),
         residual_percent=Decimal(8),
         simulated_percent=Decimal(8),
-        sums=_sums("115.1", "205", "20.0"),
+        sums=_parse_sums("115.1", "205", "20.0"),
     ),
-    Table(
+    PublishedTable(
         number=5,
         section="V.D",
         caption="flexible joint by DIDIM, 10 kg added to the load",
         columns=_IDENTIFIED,
-        rows=_rows("""
+        rows=_parse_rows("""
             ZZ1   68.5   0.20   0.14
             Fv1  128.0   1.90   0.74
             Fc1   11.0   0.45   2.0
@@ -204,15 +204,15 @@ _TABLES = (
         """),
         frequency=Decimal("27.0"),
         simulated_percent=Decimal(9),
-        sums=_sums("114.2", "208", "21.0"),
+        sums=_parse_sums("114.2", "208", "21.0"),
         iterations=MappingProxyType({"text": 25}),
     ),
-    Table(
+    PublishedTable(
         number=6,
         section="V.D",
         caption="change of each parameter with the 10 kg",
         columns=("IDIM", "DIDIM"),
-        rows=_rows("""
+        rows=_parse_rows("""
             ZZ1  -0.2    -1.1
             Fv1   3.0     1.0
             Fc1   0.0    -1.0
@@ -223,12 +223,12 @@ _TABLES = (
             Fc2  -0.4     0
         """),
     ),
-    Table(
+    PublishedTable(
         number=7,
         section="V.C",
         caption="relative errors between IDIM and DIDIM",
         columns=("first test", "second test"),
-        rows=_rows("""
+        rows=_parse_rows("""
             ZZ1   1.0    2.3
             Fv1  38.0   35.0
             Fc1   0.0    0.0
@@ -241,10 +241,10 @@ _TABLES = (
     ),
 )
 
-TABLES: Mapping[int, Table] = MappingProxyType({table.number: table for table in _TABLES})
+TABLES: Mapping[int, PublishedTable] = MappingProxyType({table.number: table for table in _TABLES})
 """The tables of the paper, by number."""
 
-EXPERIMENT = Experiment(
+EXPERIMENT = PublishedSettings(
     sample_rate=1000.0,
     encoder_counts=100_000,
     natural_frequency=30.0,

@@ -1,4 +1,4 @@
-"""What follows from the published numbers: arithmetic on `published`, and every table beside its recomputed self.
+"""Recompute the published tables: arithmetic on `published`, and each table beside its recomputed values.
 
 Sections and equations are those of the paper.
 """
@@ -14,12 +14,12 @@ from typing import Literal, TypeAlias
 
 from jointid import Filtering, FlexibleJoint, RigidJoint, frequencies, rigid_sums
 from jointid.common.text import aligned, number
-from jointid.paper.published import REGRESSOR, SYMBOLS, TABLES, Cell, Table
+from jointid.paper.published import REGRESSOR, SYMBOLS, TABLES, Cell, PublishedTable
 
 Denominator: TypeAlias = Literal["DIDIM", "IDIM"]
 
 DENOMINATORS: Mapping[Denominator, str] = MappingProxyType({"DIDIM": "by (15)", "IDIM": "by the IDIM value"})
-"""What the errors of Table 7 can be relative to, and how reports say it."""
+"""Denominators of the errors of Table 7, and their names in reports."""
 
 TESTS = ((TABLES[2], TABLES[3]), (TABLES[4], TABLES[5]))
 """IDIM and DIDIM of the first test, and of the second, with the added mass."""
@@ -36,77 +36,79 @@ REGRESSOR_OF_2 = (
 _UNITS = {p.name: joint.unit(p) for joint in (RigidJoint(), FlexibleJoint()) for p in joint.parameters}
 
 
-def sums(table: Table) -> dict[str, float]:
+def sum_sides(table: PublishedTable) -> dict[str, float]:
     """Return the inertia, viscous and Coulomb friction of both sides together (Tables 2 to 5)."""
     found = rigid_sums({**table.values, "offset": 0.0})
     return {name: found[name] for name in ("inertia", "viscous", "coulomb")}
 
 
-def relative_deviations(table: Table) -> dict[str, Decimal]:
+def compute_relative_deviations(table: PublishedTable) -> dict[str, Decimal]:
     """Return ``100 sigma / |chi|`` from the printed 2 sigma (Tables 1 to 5)."""
     return {name: 50 * two_sigma / abs(value) for name, (value, two_sigma, _) in table.rows.items()}
 
 
-def variations(before: Table, after: Table) -> dict[str, Decimal]:
-    """Return how much each parameter changed, exact: a column of Table 6 from Tables 2 and 4, or 3 and 5."""
+def compute_variations(before: PublishedTable, after: PublishedTable) -> dict[str, Decimal]:
+    """Return the exact change of each parameter: a column of Table 6 from Tables 2 and 4, or 3 and 5."""
     start, end = before.column("value"), after.column("value")
     return {name: end[name] - start[name] for name in start}
 
 
-def shifts(before: Table, after: Table) -> dict[str, float]:
-    """Return how much each parameter changed, in standard deviations of the difference.
+def compute_shifts(before: PublishedTable, after: PublishedTable) -> dict[str, float]:
+    """Return the change of each parameter, in standard deviations of the difference.
 
     From the printed 2 sigma of both tables, taken as independent.
     """
     one, other = before.column("two_sigma"), after.column("two_sigma")
     return {
         name: 2 * float(change) / math.hypot(one[name], other[name])
-        for name, change in variations(before, after).items()
+        for name, change in compute_variations(before, after).items()
     }
 
 
-def relative_errors(idim: Table, didim: Table, denominator: Denominator = "DIDIM") -> dict[str, Decimal]:
+def compute_relative_errors(
+    idim: PublishedTable, didim: PublishedTable, denominator: Denominator = "DIDIM"
+) -> dict[str, Decimal]:
     """Return a column of Table 7 in %: by (15), which divides by the DIDIM value, or by the IDIM value."""
     of = (didim if denominator == "DIDIM" else idim).column("value")
-    return {name: 100 * abs(change / of[name]) for name, change in variations(idim, didim).items()}
+    return {name: 100 * abs(change / of[name]) for name, change in compute_variations(idim, didim).items()}
 
 
-def most_decimation(cutoff: float, sample_rate: float) -> int:
+def find_largest_decimation(cutoff: float, sample_rate: float) -> int:
     """Return n of the thinnest record, one sample in n, that a decimation filter at `cutoff` Hz allows."""
     thinned = Filtering(cutoff=cutoff).resolved(1 / sample_rate).decimation
     assert thinned is not None
     return thinned
 
 
-def stiffness_from(motor_inertia: float, load_inertia: float, free_free: float) -> float:
+def compute_stiffness(motor_inertia: float, load_inertia: float, free_free: float) -> float:
     """Return ``K12 = mu (2 pi f)^2``, ``mu = ZZ1 ZZ2 / (ZZ1 + ZZ2)``, for a free-free frequency in Hz."""
     reduced = motor_inertia * load_inertia / (motor_inertia + load_inertia)
     return reduced * (2 * math.pi * free_free) ** 2
 
 
 def stops(before: float, after: float, tolerance: float, *, absolute: bool = True) -> bool:
-    """Whether the rule under (12) ends the iterations at these residual norms; print takes no absolute value."""
+    """True if the rule under (12) ends the iterations at these residual norms; print takes no absolute value."""
     change = (after - before) / before
     return (abs(change) if absolute else change) <= tolerance
 
 
 def agrees(printed: Decimal, recomputed: Decimal | float, rounding: str | None = None) -> bool:
-    """Whether the recomputed number, rounded to the printed digits, is the printed one."""
+    """True if the recomputed number, rounded to the printed digits, is the printed one."""
     return Decimal(recomputed).quantize(printed, rounding) == printed
 
 
-def following(table: Table) -> dict[Cell, tuple[Decimal, ...]]:
+def recompute_cells(table: PublishedTable) -> dict[Cell, tuple[Decimal, ...]]:
     """Return the cells of a table that follow from other printed numbers: one value, in Table 7 one per denominator."""
     columns: dict[str, list[dict[str, Decimal]]]
     if table.number == 6:
-        columns = {method: [variations(*METHODS[method])] for method in table.columns}
+        columns = {method: [compute_variations(*METHODS[method])] for method in table.columns}
     elif table.number == 7:
         columns = {
-            heading: [relative_errors(*test, way) for way in DENOMINATORS]
+            heading: [compute_relative_errors(*test, way) for way in DENOMINATORS]
             for heading, test in zip(table.columns, TESTS, strict=True)
         }
     else:
-        columns = {"relative_percent": [relative_deviations(table)]}
+        columns = {"relative_percent": [compute_relative_deviations(table)]}
     return {
         (heading, name): tuple(column[name] for column in found)
         for heading, found in columns.items()
@@ -114,14 +116,14 @@ def following(table: Table) -> dict[Cell, tuple[Decimal, ...]]:
     }
 
 
-def misprints(table: Table) -> tuple[Cell, ...]:
+def find_misprints(table: PublishedTable) -> tuple[Cell, ...]:
     """Return the cells of a table that do not follow from the other printed numbers, with every benefit of the doubt.
 
     Rounded or cut to the printed digits, rounded to a whole number where a whole one is printed, by any denominator.
     """
     return tuple(
         (column, name)
-        for (column, name), candidates in following(table).items()
+        for (column, name), candidates in recompute_cells(table).items()
         if not any(_follows(table.cell((column, name)), candidate) for candidate in candidates)
     )
 
@@ -133,7 +135,7 @@ def _follows(printed: Decimal, recomputed: Decimal) -> bool:
     return whole == printed and agrees(whole, recomputed)
 
 
-def wrong_entries() -> tuple[tuple[int, str, str], ...]:
+def find_wrong_entries() -> tuple[tuple[int, str, str], ...]:
     """Return the entries of the printed regressor that are not those of (2): column, printed, and by (2)."""
     return tuple(
         (column, old, new)
@@ -147,7 +149,7 @@ def wrong_entries() -> tuple[tuple[int, str, str], ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class ComparisonRow:
     """One line of a comparison.
 
     Attributes:
@@ -163,13 +165,13 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
-    """A published table beside what follows from print; the headings name the columns of the rows' texts."""
+class TableComparison:
+    """A published table beside its recomputed values; the headings name the columns of the rows' texts."""
 
-    table: Table
+    table: PublishedTable
     printed: tuple[str, ...]
     recomputed: tuple[str, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[ComparisonRow, ...]
 
     def __str__(self) -> str:
         header = [
@@ -181,57 +183,69 @@ class Comparison:
         return aligned(header, rows, [False, *[True] * (len(header) - 1)])
 
 
-def shown(value: Decimal) -> str:
+def format_printed(value: Decimal) -> str:
     """Return a number as the tables show it: 0.80, 8.0e5."""
     exponent = value.as_tuple().exponent
     assert isinstance(exponent, int)
     return f"{value:f}" if exponent <= 0 else f"{value.scaleb(-exponent - 1)}e{exponent + 1}"
 
 
-def significant(value: Decimal) -> str:
+def format_recomputed(value: Decimal) -> str:
     """Return a recomputed number with three significant digits."""
     return number(float(value), 3)
 
 
-def comparison(table: Table) -> Comparison:
-    """Return a table as printed, beside what follows from print."""
-    found = following(table)
+def compare_table(table: PublishedTable) -> TableComparison:
+    """Return a table as printed, beside its recomputed values."""
+    found = recompute_cells(table)
     if table.number == 6:
         rows = tuple(
-            Row(name, _label(name), _shown(cells), _shown([found[method, name][0] for method in table.columns]))
+            ComparisonRow(
+                name,
+                _make_label(name),
+                _format_cells(cells),
+                _format_cells([found[method, name][0] for method in table.columns]),
+            )
             for name, cells in table.rows.items()
         )
-        return Comparison(table, table.columns, table.columns, rows)
+        return TableComparison(table, table.columns, table.columns, rows)
     if table.number == 7:
         ways = range(len(DENOMINATORS))
         headings = tuple(f"{test}, {words}" for words in DENOMINATORS.values() for test in table.columns)
         texts = {
-            name: tuple(significant(found[test, name][way]) for way in ways for test in table.columns)
+            name: tuple(format_recomputed(found[test, name][way]) for way in ways for test in table.columns)
             for name in table.rows
         }
         rows = tuple(
-            Row(name, f"{SYMBOLS[name]} (%)", _shown(cells), texts[name]) for name, cells in table.rows.items()
+            ComparisonRow(name, f"{SYMBOLS[name]} (%)", _format_cells(cells), texts[name])
+            for name, cells in table.rows.items()
         )
-        return Comparison(table, table.columns, headings, rows)
+        return TableComparison(table, table.columns, headings, rows)
     rows = tuple(
-        Row(name, _label(name), _shown(cells), ("-", significant(found["relative_percent", name][0])))
+        ComparisonRow(
+            name, _make_label(name), _format_cells(cells), ("-", format_recomputed(found["relative_percent", name][0]))
+        )
         for name, cells in table.rows.items()
     )
-    return Comparison(table, ("value", "2 sigma", "%"), ("value", "%"), (*rows, *_below(table)))
+    return TableComparison(table, ("value", "2 sigma", "%"), ("value", "%"), (*rows, *_list_notes_below(table)))
 
 
-def _below(table: Table) -> list[Row]:
-    """Return the rows of what is printed under Tables 2 to 5."""
+def _list_notes_below(table: PublishedTable) -> list[ComparisonRow]:
+    """Return the rows printed under Tables 2 to 5: frequency, sums and residuals."""
     rows = []
 
     def add(name: str, label: str, printed: Decimal | None, recomputed: str = "-") -> None:
-        rows.append(Row(name, label, ("-" if printed is None else shown(printed), "-", "-"), (recomputed, "-")))
+        rows.append(
+            ComparisonRow(
+                name, label, ("-" if printed is None else format_printed(printed), "-", "-"), (recomputed, "-")
+            )
+        )
 
     if table.frequency is not None:
         for name, hertz in frequencies(table.values).items():
             printed = table.frequency if name == "free_free" else None
             add(name, f"{name.replace('_', '-')} frequency (Hz)", printed, f"{hertz:.2f}")
-        for name, value in sums(table).items():
+        for name, value in sum_sides(table).items():
             symbol, unit = SYMBOLS[name], _UNITS[name]
             add(name, f"{symbol}1 + {symbol}2 ({unit})", table.sums[name], f"{value:.1f}")
     if table.residual_percent is not None:
@@ -241,9 +255,9 @@ def _below(table: Table) -> list[Row]:
     return rows
 
 
-def _label(name: str) -> str:
+def _make_label(name: str) -> str:
     return f"{SYMBOLS[name]} ({_UNITS[name]})"
 
 
-def _shown(cells: Iterable[Decimal]) -> tuple[str, ...]:
-    return tuple(map(shown, cells))
+def _format_cells(cells: Iterable[Decimal]) -> tuple[str, ...]:
+    return tuple(map(format_printed, cells))

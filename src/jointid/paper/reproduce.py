@@ -1,4 +1,4 @@
-"""The paper, end to end, on its digital twin.
+"""Reproduce the paper, end to end, on its digital twin.
 
 Rigid DIDIM at 5 Hz (Table 1), IDIM (2) and DIDIM (3) of the flexible joint, both again with 10 kg on the load (4, 5),
 what changed (6), how far the methods differ (7); the cross test by simulation and the direct validation (Figures 4 and
@@ -33,7 +33,7 @@ from jointid.paper.twin import Twin, twin
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Experiment:
+class ReproducedExperiment:
     """One of the paper's two experiments: without the added mass, or with it.
 
     Attributes:
@@ -55,7 +55,7 @@ class Experiment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WithoutDamping:
-    """The paper's test of F12: it is taken out of the model, and what then happens.
+    """The paper's test of F12: an estimate without it in the model.
 
     Attributes:
         estimate: with the damping fixed at 0.
@@ -70,7 +70,7 @@ class WithoutDamping:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reproduction:
-    """All of it.
+    """Results of the whole reproduction.
 
     Attributes:
         seed: of the noise.
@@ -81,17 +81,17 @@ class Reproduction:
 
     seed: int
     rigid: Estimate
-    first: Experiment
-    second: Experiment
+    first: ReproducedExperiment
+    second: ReproducedExperiment
     without_damping: WithoutDamping
 
     def variations(self, method: str) -> dict[str, float]:
-        """Return what changed with the added mass, by name: "idim" or "didim" (Table 6)."""
+        """Return the change of each parameter with the added mass, by "idim" or "didim" (Table 6)."""
         before, after = (getattr(part, method).values for part in (self.first, self.second))
         return {name: after[name] - before[name] for name in before}
 
     def relative_errors(self, denominator: Denominator) -> tuple[dict[str, float], dict[str, float]]:
-        """Return how far the methods differ in both experiments, in percent (Table 7, by either denominator)."""
+        """Return the difference of the methods in both experiments, in percent (Table 7, by either denominator)."""
         assert denominator in DENOMINATORS
         first, second = (
             {
@@ -108,44 +108,44 @@ def reproduce(seed: int = 1, progress: Progress = silent) -> Reproduction:
 
     Args:
         seed: of the noise of the first run; the others follow.
-        progress: is told each step.
+        progress: called with each step.
     """
     axis, heavy = twin(seed=seed), twin(seed=seed + 1, added_mass=True)
     others = twin(seed=seed + 2, pulses_seed=1), twin(seed=seed + 3, added_mass=True, pulses_seed=1)
     progress("Table 1: the rigid joint, below 5 Hz")
     rigid_loop = ClosedLoop(RigidJoint(), axis.loop.controller)
-    rigid = identify(torque_only(axis), rigid_loop, DIDIM(), filtering=Filtering(cutoff=5.0))
-    first = _experiment(axis, others[0], "Tables 2 and 3", progress)
-    second = _experiment(heavy, others[1], "Tables 4 and 5, with 10 kg on the load", progress)
+    rigid = identify(keep_torque_only(axis), rigid_loop, DIDIM(), filtering=Filtering(cutoff=5.0))
+    first = _reproduce_experiment(axis, others[0], "Tables 2 and 3", progress)
+    second = _reproduce_experiment(heavy, others[1], "Tables 4 and 5, with 10 kg on the load", progress)
     progress("The test of F12")
-    return Reproduction(seed, rigid, first, second, _without_damping(axis, first.best))
+    return Reproduction(seed, rigid, first, second, _remove_damping(axis, first.best))
 
 
-def torque_only(axis: Twin) -> Record:
-    """Return what torque-only identification may see of a run: torque, reference, and the known pulses."""
+def keep_torque_only(axis: Twin) -> Record:
+    """Return the channels of a run for torque-only identification: torque, reference, and the known pulses."""
     return axis.record.without("motor_position", "load_position")
 
 
-def _experiment(axis: Twin, other: Twin, tables: str, progress: Progress) -> Experiment:
+def _reproduce_experiment(axis: Twin, other: Twin, tables: str, progress: Progress) -> ReproducedExperiment:
     progress(f"{tables}: IDIM")
     idim = identify(axis.record, axis.loop, IDIM())
     progress(f"{tables}: DIDIM by Nelder-Mead")
-    didim = identify(torque_only(axis), axis.loop, FlexibleDIDIM.paper())
+    didim = identify(keep_torque_only(axis), axis.loop, FlexibleDIDIM.paper())
     progress(f"{tables}: DIDIM by least squares, for its deviations")
-    best = identify(torque_only(axis), axis.loop, FlexibleDIDIM())
-    return Experiment(
-        axis, idim, didim, best, validate(simulated(idim, axis), other.record), validate(didim, axis.record)
+    best = identify(keep_torque_only(axis), axis.loop, FlexibleDIDIM())
+    return ReproducedExperiment(
+        axis, idim, didim, best, validate(make_simulable(idim, axis), other.record), validate(didim, axis.record)
     )
 
 
-def simulated(estimate: Estimate, axis: Twin) -> IdentifiedJoint:
+def make_simulable(estimate: Estimate, axis: Twin) -> IdentifiedJoint:
     """Return an IDIM estimate as a joint whose loop can be simulated."""
     filtering = Filtering().resolved(estimate.data.sample_time, "flexible")
     return replace(estimate.identified, method="didim", loop=axis.loop, filtering=filtering)
 
 
-def _without_damping(axis: Twin, best: Estimate) -> WithoutDamping:
+def _remove_damping(axis: Twin, best: Estimate) -> WithoutDamping:
     damping = next(p for p in axis.loop.joint.parameters if p.name == "damping")
-    estimate = identify(torque_only(axis), axis.loop, FlexibleDIDIM(), parameters={"damping": damping.fixed(0.0)})
+    estimate = identify(keep_torque_only(axis), axis.loop, FlexibleDIDIM(), parameters={"damping": damping.fixed(0.0)})
     shifts = {name: value / best.values[name] - 1 for name, value in estimate.values.items() if name != "damping"}
     return WithoutDamping(estimate, estimate.fit.filtered_error / best.fit.filtered_error - 1, shifts)

@@ -156,23 +156,23 @@ def twin(
     clean = run()
     if noise == "none":
         return Twin(clean, closed, truth, 0.0)
-    wanted = residual * np.linalg.norm(_seen(_torque(clean)))
+    target = residual * np.linalg.norm(_filter_torque(_get_torque(clean)))
     if noise == "white":
-        sd = float(wanted / np.linalg.norm(_seen(white)))
+        sd = float(target / np.linalg.norm(_filter_torque(white)))
         return Twin(run(torque_noise=sd * white), closed, truth, sd)
-    # The loop answers a small force almost linearly: one step of proportion, taken at the wanted size, is enough.
+    # The response to a small force is almost linear: one proportional step, taken at the target size, is enough.
     sd = 1.0
     for _ in range(2):
-        answer = _torque(run(disturbance=sd * white)) - _torque(clean)
-        sd *= float(wanted / np.linalg.norm(_seen(answer)))
+        response = _get_torque(run(disturbance=sd * white)) - _get_torque(clean)
+        sd *= float(target / np.linalg.norm(_filter_torque(response)))
     return Twin(run(disturbance=sd * white), closed, truth, sd)
 
 
-def _torque(record: Record) -> FloatArray:
+def _get_torque(record: Record) -> FloatArray:
     assert record.torque is not None
     return record.torque.values
 
 
-def _seen(torque: FloatArray) -> FloatArray:
-    """Return a torque as the flexible identification compares it: below 60 Hz, one sample in six."""
+def _filter_torque(torque: FloatArray) -> FloatArray:
+    """Return a torque filtered as in the flexible identification: below 60 Hz, one sample in six."""
     return decimate(torque, Filtering(cutoff=60.0).resolved(SAMPLE_TIME), SAMPLE_TIME)

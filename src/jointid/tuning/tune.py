@@ -11,7 +11,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.text import number
-from jointid.diagnostics.minimum_detectable_change import detectable
+from jointid.diagnostics.minimum_detectable_change import compute_minimum_detectable_change
 from jointid.estimation.problems.nuisance_parameters import of_law
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import PD, PID, Cascade, Controller, ServoController
@@ -120,7 +120,7 @@ def tune(
         gains=() if layout is None else _gains(estimate, controller, layout),
         notch=None if layout is None or layout.notch is None else _notch(layout, period),
         feedforward=feedforward(estimate, controller, whole, drive),
-        detectable=detectable(estimate, false_alarm=settings.false_alarm, power=settings.power),
+        detectable=compute_minimum_detectable_change(estimate, false_alarm=settings.false_alarm, power=settings.power),
         joint=_joint_band(case, present.response.hertz),
         position_unit=POSITION_UNIT[estimate.settings.joint.kind],
         torque_unit=estimate.data.torque_unit,

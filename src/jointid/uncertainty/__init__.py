@@ -1,1 +1,1 @@
-"""What is known of an estimate, against a criterion alone: intervals, what repeats, what a record tells."""
+"""Uncertainty of an estimate, from arrays and a problem alone: covariance, profiles, tests, identifiability."""

@@ -69,7 +69,7 @@ def test_a_log_is_identified_and_every_key_documented(
 def test_an_interrupted_log_is_told_as_far_as_it_was_read(
     joint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = Log.pieces
+    whole = Log.chunks
 
     def stopped(self: Log, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
         for count, piece in enumerate(whole(self, length, overlap, every)):
@@ -77,7 +77,7 @@ def test_an_interrupted_log_is_told_as_far_as_it_was_read(
                 raise KeyboardInterrupt
             yield piece
 
-    monkeypatch.setattr(Log, "pieces", stopped)
+    monkeypatch.setattr(Log, "chunks", stopped)
     out = tmp_path / "out.json"
     assert run("identify", joint, "--window", 4, "--json", out, "-q") == 130
     said = capsys.readouterr()

@@ -268,7 +268,7 @@ def test_a_stretch_is_silent_of_what_it_does_not_tell() -> None:
     assert set(first.values) == told | {"viscous_backwards", "coulomb_backwards"}
     assert estimate.checks.drift.agreement is not None
     assert not estimate.checks.drift.agreement.differs
-    assert "not told" in str(estimate)
+    assert "not excited" in estimate.summary(details=True)
 
 
 def test_windows_begin_with_a_period_of_a_controller_slower_than_the_log() -> None:

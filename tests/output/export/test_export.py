@@ -18,6 +18,7 @@ from jointid.config import loads
 from jointid.output.export.export import EXPORTERS, exporter_of
 from jointid.output.export.joint_model import joint_model
 from jointid.paper.twin import JOINT_FILE, TABLE_2
+from jointid.simulation.closed_loop import Simulation
 from tests.output.export.models import answer, model
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -227,7 +228,7 @@ def test_estimates_of_every_kind_are_exported_as_they_are_found() -> None:
         assert document["source"]["schema"] == f"jointid.{schema}/1"
         assert document["parameters"]["inertia"]["value"] == estimate["inertia"].value
     with pytest.raises(ji.MethodError, match="received Simulation"):
-        ji.export(object.__new__(ji.Simulation), "urdf")  # type: ignore[arg-type]
+        ji.export(object.__new__(Simulation), "urdf")  # type: ignore[arg-type]
     with pytest.raises(ji.MethodError, match='received "left"'):
         ji.export(alone, "urdf", side="left")  # type: ignore[arg-type]
 

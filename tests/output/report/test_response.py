@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.response import response_of
-from jointid.diagnostics.spectra import spectra
+from jointid.diagnostics.response import compute_response
+from jointid.diagnostics.spectra import estimate_spectra
 from tests.output.report import reports
 
 VALUES = {
@@ -36,7 +36,7 @@ def test_the_response_is_that_of_the_equations_of_motion() -> None:
 
 
 def test_the_motor_dips_at_the_motor_locked_frequency_and_peaks_at_the_free_free_one() -> None:
-    found = response_of(reports.flexible().estimate)
+    found = compute_response(reports.flexible().estimate)
     motor = found.curves[0]
     near = (found.frequency > 15) & (found.frequency < 60)
     lowest = found.frequency[near][np.argmin(motor.magnitude[near])]
@@ -47,7 +47,7 @@ def test_the_motor_dips_at_the_motor_locked_frequency_and_peaks_at_the_free_free
 
 def test_the_band_is_that_of_the_covariance() -> None:
     estimate = reports.rigid().estimate
-    found = response_of(estimate)
+    found = compute_response(estimate)
     curve = found.curves[0]
     inertia = estimate["inertia"]
     assert inertia.value is not None
@@ -58,9 +58,9 @@ def test_the_band_is_that_of_the_covariance() -> None:
 
 def test_the_spectrum_of_white_noise_is_flat_and_of_the_right_size() -> None:
     noise = np.random.default_rng(0).standard_normal(50_000)
-    found = spectra(noise, np.zeros_like(noise), 1e-3)
+    found = estimate_spectra(noise, np.zeros_like(noise), 1e-3)
     inner = found.error[2:-2]
     assert np.mean(inner**2) == pytest.approx(1.0 / 500.0, rel=0.03)  # variance 1 over 500 Hz
     assert np.array_equal(found.error, found.measured)
     with pytest.raises(ji.RecordError, match="longer record"):
-        spectra(noise[:20], noise[:20], 1e-3)
+        estimate_spectra(noise[:20], noise[:20], 1e-3)

@@ -21,7 +21,7 @@ def compare(
         level: chance that anything is called changed where nothing is, for all quantities together.
         json: also write the answer as JSON to this file.
     """
-    from jointid import compare_reports as run
+    from jointid import compare_estimates as run
     from jointid.apps.cli.console import check_outputs, show
     from jointid.output import json as answers
 
@@ -29,4 +29,4 @@ def compare(
     found = run(answers.read_report(before), answers.read_report(after), level)
     show(found)
     if json is not None:
-        answers.write(answers.drift_answer(found), json)
+        answers.write(answers.to_dict(found), json)

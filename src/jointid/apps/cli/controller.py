@@ -51,7 +51,7 @@ def controller(
     if json is not None:
         from jointid.output import json as answers
 
-        answers.write(answers.learned_answer(learned), json)
+        answers.write(answers.to_dict(learned), json)
     if write is not None:
         save(learned, file, write)
         show(f"written: {write}")

@@ -34,7 +34,7 @@ def demo(
     from jointid.common.errors import RecordError
     from jointid.common.text import aligned, number
     from jointid.config import load
-    from jointid.diagnostics.check_loop import with_loop_verdict
+    from jointid.diagnostics.check_loop import add_loop_verdict
     from jointid.output import json as answers
     from jointid.output.figures.figures import save, torque_figure
     from jointid.paper.twin import JOINT_FILE
@@ -56,8 +56,8 @@ def demo(
         logged, file.loop or file.joint, file.method, filtering=file.filtering, parameters=file.parameters,
         progress=listener,
     )  # fmt: skip
-    estimate = with_loop_verdict(estimate, logged)
-    answers.write(answers.estimate_answer(estimate), made / "estimate.json")
+    estimate = add_loop_verdict(estimate, logged)
+    answers.write(answers.to_dict(estimate), made / "estimate.json")
     save(torque_figure(estimate), made / "torque.png")
     show(estimate)
     rows = []

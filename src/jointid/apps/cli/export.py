@@ -33,7 +33,7 @@ def export(
 
     Args:
         joint: the joint file (TOML).
-        estimate: what identify, together or long --json wrote.
+        estimate: what identify --json wrote.
         changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         out: the file to write.
         format: the language, instead of the one the ending of the file means.

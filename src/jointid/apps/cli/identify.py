@@ -68,7 +68,7 @@ def identify(
     from jointid import Windowing
     from jointid.apps.cli.console import check_outputs, identified, progress, show
     from jointid.config import load
-    from jointid.diagnostics.check_loop import with_loop_verdict
+    from jointid.diagnostics.check_loop import add_loop_verdict
 
     listener = progress(quiet)
     check_outputs(figure, json)
@@ -92,20 +92,20 @@ def identify(
     else:
         logged, estimate = identified(file, records[0] if records else None, listener)
         if file.tells_of_its_loop:
-            estimate = with_loop_verdict(estimate, logged)
+            estimate = add_loop_verdict(estimate, logged)
     show(estimate, details=details)
     if json is not None:
         from jointid.output import json as answers
 
-        answers.write(answers.estimate_answer(estimate), json)
+        answers.write(answers.to_dict(estimate), json)
     if figure is not None:
         from jointid.output.figures.figures import save, torque_figure
 
         save(torque_figure(estimate), figure)
     if logged is not None and estimate.checks.bounds:
-        from jointid import what_would_tell_more
+        from jointid import design_stiffness_test
 
-        show(f"\n{what_would_tell_more(estimate, logged)}")
+        show(f"\n{design_stiffness_test(estimate, logged)}")
     if estimate.fit.interrupted:
         raise KeyboardInterrupt
 

@@ -67,7 +67,7 @@ def report(
     if json is not None:
         from jointid.output import json as answers
 
-        answers.write(answers.estimate_answer(told.estimate), json)
+        answers.write(answers.to_dict(told.estimate), json)
         written.append(json)
     show(told.estimate)
     show("\nWritten: " + ", ".join(map(str, written)))

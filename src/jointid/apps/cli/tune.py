@@ -48,7 +48,7 @@ def tune(
     from jointid import tune as run
     from jointid.apps.cli.console import check_outputs, identified, progress, show
     from jointid.config import load
-    from jointid.diagnostics.check_loop import with_loop_verdict
+    from jointid.diagnostics.check_loop import add_loop_verdict
 
     listener = progress(quiet)
     check_outputs(figure, json)
@@ -56,13 +56,13 @@ def tune(
     file = load(joint, changes).override(method="didim")
     logged, estimate = identified(file, record, listener)
     if file.tells_of_its_loop:  # margins are of the loop as it is declared
-        estimate = with_loop_verdict(estimate, logged)
+        estimate = add_loop_verdict(estimate, logged)
     tuned = run(estimate, settings, drive=file.drive, progress=listener)
     show(tuned)
     if json is not None:
         from jointid.output import json as answers
 
-        answers.write(answers.tuning_answer(tuned), json)
+        answers.write(answers.to_dict(tuned), json)
     if figure is not None:
         from jointid.output.figures.figures import save
         from jointid.output.figures.tuning_figure import tuning_figure

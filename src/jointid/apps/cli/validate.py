@@ -49,7 +49,7 @@ def validate(
     validation = run(identified, logged)
     show(validation)
     if json is not None:
-        answers.write(answers.validation_answer(validation), json)
+        answers.write(answers.to_dict(validation), json)
     if figure is not None:
         from jointid.output.figures.figures import save, torque_figure
 

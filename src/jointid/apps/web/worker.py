@@ -85,7 +85,7 @@ def identify(folder: Path) -> None:
     again = replace(again, record_name=work["name"], command="jointid report joint.toml --html report.html")
     _write(folder / "report.html", replace(told, repetition=again).html())
     _write(folder / "answer.txt", f"{told.estimate}\n")
-    answers.write(answers.estimate_answer(told.estimate), folder / "answer.json")
+    answers.write(answers.to_dict(told.estimate), folder / "answer.json")
 
 
 def _learn(folder: Path, work: dict[str, Any]) -> None:

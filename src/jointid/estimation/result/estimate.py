@@ -244,8 +244,8 @@ class Estimate(Documented):
 
     @property
     def success(self) -> bool:
-        """True if the search converged and no verdict speaks against the estimate."""
-        return self.fit.converged and all(v.good is not False for v in self.checks.verdicts)
+        """True if the search converged and no parameter of the joint is refused; the verdicts say more."""
+        return self.fit.converged and all(p.value is not None for p in self.params if p.of_joint)
 
     @property
     def covariance(self) -> FloatArray:

@@ -28,7 +28,7 @@ def estimate_document(estimate: Estimate, *, details: bool = False) -> Document:
     title = f"{joint.model.capitalize()} joint, {estimate.settings.variant}, {source}"
     facts = (
         *_results(estimate),
-        *(_effort(estimate) if details else ()),
+        *(_effort(estimate) if details else _unfinished(estimate)),
         *_limits(estimate, details=details),
         *_count(estimate),
     )
@@ -112,6 +112,12 @@ def _effort(estimate: Estimate) -> Iterator[tuple[str, str]]:
     if estimate.settings.weighting:
         yield "weighting", estimate.settings.weighting
     yield "intervals", estimate.params.basis
+
+
+def _unfinished(estimate: Estimate) -> Iterator[tuple[str, str]]:
+    """Return why a search that no verdict is on ended where it should not have."""
+    if estimate.fit.interrupted or not (estimate.fit.converged or estimate.checks.verdicts):
+        yield "stopped", estimate.fit.stop
 
 
 def _limits(estimate: Estimate, *, details: bool) -> Iterator[tuple[str, str]]:

@@ -1,1 +1,1 @@
-"""One joint from several records: what they share, whether they agree, and the verb `identify_together`."""
+"""One joint from several records: what they share, and whether they agree."""

@@ -249,7 +249,7 @@ def joint_model(answer: Json, joint: Joint, name: str | None = None, source: str
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError):
         raise RecordError(
             f"{source} is no estimate ({', '.join(SCHEMAS)}) for a {joint.kind} {joint.model} joint with the "
-            "parameters, the transmission and the gravity of this joint file; give what identify, together or long "
+            "parameters, the transmission and the gravity of this joint file; give what identify "
             "--json wrote with it."
         ) from None
 

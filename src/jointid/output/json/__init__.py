@@ -22,6 +22,7 @@ from jointid.output.json.reading import read_answer, read_friction, read_identif
 from jointid.output.json.reported import DRIFT_SCHEMA, drift_answer, read_report
 from jointid.output.json.reports import REPORT_SCHEMA, report_answer
 from jointid.output.json.simulations import SIMULATION_SCHEMA, simulation_answer
+from jointid.output.json.to_dict import to_dict
 from jointid.output.json.tuning import TUNING_SCHEMA, detectable_answer, tuning_answer
 from jointid.output.json.writing import dumps, write
 
@@ -56,6 +57,7 @@ __all__ = [
     "report_answer",
     "revealing_answer",
     "simulation_answer",
+    "to_dict",
     "tuning_answer",
     "validation_answer",
     "write",

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from jointid.diagnostics.experiment_design import Advice, Prediction
-from jointid.diagnostics.loop_check import LoopCheck, Suspect
-from jointid.diagnostics.method_comparison import Comparison
-from jointid.diagnostics.stiffness_test_design import Revealing, Told
+from jointid.diagnostics.loop_check import FaultTest, LoopCheck
+from jointid.diagnostics.method_comparison import MethodComparison
+from jointid.diagnostics.stiffness_test_design import DetectableMode, StiffnessTestDesign
 from jointid.diagnostics.validation import Validation
 from jointid.output.json.estimates import estimate_answer
 from jointid.output.json.parts import Json, initial_answer, resampled_answer, transmission_answer
@@ -44,7 +44,7 @@ def validation_answer(validation: Validation) -> Json:
     }
 
 
-def comparison_answer(comparison: Comparison) -> Json:
+def comparison_answer(comparison: MethodComparison) -> Json:
     """Return a comparison as it is written to JSON: the whole answer of each method that ran."""
     return {
         "schema": COMPARISON_SCHEMA,
@@ -73,18 +73,18 @@ def loop_answer(check: LoopCheck) -> Json:
         "reasons": [reason.to_dict() for reason in check.reasons],
         "findings": [
             {
-                "suspect": _suspect(finding.suspect),
+                "suspect": _suspect(finding.test),
                 "value": finding.value,
                 "rivals": list(finding.rivals),
                 "changes": {name: {"by": c.by, "sigmas": c.sigmas} for name, c in finding.changes.items()},
             }
             for finding in check.findings
         ],
-        "suspects": [_suspect(suspect) for suspect in check.suspects],
+        "suspects": [_suspect(suspect) for suspect in check.tests],
     }
 
 
-def _suspect(s: Suspect) -> Json:
+def _suspect(s: FaultTest) -> Json:
     return {
         "name": s.name,
         "alike": list(s.alike),
@@ -114,10 +114,10 @@ def advice_answer(advice: Advice) -> Json:
     }
 
 
-def revealing_answer(found: Revealing) -> Json:
+def revealing_answer(found: StiffnessTestDesign) -> Json:
     """Return which tests would show a refused stiffness as it is written to JSON."""
 
-    def told(test: tuple[Told, ...]) -> list[Json]:
+    def told(test: tuple[DetectableMode, ...]) -> list[Json]:
         return [
             {
                 "load_share": one.share,
@@ -139,4 +139,4 @@ def revealing_answer(found: Revealing) -> Json:
 
 
 def _prediction(one: Prediction) -> Json:
-    return {"name": one.name, "described": one.described, "std": dict(one.std) or None}
+    return {"name": one.name, "described": one.description, "std": dict(one.std) or None}

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from jointid.common.errors import RecordError
-from jointid.diagnostics.compare_estimates import Quantity, ReportComparison, Told
+from jointid.diagnostics.compare_estimates import EstimateComparison, ReportedEstimate, ReportedQuantity
 from jointid.output.json.estimates import ESTIMATE_SCHEMA
 from jointid.output.json.parts import Json
 from jointid.output.json.reports import REPORT_ELEMENT, REPORT_SCHEMA
@@ -40,7 +40,7 @@ class _Answer(HTMLParser):
             self.text.append(data)
 
 
-def read_report(path: str | Path) -> Told:
+def read_report(path: str | Path) -> ReportedEstimate:
     """Return the estimate in a file: the JSON of an estimate or of a report, or the HTML page of a report.
 
     Raises:
@@ -80,7 +80,7 @@ def _loaded(path: Path) -> Json:
     return answer
 
 
-def _told(answer: Json, label: str) -> Told:
+def _told(answer: Json, label: str) -> ReportedEstimate:
     record, gear = answer["record"], answer["transmission"]
     side = "" if gear is None else f"{gear['side']} side, {float(gear['motor_per_load']):g} motor per load"
     filtering = answer["filtering"]
@@ -92,7 +92,7 @@ def _told(answer: Json, label: str) -> Told:
         "controller": str(answer["controller_sha256"] or "none")[:12],
     }
     sums = [one for one in answer.get("combinations") or () if _of_both_sides(one["weights"])]
-    return Told(
+    return ReportedEstimate(
         label,
         str(record["name"]),
         str(record["torque_sha256"]),
@@ -105,7 +105,9 @@ def _told(answer: Json, label: str) -> Told:
         float(answer["relative_error_percent"]) / 100,
         tuple(_quantity(n, p) for n, p in answer["parameters"].items() if not n.startswith("initial_")),
         tuple(
-            Quantity(str(one["name"]), str(one["formula"]), str(one["unit"]), _size(one["value"]), _size(one["std"]))
+            ReportedQuantity(
+                str(one["name"]), str(one["formula"]), str(one["unit"]), _size(one["value"]), _size(one["std"])
+            )
             for one in sums
         ),
     )
@@ -118,8 +120,10 @@ def _of_both_sides(weights: Mapping[str, float]) -> bool:
     return side == "motor" and one == 1.0 and len(rest) == 1 and rest[0] in {(f"load_{quantity}", w) for w in (1, -1)}
 
 
-def _quantity(name: str, p: Mapping[str, Any]) -> Quantity:
-    return Quantity(name, str(p["symbol"]), str(p["unit"]), _size(p["value"]), _size(p["std"]), free=bool(p["free"]))
+def _quantity(name: str, p: Mapping[str, Any]) -> ReportedQuantity:
+    return ReportedQuantity(
+        name, str(p["symbol"]), str(p["unit"]), _size(p["value"]), _size(p["std"]), free=bool(p["free"])
+    )
 
 
 def _size(value: object) -> float | None:
@@ -131,7 +135,7 @@ def _size(value: object) -> float | None:
     return float(value)
 
 
-def drift_answer(drift: ReportComparison) -> Json:
+def drift_answer(drift: EstimateComparison) -> Json:
     """Return what changed between two estimates as it is written to JSON."""
     return {
         "schema": DRIFT_SCHEMA,
@@ -149,7 +153,7 @@ def drift_answer(drift: ReportComparison) -> Json:
                 "std": row.std,
                 "p_value": row.p_value,
                 "changed": row in drift.changed,
-                "said": row.said or None,
+                "said": row.reason or None,
             }
             for row in drift.rows
         },

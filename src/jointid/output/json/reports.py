@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from jointid.diagnostics.report_data import Dossier
+from jointid.diagnostics.report_data import ReportData
 from jointid.output.json.assessments import loop_answer, revealing_answer, validation_answer
 from jointid.output.json.estimates import estimate_answer
 from jointid.output.json.parts import Json
@@ -43,7 +43,7 @@ class Repeated(Protocol):
         """That writes the report again."""
 
 
-def report_answer(given: Dossier, repeated: Repeated) -> Json:
+def report_answer(given: ReportData, repeated: Repeated) -> Json:
     """Return a report as its page carries it."""
     return {
         "schema": REPORT_SCHEMA,
@@ -54,7 +54,7 @@ def report_answer(given: Dossier, repeated: Repeated) -> Json:
         "loop": None if given.loop is None else loop_answer(given.loop),
         "profiles": [profile_answer(one) for one in given.profiles],
         "frequencies": {} if given.response is None else dict(given.response.modes),
-        "revealing": None if given.revealing is None else revealing_answer(given.revealing),
+        "revealing": None if given.stiffness_test is None else revealing_answer(given.stiffness_test),
         "absent": dict(given.absent),
         "record_file": repeated.record_name or None,
         "record_file_sha256": repeated.record_sha256 or None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 
-from jointid.diagnostics.minimum_detectable_change import Detectable
+from jointid.diagnostics.minimum_detectable_change import MinimumDetectableChange
 from jointid.output.json.parts import Json, transmission_answer
 from jointid.tuning.margins import Margins
 from jointid.tuning.tuned import LoopMargins, Tuned
@@ -49,7 +49,7 @@ def tuning_answer(tuned: Tuned) -> Json:
     }
 
 
-def detectable_answer(found: Detectable) -> Json:
+def detectable_answer(found: MinimumDetectableChange) -> Json:
     """Return what changes would be told as it is written to JSON."""
     return {
         "false_alarm": found.false_alarm,

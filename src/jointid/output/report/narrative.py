@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from jointid.common.text import interval, number
-from jointid.diagnostics.report_data import Dossier
+from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.methods.registry import method_of
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.friction import DIRECTIONS, Part
@@ -33,7 +33,7 @@ def report_title(estimate: Estimate, name: str = "") -> str:
     return f"{name or estimate.data.record}: {model} joint, identified by {title}"
 
 
-def report_result(given: Dossier) -> tuple[str, ...]:
+def report_result(given: ReportData) -> tuple[str, ...]:
     """Return the result in sentences, the most important first."""
     estimate = given.estimate
     channels = _listed([_CHANNELS.get(name, name.replace("_", " ")) for name in estimate.data.channels])

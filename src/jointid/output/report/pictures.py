@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from jointid.common.text import number
-from jointid.diagnostics.report_data import Dossier
+from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.result.estimate import Estimate
 from jointid.output.figures.charts import (
     ERROR,
@@ -32,7 +32,7 @@ from jointid.uncertainty.profile import Profile
 _MODES = {"free_free": "free-free", "motor_locked": "motor locked", "load_locked": "load locked"}
 
 
-def spectra_chart(given: Dossier) -> Chart | None:
+def spectra_chart(given: ReportData) -> Chart | None:
     """Return the spectra of measured, simulated and error, with the joint's frequencies; None where there are none."""
     found, names = given.spectra, Axes.of(given.estimate)
     if found is None:
@@ -70,7 +70,7 @@ def _marks(modes: Mapping[str, float], highest: float) -> tuple[Mark, ...]:
     return tuple(Mark(hertz, f"{_MODES[name]} {hertz:.1f} Hz", row) for row, (name, hertz) in enumerate(seen))
 
 
-def response_chart(given: Dossier) -> Chart | None:
+def response_chart(given: ReportData) -> Chart | None:
     """Return the frequency response of the joint, magnitude over phase; None where it cannot be had."""
     found = given.response
     if found is None:
@@ -110,7 +110,7 @@ def response_chart(given: Dossier) -> Chart | None:
     return Chart("response", caption, panels)
 
 
-def correlation_chart(given: Dossier) -> Chart | None:
+def correlation_chart(given: ReportData) -> Chart | None:
     """Return the correlations of the estimate's errors; None where they are not known."""
     estimate = given.estimate
     free = [p for p in estimate.params if p.free][: len(estimate.params.correlation)]
@@ -129,7 +129,7 @@ def correlation_chart(given: Dossier) -> Chart | None:
     return Chart("correlation", caption, (panel,))
 
 
-def profiles_chart(given: Dossier) -> Chart | None:
+def profiles_chart(given: ReportData) -> Chart | None:
     """Return the profiles, each beside what the table's interval says; None where there is none."""
     shown = [one for one in given.profiles if one.points.size > 2]
     if not shown:
@@ -163,7 +163,7 @@ def _profile(one: Profile, estimate: Estimate) -> Panel:
     return Panel(f"{one.formula} [{one.unit}]", "rise [sigma]", tuple(items), height=210, y_range=(0.0, 3.2))
 
 
-def convergence_chart(given: Dossier) -> Chart | None:
+def convergence_chart(given: ReportData) -> Chart | None:
     """Return the residual and the parameters over the iterations; None where there are none to show."""
     trace = given.estimate.fit.trace
     if len(trace) < 2:
@@ -196,7 +196,7 @@ def convergence_chart(given: Dossier) -> Chart | None:
     return Chart("convergence", caption, tuple(panels), columns=len(panels))
 
 
-def bounds_chart(given: Dossier) -> Chart | None:
+def bounds_chart(given: ReportData) -> Chart | None:
     """Return how soft a refused spring may be, by the load's share of the inertia; None where it is not refused."""
     known = [b for b in given.estimate.checks.bounds if b.stiffness is not None and b.frequency is not None]
     if not known:
@@ -229,7 +229,7 @@ def bounds_chart(given: Dossier) -> Chart | None:
     return Chart("bounds", caption, panels, columns=2)
 
 
-def draw_charts(given: Dossier) -> dict[str, Chart]:
+def draw_charts(given: ReportData) -> dict[str, Chart]:
     """Return every figure that can be had of a dossier, by its name, in the order of a report."""
     makers = (
         bounds_chart, torque_chart, residual_chart, spectra_chart, response_chart, correlation_chart, profiles_chart,

@@ -10,7 +10,7 @@ from jointid.common.document import Document
 from jointid.common.errors import RecordError
 from jointid.common.progress import Progress, silent
 from jointid.config import JointFile
-from jointid.diagnostics.report_data import Dossier, dossier
+from jointid.diagnostics.report_data import ReportData, collect_report_data
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
 from jointid.output.figures.charts import Chart
@@ -35,7 +35,7 @@ class Report:
         repetition: what it takes to do it again.
     """
 
-    dossier: Dossier
+    dossier: ReportData
     name: str = ""
     repetition: Repetition = field(default_factory=Repetition)
 
@@ -142,7 +142,7 @@ def report_estimate(
 
     It is not called `report`, which is the room it lives in.
     """
-    return Report(dossier(estimate, record, checks, profiles=profiles, loop=loop, progress=progress), name)
+    return Report(collect_report_data(estimate, record, checks, profiles=profiles, loop=loop, progress=progress), name)
 
 
 def report_file(
@@ -167,7 +167,7 @@ def report_file(
     """
     logged = file.record(record)
     estimate = file.identify(logged, progress)
-    found = dossier(estimate, logged, profiles=profiles, loop=file.tells_of_its_loop, progress=progress)
+    found = collect_report_data(estimate, logged, profiles=profiles, loop=file.tells_of_its_loop, progress=progress)
     return Report(found, file.name or "", repetition or Repetition())
 
 

@@ -13,8 +13,8 @@ from jointid.models.joints import frequencies
 from jointid.output.figures.figures import torque_figure
 from jointid.paper.errata import ERRATA
 from jointid.paper.published import SYMBOLS, TABLES
-from jointid.paper.recomputed import DENOMINATORS, Comparison, comparison
-from jointid.paper.reproduce import Experiment, Reproduction
+from jointid.paper.recomputed import DENOMINATORS, TableComparison, compare_table
+from jointid.paper.reproduce import ReproducedExperiment, Reproduction
 
 Cells = Mapping[str, tuple[str, ...]]
 """The recomputed value of each row of a table, by the row's name."""
@@ -46,7 +46,7 @@ def reproduction_document(run: Reproduction) -> Document:
 def _rigid(run: Reproduction) -> list[Block]:
     blocks: list[Block] = [
         Heading("Table 1: the rigid joint"),
-        _table(comparison(TABLES[1]), ("value", "2 sigma", "%"), _parameters(run.rigid)),
+        _table(compare_table(TABLES[1]), ("value", "2 sigma", "%"), _parameters(run.rigid)),
         Paragraph(
             f"{run.rigid.fit.iterations} iterations, {run.rigid.fit.simulations} simulations; {run.rigid.fit.stop}."
         ),
@@ -54,7 +54,7 @@ def _rigid(run: Reproduction) -> list[Block]:
     return blocks
 
 
-def _experiment(numbers: tuple[int, int], part: Experiment) -> list[Block]:
+def _experiment(numbers: tuple[int, int], part: ReproducedExperiment) -> list[Block]:
     mass = " with 10 kg on the load" if numbers[0] != 2 else ""
     idim, didim = numbers
     simulated = {"simulated": (_percent(part.idim_simulated.filtered_error), "-", "-", "-")}
@@ -63,13 +63,13 @@ def _experiment(numbers: tuple[int, int], part: Experiment) -> list[Block]:
     by_idim, by_didim = (_beside(_parameters(e), part.axis.truth) for e in (part.idim, part.didim))
     return [
         Heading(f"Table {idim}: IDIM{mass}"),
-        _table(comparison(TABLES[idim]), _RUN, by_idim | _below(part.idim) | simulated | residual),
+        _table(compare_table(TABLES[idim]), _RUN, by_idim | _below(part.idim) | simulated | residual),
         Paragraph(
             f"Standard deviations {part.idim.params.basis}. Nor is the noise in the measured motions: the disturbance "
             "acts inside the loop, so IDIM's regressor is correlated with its error, and ZZ1 most of all is off."
         ),
         Heading(f"Table {didim}: DIDIM{mass}"),
-        _table(comparison(TABLES[didim]), _RUN, by_didim | _below(part.didim) | direct),
+        _table(compare_table(TABLES[didim]), _RUN, by_didim | _below(part.didim) | direct),
         Paragraph(
             f"{part.didim.fit.stop}. In all {part.didim.fit.iterations} iterations and "
             f"{part.didim.fit.simulations} simulations; "
@@ -97,7 +97,7 @@ def _variations(run: Reproduction) -> list[Block]:
     cells: Cells = {name: (number(idim[name], 3), number(didim[name], 3)) for name in idim}
     return [
         Heading("Table 6: what the added mass changed"),
-        _table(comparison(TABLES[6]), ("IDIM", "DIDIM"), cells),
+        _table(compare_table(TABLES[6]), ("IDIM", "DIDIM"), cells),
         Paragraph(
             "The twin's own changes are those from Table 2 to Table 4. Fv1 and Fv2 move against each other with their "
             "sum kept: torque alone does not tell them apart."
@@ -109,7 +109,7 @@ def _relative_errors(run: Reproduction) -> list[Block]:
     ways = [run.relative_errors(denominator) for denominator in DENOMINATORS]
     cells = {name: tuple(number(test[name], 3) for way in ways for test in way) for name in ways[0][0]}
     headings = tuple(f"{test}, {words}" for words in DENOMINATORS.values() for test in ("first", "second"))
-    return [Heading("Table 7: IDIM against DIDIM"), _table(comparison(TABLES[7]), headings, cells)]
+    return [Heading("Table 7: IDIM against DIDIM"), _table(compare_table(TABLES[7]), headings, cells)]
 
 
 def _validation(run: Reproduction) -> list[Block]:
@@ -170,7 +170,7 @@ def _errata() -> list[Block]:
     return blocks
 
 
-def _table(beside: Comparison, headings: tuple[str, ...], cells: Cells) -> Table:
+def _table(beside: TableComparison, headings: tuple[str, ...], cells: Cells) -> Table:
     """Return a published table with its recomputed columns and this run's."""
     header = (
         "",

@@ -13,7 +13,7 @@ from jointid.common.document import (
     Table,
     Verdicts,
 )
-from jointid.diagnostics.report_data import Dossier
+from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.result.tables import (
     bands_table,
     bounds_table,
@@ -35,7 +35,7 @@ _TITLES = {
 
 
 def report_blocks(
-    given: Dossier, charts: dict[str, Chart], repetition: Repetition, *, interactive: bool
+    given: ReportData, charts: dict[str, Chart], repetition: Repetition, *, interactive: bool
 ) -> tuple[Block, ...]:
     """Return the whole report.
 
@@ -69,7 +69,7 @@ def report_blocks(
     )
 
 
-def _result(given: Dossier, picture: object) -> list[Block]:
+def _result(given: ReportData, picture: object) -> list[Block]:
     estimate = given.estimate
     assert callable(picture)
     first, *others = report_result(given)
@@ -93,8 +93,8 @@ def _result(given: Dossier, picture: object) -> list[Block]:
     bounds = bounds_table(estimate, "With 95 % confidence, for a lightly damped mode")
     if bounds is not None:
         found += [Heading("Lower bound of the stiffness"), bounds, *picture("bounds")]
-        if given.revealing is not None:
-            found += [Heading("Tests that would show the stiffness", 3), Paragraph(str(given.revealing))]
+        if given.stiffness_test is not None:
+            found += [Heading("Tests that would show the stiffness", 3), Paragraph(str(given.stiffness_test))]
     return found
 
 
@@ -102,14 +102,14 @@ def _section(title: str, shown: list[Block], *more: Table | None) -> list[Block]
     return [Heading(title), *shown, *(table for table in more if table is not None)]
 
 
-def _loop(given: Dossier) -> list[Block]:
+def _loop(given: ReportData) -> list[Block]:
     table = tables.suspects_table(given)
     if given.loop is None or table is None:
         return []
     return [Heading("Controller and log"), Listing(tuple(map(_sentence, given.loop.sentences))), table]
 
 
-def _tests(given: Dossier) -> list[Block]:
+def _tests(given: ReportData) -> list[Block]:
     every = ((given.validation,) if given.validation is not None else ()) + given.checks
     table = tables.checks_table(every)
     if table is None:
@@ -118,7 +118,7 @@ def _tests(given: Dossier) -> list[Block]:
     return [Heading("Validation"), table, *([Listing(tuple(told))] if told else [])]
 
 
-def _repeated(given: Dossier, repetition: Repetition) -> list[Block]:
+def _repeated(given: ReportData, repetition: Repetition) -> list[Block]:
     estimate = given.estimate
     found: list[Block] = [Heading("Settings and data"), settings_facts(estimate), tables.channels_table(given)]
     hashes = [("Torque, SHA-256 of its samples", estimate.data.fingerprint), *repetition.facts]
@@ -130,7 +130,7 @@ def _repeated(given: Dossier, repetition: Repetition) -> list[Block]:
     return found
 
 
-def _absent(given: Dossier, name: str) -> str:
+def _absent(given: ReportData, name: str) -> str:
     """Return why a part is not there."""
     estimate = given.estimate
     refused = any(p.value is None for p in estimate.params)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.diagnostics.report_data import Dossier
+from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.parameters import POSITION_UNIT
 from jointid.output.figures.charts import (
@@ -65,7 +65,7 @@ class Axes:
         return f"{self.quantity}{self.side} [{self.unit}]"
 
 
-def torque_chart(given: Dossier) -> Chart:
+def torque_chart(given: ReportData) -> Chart:
     """Return measured and simulated torque, their difference, and the motion, over one time axis."""
     estimate, motion = given.estimate, given.motion
     names = Axes.of(estimate)
@@ -106,7 +106,7 @@ def torque_chart(given: Dossier) -> Chart:
     caption = (
         f"Measured and {names.predicted} {names.quantity} lie on each other where the model is right; below them their "
         f"difference, {100 * estimate.fit.relative_error:.2f} % of the measured, on a scale of its own"
-        + ("" if motion is None else f", and the {given.seen} velocity of the motor")
+        + ("" if motion is None else f", and the {given.motion_source} velocity of the motor")
         + ". On a screen, zooming one of the last panels zooms the others."
         + _kept(t.size, time.size)
     )
@@ -119,7 +119,7 @@ def _kept(kept: int, all_of: int) -> str:
     return f" {kept} of {all_of} samples are drawn, the least and the largest of every stretch: no peak is lost."
 
 
-def residual_chart(given: Dossier) -> Chart | None:
+def residual_chart(given: ReportData) -> Chart | None:
     """Return the error against velocity and position, with its mean, and its autocorrelation; None without a motion."""
     estimate, motion = given.estimate, given.motion
     if motion is None:
@@ -157,7 +157,7 @@ def residual_chart(given: Dossier) -> Chart | None:
     every = -(-error.size // _POINTS)
     drawn = "" if every == 1 else f" (one sample in {every})"
     caption = (
-        f"The error against the {given.seen} velocity and position of the motor{drawn}, "
+        f"The error against the {given.motion_source} velocity and position of the motor{drawn}, "
         "with its mean over all samples. Noise alone has a mean of 0 everywhere: a mean "
         f"that bends with velocity is friction, one that waves with position is cogging, gravity or a screw's pitch."
         f"{told}"

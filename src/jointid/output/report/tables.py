@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from jointid.common.document import Table
 from jointid.common.text import number
-from jointid.diagnostics.report_data import Dossier
+from jointid.diagnostics.report_data import ReportData
 from jointid.diagnostics.validation import Validation
 
 
-def modes_table(given: Dossier) -> Table | None:
+def modes_table(given: ReportData) -> Table | None:
     """Return the three frequencies of a flexible joint; None where there are none."""
     if given.response is None or not given.response.modes:
         return None
@@ -21,7 +21,7 @@ def modes_table(given: Dossier) -> Table | None:
     return Table(("frequency", "what it is", "Hz"), rows, "The three frequencies", words=(0, 1))
 
 
-def profiles_table(given: Dossier) -> Table | None:
+def profiles_table(given: ReportData) -> Table | None:
     """Return the profiles' intervals; None where there are none."""
     if not given.profiles:
         return None
@@ -42,7 +42,7 @@ def profiles_table(given: Dossier) -> Table | None:
     return Table(header, rows, f"Profile intervals, {level:.4g} %", words=(0, 4, 5))
 
 
-def suspects_table(given: Dossier) -> Table | None:
+def suspects_table(given: ReportData) -> Table | None:
     """Return every test of loop and log; None where they were not checked."""
     if given.loop is None:
         return None
@@ -71,7 +71,7 @@ def checks_table(checks: tuple[Validation, ...]) -> Table | None:
     return Table(header, rows, "The identified joint simulated, or its inverse model evaluated, on whole records")
 
 
-def channels_table(given: Dossier) -> Table:
+def channels_table(given: ReportData) -> Table:
     """Return the channels of the record, and which of them were read."""
     rows = tuple(
         (

@@ -59,7 +59,7 @@ def convert(
     Args:
         source: the file that is read.
         target: the file that is written; its suffix tells the format. One that is there is replaced.
-        columns: names of those that are taken, in this order; None takes all. From a file that is read in pieces only
+        columns: names of those that are taken, in this order; None takes all. From a file that is read in chunks only
             these need memory.
         reading: options of the source's format; see `jointid.records.formats.Csv`.
         writing: options of the target's; see `jointid.records.formats.Matlab`.

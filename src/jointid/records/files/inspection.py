@@ -104,7 +104,7 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
 
     A clock is a column whose name ends in t, time, timestamp or stamp, whose unit is one of time, and whose numbers
     only rise. A column belongs to the clock that its format gives it, or else to that of its length whose name has the
-    longest beginning, up to a "/" or ".", in common with it. Where the format allows it, the file is read in pieces,
+    longest beginning, up to a "/" or ".", in common with it. Where the format allows it, the file is read in chunks,
     and memory does not grow with it.
 
     Args:

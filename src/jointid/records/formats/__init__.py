@@ -26,7 +26,7 @@ __all__ = [
 FORMATS: tuple[Format, ...] = (Csv(), Matlab(), Npy(), Hdf5(), Parquet(), Tdms(), RosBag())
 """Every format there is."""
 
-_LONG = 2**26  # bytes of a text that is read in pieces
+_LONG = 2**26  # bytes of a text that is read in chunks
 
 
 def format_of(path: str | os.PathLike[str], **options: object) -> Format:
@@ -83,7 +83,7 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
     reader = format_of(path, **options)
     if not isinstance(reader, Streamed):
         streamed = ", ".join(entry.name for entry in FORMATS if isinstance(entry, Streamed))
-        raise NotStreamedError(f"{reader.name} cannot be read in pieces; convert {path.name} to one of {streamed}.")
+        raise NotStreamedError(f"{reader.name} cannot be read in chunks; convert {path.name} to one of {streamed}.")
     with _explain_failure(path):
         yield from reader.blocks(path, rows)
 

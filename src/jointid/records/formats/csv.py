@@ -160,7 +160,7 @@ class Csv:
             if find_scope(text) is not None:
                 raise NotStreamedError(
                     f"{path.name} is an export of TwinCAT Scope, whose rows are no instants: it cannot be read in "
-                    "pieces; convert it to NPY."
+                    "chunks; convert it to NPY."
                 )
             layout = self._layout(text)
         except csv.Error as error:

@@ -81,7 +81,7 @@ class Matlab:
         """Yield so many rows after so many, of version 7.3."""
         if not _is_hdf5(path):
             raise NotStreamedError(
-                f"{path.name} is a MAT file of version 7 or older, which cannot be read in pieces; save it with -v7.3 "
+                f"{path.name} is a MAT file of version 7 or older, which cannot be read in chunks; save it with -v7.3 "
                 "in MATLAB, or convert it."
             )
         yield from matlab73.blocks(path, rows)

@@ -1,6 +1,6 @@
 """NumPy's own files (.npy): named columns of one record array, or a plain matrix; numbers only, never objects.
 
-Nothing else is read as fast, or as easily in pieces: a row is at a known place in the file.
+Nothing else is read as fast, or as easily in chunks: a row is at a known place in the file.
 """
 
 from __future__ import annotations

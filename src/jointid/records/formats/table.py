@@ -169,7 +169,7 @@ class Streamed(Protocol):
 
 
 class NotStreamedError(RecordError):
-    """A file that can only be read whole was to be read in pieces."""
+    """A file that can only be read whole was to be read in chunks."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ WHOLE = 2**32
 """Bytes of numbers that are read at once, 4 GiB: 50 columns of 10 million rows."""
 
 PIECES = 2**40
-"""Bytes of numbers that are read in pieces, 1 TiB: more than a year of 4 columns at 1 kHz."""
+"""Bytes of numbers that are read in chunks, 1 TiB: more than a year of 4 columns at 1 kHz."""
 
 _NUMBER = 8  # bytes of a number in memory
 _STEPS = ("KiB", "MiB", "GiB", "TiB", "PiB")
@@ -49,7 +49,7 @@ def require_size(path: Path, numbers: int, limit: int = WHOLE) -> None:
     """
     if numbers * _NUMBER > limit:
         advice = (
-            "choose columns with jointid data convert --columns, or read it in pieces with jointid identify --window"
+            "choose columns with jointid data convert --columns, or read it in chunks with jointid identify --window"
             if limit == WHOLE
             else "cut it into shorter files"
         )

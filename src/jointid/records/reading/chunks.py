@@ -96,13 +96,13 @@ class Log:
     def __post_init__(self) -> None:
         if self.settings.get("resample") is not None:
             raise RecordError(
-                "A record that is read in pieces is not resampled, because its pieces would not fit together; log it "
+                "A record that is read in chunks is not resampled, because its chunks would not fit together; log it "
                 "at uniform instants, or leave resample out."
             )
         for name, column in self.columns.items():
             if isinstance(column, Column) and (column.sample_time or column.update_time or column.time):
                 raise RecordError(
-                    f"A record that is read in pieces has one clock, and {name} has one of its own; log all "
+                    f"A record that is read in chunks has one clock, and {name} has one of its own; log all "
                     "channels at one rate."
                 )
 
@@ -184,7 +184,7 @@ def _require_one_rate(record: Record) -> float:
     if not all(is_same_rate(time, first) for time in times.values()):
         listed = ", ".join(f"{name} {time:g} s" for name, time in times.items())
         raise RecordError(
-            f"A record that is read in pieces has one sample time ({listed}); log all channels at one rate."
+            f"A record that is read in chunks has one sample time ({listed}); log all channels at one rate."
         )
     return first
 

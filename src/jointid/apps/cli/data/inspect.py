@@ -40,7 +40,7 @@ def inspect(
     if json is not None:
         from jointid.output import json as answers
 
-        answers.write(answers.inspection_answer(inspection), json)
+        answers.write(answers.to_dict(inspection), json)
     if figure is not None:
         from jointid.output.figures.channels import channels_figure
         from jointid.output.figures.figures import save

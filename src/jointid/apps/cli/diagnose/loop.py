@@ -42,4 +42,4 @@ def loop(
     if json is not None:
         from jointid.output import json as answers
 
-        answers.write(answers.loop_answer(check), json)
+        answers.write(answers.to_dict(check), json)

@@ -31,7 +31,7 @@ def methods(
         quiet: say nothing of the progress.
     """
     from jointid import DIDIM, FlexibleDIDIM
-    from jointid import compare as run
+    from jointid import compare_methods as run
     from jointid.apps.cli.console import check_outputs, progress, ready, show
     from jointid.config import load
 
@@ -52,4 +52,4 @@ def methods(
     if json is not None:
         from jointid.output import json as answers
 
-        answers.write(answers.comparison_answer(comparison), json)
+        answers.write(answers.to_dict(comparison), json)

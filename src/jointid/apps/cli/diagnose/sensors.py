@@ -35,7 +35,7 @@ def sensors(
         quiet: say nothing of the progress.
     """
     from jointid import advise as run
-    from jointid import revealing
+    from jointid import design_stiffness_test
     from jointid.apps.cli.console import check_outputs, identified, progress, show
     from jointid.config import load
     from jointid.output import json as answers
@@ -45,12 +45,12 @@ def sensors(
     file = load(joint, changes).override(method="didim")
     logged, estimate = identified(file, record, listener)
     if estimate.checks.bounds:
-        found = revealing(estimate, logged, encoder_step=encoder_step, noise=noise, progress=listener)
+        found = design_stiffness_test(estimate, logged, encoder_step=encoder_step, noise=noise, progress=listener)
         show(found)
-        answer = answers.revealing_answer(found)
+        answer = answers.to_dict(found)
     else:
         advice = run(estimate, logged, encoder_step=encoder_step, noise=noise, progress=listener)
         show(advice)
-        answer = answers.advice_answer(advice)
+        answer = answers.to_dict(advice)
     if json is not None:
         answers.write(answer, json)
