@@ -391,7 +391,7 @@ def learned(monkeypatch: pytest.MonkeyPatch) -> Cascade:
             None,
         )
 
-    monkeypatch.setattr("jointid.controller_id.learn.learn_loop", learn_loop)
+    monkeypatch.setattr("jointid.learn_loop", learn_loop)
     return controller
 
 
