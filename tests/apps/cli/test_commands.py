@@ -116,7 +116,7 @@ def test_a_refused_stiffness_ends_with_what_would_show_it(tmp_path: Path, capsys
     (tmp_path / "joint.toml").write_text(text, encoding="utf-8")
     assert run("identify", tmp_path / "joint.toml", "-q", "--json", tmp_path / "refused.json") == 0
     said = capsys.readouterr().out
-    assert "K12 is at least" in said
+    assert "the stiffness is refused; its lower bound" in said
     assert "would" in said.strip().splitlines()[-1]
     assert run("validate", tmp_path / "joint.toml", "--estimate", tmp_path / "refused.json") == 2
     assert (
