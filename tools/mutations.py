@@ -1,7 +1,8 @@
 """Ten faults in the solvers and the problems, put in one at a time: the default tests must catch each.
 
-``python -m tools.mutations`` changes a file, runs the default tests of the solvers and the problems until the first failure,
-puts the file back, and prints one line for each fault. A clean tree is asked for; an interrupt puts the file back, too.
+``python -m tools.mutations`` changes a file, runs the default tests of the solvers and the problems until the first
+failure, puts the file back, and prints one line for each fault. A clean tree is asked for; an interrupt puts the file
+back, too.
 """
 
 from __future__ import annotations
