@@ -173,9 +173,10 @@ def test_a_refused_stiffness_is_bounded_on_both_sides() -> None:
     (row,) = (line for line in lines if line.startswith("K12  "))
     assert row.count("not identifiable") == 2
     (total,) = (line for line in lines if line.startswith("ZZ1 + ZZ2"))
-    assert "kg m2 on the motor side)" in total
-    bounds = [line for line in lines if line.startswith("share ") and "on the motor side), a mode at" in line]
-    assert len(bounds) == len([b for b in refused.checks.bounds if b.stiffness is not None]) > 0
+    assert total.endswith("kg m2")  # the cell of the other side
+    heads = [line for line in lines if "motor side" in line]
+    assert len(heads) == 3  # of the parameters, of their sums, of the bounds
+    assert any("free-free mode [Hz]" in line for line in heads)
     answer = estimate_answer(refused)
     here, there = answer["stiffness_bounds"], answer["other_side"]["stiffness_bounds"]
     assert [b["free_free_hz"] for b in here] == [b["free_free_hz"] for b in there]

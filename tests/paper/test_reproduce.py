@@ -39,7 +39,7 @@ def test_ten_kilograms_are_found_on_the_load(run: Reproduction, method: str) -> 
         first, second = (
             getattr(part, method if method == "idim" else "best")[name] for part in (run.first, run.second)
         )
-        spread = (float(first.std or 0.0) ** 2 + float(second.std or 0.0) ** 2) ** 0.5
+        spread = (float(first.stderr or 0.0) ** 2 + float(second.stderr or 0.0) ** 2) ** 0.5
         assert abs(changes[name] - (TABLE_4[name] - TABLE_2[name])) <= 3 * spread, name
 
 
