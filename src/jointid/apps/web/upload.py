@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Collection
 from pathlib import Path
 
+from python_multipart.exceptions import FormParserError
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.exceptions import HTTPException
@@ -70,6 +71,6 @@ async def receive_file(request: Request, folder: Path, bound: int, suffixes: Col
             path = folder / f"incoming{suffix}"
             with path.open("wb") as place:
                 await run_in_threadpool(shutil.copyfileobj, file.file, place)
-    except HTTPException:  # the form cannot be parsed
+    except (HTTPException, FormParserError):  # the form cannot be parsed; older versions of Starlette pass the fault on
         raise PageError("The file did not arrive whole; send it again.") from None
     return path, name
