@@ -15,8 +15,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Facts, common_facts
 from jointid.common.errors import MethodError
-from jointid.estimation.methods.inverse_model import idim_channels, motion_of
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of, with_torque
+from jointid.estimation.problems.inverse_model import idim_channels, motion_of
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.result.estimate import (
     Estimate,

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.estimation.methods.cross_axis import record_warnings
-from jointid.estimation.methods.registry import Method, default_method, method_of
+from jointid.estimation.methods.registry import Method, Task, default_method, method_of
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter, Quantity, adjusted
@@ -98,4 +98,4 @@ def _identified(
         other = method_of(method.name, joint.model)
         remedy = other if joint.model in other.models else default_method(loop or joint, joint.model)
         raise MethodError(f"{type(method).__name__} is not for a {joint.model} joint; use {remedy.__name__}.")
-    return method.identify(record, joint, loop, parameters, filtering, progress)
+    return method.identify(Task(record, joint, loop, parameters, filtering, progress))

@@ -10,7 +10,7 @@ from jointid.estimation.result.params import EstimatedParameter
 from jointid.models.parameters import Parameter, Quantity
 from jointid.records.record import Record
 from jointid.simulation.loop_input import ClosedLoop
-from jointid.solvers.bounds import Bounds
+from jointid.solvers.solve import Bounds
 
 NOT_CONVERGED = "the search did not converge; the values are where it stopped"
 

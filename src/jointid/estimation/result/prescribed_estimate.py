@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.problems.drive_side import DriveSideProblem
 from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
-from jointid.estimation.problems.open_loop import OpenLoopProblem
+from jointid.estimation.problems.prescribed import DriveSideProblem, OpenLoopProblem
 from jointid.estimation.result.build_estimate import (
     NOT_CONVERGED,
     build_data,
@@ -30,7 +29,7 @@ from jointid.estimation.result.estimate import (
 from jointid.estimation.result.params import Params
 from jointid.records.record import Record
 from jointid.simulation.drive_side import LOAD_STATE
-from jointid.solvers.solution import Solution
+from jointid.solvers.solve import Solution
 from jointid.uncertainty.bands import band_words
 from jointid.uncertainty.covariance import Covariance, words
 

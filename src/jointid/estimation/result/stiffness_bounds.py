@@ -17,12 +17,11 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.search.exploration import crossover
+from jointid.estimation.search.flexible_search import crossover
 from jointid.models.joints import split_by_mode
 from jointid.models.parameters import Parameter, Quantity
 from jointid.records.signals.filtering import Filtering
-from jointid.solvers.bounds import Bounds
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import Bounds, solve
 from jointid.solvers.trust_region import TrustRegion
 from jointid.uncertainty.covariance import robust, white
 from jointid.uncertainty.verdict import StiffnessBound

@@ -27,7 +27,7 @@ from jointid.common.message import Message
 from jointid.common.progress import Progress
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.stiffness_bounds import bounded
-from jointid.estimation.search.exploration import FASTEST, frequency_of
+from jointid.estimation.search.flexible_search import FASTEST, frequency_of
 from jointid.estimation.search.history import History, least_squares
 from jointid.models.joints import FlexibleJoint, split_by_mode
 from jointid.simulation.closed_loop import in_threads

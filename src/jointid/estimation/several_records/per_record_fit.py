@@ -19,8 +19,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.several_records import at_rows, several, whitening
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.parameters import TORQUE_UNIT
-from jointid.solvers.solution import Solution
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import Solution, solve
 from jointid.solvers.trust_region import TrustRegion
 from jointid.uncertainty.covariance import bandwidth
 from jointid.uncertainty.position_dependent_error import Repeatable, Uncertainty, cells, uncertainty

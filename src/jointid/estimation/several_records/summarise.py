@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jointid.estimation.problems.base import SumProblem
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
 from jointid.estimation.problems.nuisance_parameters import INITIAL
 from jointid.estimation.problems.several_records import at_rows
-from jointid.estimation.problems.sum import SumProblem
 from jointid.estimation.result.build_estimate import (
     NOT_CONVERGED,
     find_at_bound,
@@ -36,8 +36,7 @@ from jointid.estimation.several_records.per_record_fit import BySelf
 from jointid.estimation.several_records.record_layout import Arrangement
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
-from jointid.solvers.bounds import Bounds
-from jointid.solvers.solution import Solution
+from jointid.solvers.solve import Bounds, Solution
 from jointid.uncertainty.covariance import Covariance, covariance_of
 from jointid.uncertainty.position_dependent_error import Uncertainty, cells, uncertainty
 

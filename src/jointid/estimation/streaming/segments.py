@@ -22,7 +22,7 @@ from jointid.estimation.several_records.heterogeneity import Alone, agreement
 from jointid.estimation.streaming.drift import DriftTest, Segment, Trend
 from jointid.estimation.streaming.window import Window
 from jointid.models.parameters import Parameter
-from jointid.solvers.bounds import Bounds
+from jointid.solvers.solve import Bounds
 from jointid.uncertainty.covariance import covariance_of
 from jointid.uncertainty.jackknife import scale_of, step_of, total
 

@@ -19,7 +19,7 @@ from jointid.estimation.streaming.position_bins import Place, Places
 from jointid.estimation.streaming.window import Model, NotSimulatedError, Window, looked_at, moves
 from jointid.models.parameters import Parameter
 from jointid.records.reading.chunks import LongRecord
-from jointid.solvers.bounds import Bounds
+from jointid.solvers.solve import Bounds
 from jointid.uncertainty.jackknife import Sums, step_of, total
 
 SPARSE = 16
