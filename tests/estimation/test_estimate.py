@@ -11,18 +11,9 @@ import pytest
 
 from jointid.common.errors import ExtraError, RecordError
 from jointid.common.text import interval, number
-from jointid.estimation.result.estimate import (
-    Checks,
-    Data,
-    Estimate,
-    Fit,
-    Iteration,
-    Settings,
-    fingerprint,
-    law_fingerprint,
-    relative_error,
-)
+from jointid.estimation.result.estimate import Estimate, fingerprint, law_fingerprint, relative_error
 from jointid.estimation.result.params import EstimatedParameter, Params
+from jointid.estimation.result.parts import Checks, Data, Fit, Iteration, Settings
 from jointid.models.controllers import Cascade
 from jointid.models.joints import RigidJoint
 from jointid.output import json as answers

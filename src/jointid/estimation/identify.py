@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
+from jointid.estimation.identify_log import identify_log
 from jointid.estimation.identify_record import identify_record
+from jointid.estimation.identify_several import identify_several
 from jointid.estimation.methods.registry import Method
+from jointid.estimation.problems.log_windows import Windowing
+from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.several_records.identify_several import identify_several
-from jointid.estimation.several_records.settings import SeveralRecords
-from jointid.estimation.streaming.identify_log import identify_log
-from jointid.estimation.streaming.settings import Windowing
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
 from jointid.records.reading.chunks import InMemory, LongRecord

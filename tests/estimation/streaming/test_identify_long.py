@@ -15,8 +15,8 @@ from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.result.summary import describe_drift
-from jointid.estimation.streaming.settings import Windowing
 from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
