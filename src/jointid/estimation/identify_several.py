@@ -34,13 +34,13 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_o
 from jointid.estimation.problems.nuisance_parameters import INITIAL, INITIAL_STATE, INITIAL_TORQUE
 from jointid.estimation.problems.several_records import (
     RecordLayout,
+    RecordsProblem,
     SeveralRecords,
     Weighting,
     at_rows,
     several,
     whitening,
 )
-from jointid.estimation.problems.sum import SumProblem
 from jointid.estimation.result.agreement import Agreement, Alone, agreement
 from jointid.estimation.result.build_estimate import (
     NOT_CONVERGED,
@@ -58,7 +58,6 @@ from jointid.estimation.result.build_estimate import (
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.estimation.result.params import EstimatedParameter
 from jointid.estimation.result.parts import Checks, Data, RecordFit
-from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter, adjusted
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -119,7 +118,7 @@ def identify_several(
         for number, (record, estimate) in enumerate(zip(records, estimates, strict=True), 1)
         for said in record_warnings(record, estimate)
     )
-    answer = _answer(_Together(records, layout, criterion, end, alone))
+    answer = _answer(_Solved(records, RecordsProblem.of(layout, criterion), end, alone))
     return answer.amended(
         fit={"simulations": simulations},
         checks={"warnings": (*answer.checks.warnings, *about)},
@@ -274,130 +273,83 @@ def _gain(layout: RecordLayout, alone: Sequence[BySelf]) -> float:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Together:
-    """Several records that were solved, as the builder of an estimate asks for a problem."""
+class _Solved:
+    """Several records together, and each by itself, when they are solved."""
 
     records: Sequence[Record]
-    layout: RecordLayout
-    criterion: SumProblem[ClosedLoopProblem]
+    problem: RecordsProblem
     end: Solution
     alone: Sequence[BySelf]
 
-    @property
-    def joint(self) -> Joint:
-        return self.layout.joint
-
-    @property
-    def filtering(self) -> Filtering:
-        return self.criterion.problems[0].filtering
-
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        return self.criterion.free
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Those that records share, and fixed ones."""
-        shared = {p.name: p for p in self.free}
-        every = self.criterion.problems[0].parameters
-        return tuple(shared.get(p.name, p) for p in every if p.name in shared or not (p.free or p.name in INITIAL))
-
-    @property
-    def units(self) -> dict[str, str]:
-        return {p.name: self.layout.unit(p) for p in (*self.parameters, *self.free)}
-
-    @property
-    def measured(self) -> FloatArray:
-        return np.concatenate([problem.measured for problem in self.criterion.problems])
-
-    @property
-    def size(self) -> float:
-        return float(np.linalg.norm([problem.size for problem in self.criterion.problems]))
-
-    def values(self, x: FloatArray) -> dict[str, float]:
-        added = self.layout.added[0]
-        found = {p.name: (p.start or 0.0) - added.get(p.name, 0.0) for p in self.parameters}
-        return found | dict(zip((p.name for p in self.free), map(float, x), strict=True))
-
-    def own(self, number: int) -> list[Parameter]:
-        """Return the parameters that are a record's own."""
-        return [self.free[i] for i in self.criterion.places[number] if "@" in self.free[i].name]
-
-    def shared(self, number: int) -> set[str]:
-        """Return the names of the parameters that a record shares."""
-        return {self.free[i].name for i in self.criterion.places[number]}
-
     def by_itself(self, number: int) -> tuple[EstimatedParameter, ...]:
         """Return what a record says alone, per torque that acts, without what was added."""
-        one, more = self.alone[number], self.layout.added[number]
-        gain, own = self.values(self.end.x).get("drive_gain", 1.0), {p.name for p in self.joint.parameters}
-        free, acting = one.problem.free, one.acting(gain)
+        one, layout = self.alone[number], self.problem.layout
+        gain, own = self.problem.values(self.end.x).get("drive_gain", 1.0), {p.name for p in layout.joint.parameters}
+        free, acting, more = one.problem.free, one.acting(gain), layout.added[number]
         values = {p.name: acting[p.name] - more.get(p.name, 0.0) for p in free}
         std = np.array([gain if p.name in own else 1.0 for p in free]) * one.uncertainty.covariance.std
         lost = find_lost(free, np.array(list(values.values())), std)
-        return build_rows(free, values, dict(zip(values, map(float, std), strict=True)), self.layout.unit, own, lost)
+        return build_rows(free, values, dict(zip(values, map(float, std), strict=True)), layout.unit, own, lost)
 
 
-def _answer(solved: _Together) -> Estimate:
+def _answer(solved: _Solved) -> Estimate:
     """Return the estimate; its effort and its weighting are for the caller to add."""
-    layout, end, joint = solved.layout, solved.end, solved.joint
-    judged, compared = _judge_together(solved), _compare(solved)
-    names = [p.name for p in solved.free]
+    problem, end, layout = solved.problem, solved.end, solved.problem.layout
+    judged, compared = _judge_together(problem, end), _compare(solved)
+    names = [p.name for p in problem.free]
     # The variance between runs of what they do not agree in is added to that of their common value.
     more = {p.name: p.widening for p in compared.parameters}
     wider = judged.covariance.matrix + np.diag([more.get(name, 0.0) for name in names])
     covariance = covariance_of(wider, judged.covariance.bandwidth)
     shares = tuple(_record_fit(solved, k) for k in range(len(solved.records)))
     predicted = np.concatenate([share.predicted for share in shares])
-    error = [p.filtered(s.measured - s.predicted) for p, s in zip(solved.criterion.problems, shares, strict=True)]
-    lost = find_lost(solved.free, end.x, covariance.std)
+    error = problem.filtered(problem.measured - predicted)
+    lost = find_lost(problem.free, end.x, covariance.std)
     found = build_estimate(
-        solved,
+        problem,
         end.x,
         covariance,
         f"from the output sensitivities, {judged.basis}; no record's rows correlated with another's",
         ("didim", "DIDIM by least squares"),
-        fit=build_fit(solved, predicted, np.concatenate(error), end.message, converged=end.converged),
+        fit=build_fit(problem, predicted, error, end.message, converged=end.converged),
         checks=Checks(agreement=compared, warnings=_warn(solved, judged, compared, covariance, lost)),
         data=Data(
             record=", ".join(record.name for record in solved.records),
             channels=tuple(dict.fromkeys(name for share in shares for name in share.channels)),
-            sample_time=shares[0].sample_time,
+            sample_time=problem.sample_time,
             torque_unit=layout.torque_unit,
             records=shares,
         ),
         lost=lost,
         loop=layout.loops[0],
     )
-    values, spread = solved.values(end.x), dict(zip(names, map(float, covariance.std), strict=True))
-    of_joint = {p.name for p in joint.parameters}
-    own = tuple(
-        build_rows(solved.own(k), values, spread, layout.unit, of_joint, lost) for k in range(len(solved.records))
-    )
-    return found.amended(params={"own": own})
+    rows = dict(zip([p.name for p in problem.parameters], found.params, strict=True))
+    own = tuple(tuple(rows[p.name] for p in problem.of_record(k) if "@" in p.name) for k in range(len(solved.records)))
+    shared = tuple(row for name, row in rows.items() if "@" not in name)
+    return found.amended(params={"rows": shared, "own": own})
 
 
-def _judge_together(solved: _Together) -> Uncertainty:
+def _judge_together(problem: RecordsProblem, end: Solution) -> Uncertainty:
     """Return what is known of the errors, before the records are compared."""
-    criterion, end = solved.criterion, solved.end
-    seen = [at_rows(p, p.simulate(criterion.of_member(end.x, k))) for k, p in enumerate(criterion.problems)]
+    each, criterion = problem.criterion.problems, problem.criterion
+    seen = [at_rows(p, p.simulate(criterion.of_member(end.x, k))) for k, p in enumerate(each)]
     where = cells(np.concatenate([at for at, _ in seen]), np.concatenate([speed for _, speed in seen]))
-    unit = criterion.problems[0].torque_unit
-    names = [p.name for p in solved.free]
-    return uncertainty(end.jacobian, end.jacobian, end.residual, where, names, unit, [at.size for at, _ in seen])
+    names, rows = [p.name for p in problem.free], [at.size for at, _ in seen]
+    return uncertainty(end.jacobian, end.jacobian, end.residual, where, names, each[0].torque_unit, rows)
 
 
-def _compare(solved: _Together) -> Agreement:
+def _compare(solved: _Solved) -> Agreement:
     """Return whether the records, each by itself, agree in what they share.
 
     Per torque that acts, by the gain that was found. The inertia that tells the gain is not compared.
     """
-    layout = solved.layout
+    layout = solved.problem.layout
     told = {"drive_gain", *(name for more in layout.added for name in more)} if "drive_gain" in layout.free else set()
-    units = {p.name: layout.unit(p) for p in solved.free if "@" not in p.name and p.name not in told}
+    units = {p.name: layout.unit(p) for p in solved.problem.free if "@" not in p.name and p.name not in told}
     each = []
     for k, one in enumerate(solved.alone):
-        known, free, shared = one.uncertainty.covariance, one.problem.free, solved.shared(k)
+        known, free = one.uncertainty.covariance, one.problem.free
+        shared = {p.name for p in solved.problem.of_record(k)}
         inside = ~Bounds.of(free).reached(one.end.x) & (known.std > 0)
         kept = [i for i, p in enumerate(free) if p.name in units and inside[i] and p.name in shared]
         rows = solved.by_itself(k)
@@ -408,10 +360,10 @@ def _compare(solved: _Together) -> Agreement:
     return agreement(each, units)
 
 
-def _record_fit(solved: _Together, number: int) -> RecordFit:
+def _record_fit(solved: _Solved, number: int) -> RecordFit:
     """Return what a record says by itself, and how well the common model explains it."""
-    problem, record, one = solved.criterion.problems[number], solved.records[number], solved.alone[number]
-    x = solved.criterion.of_member(solved.end.x, number)
+    problem, record, one = solved.problem.criterion.problems[number], solved.records[number], solved.alone[number]
+    x = solved.problem.criterion.of_member(solved.end.x, number)
     values, predicted = problem.values(x), problem.torque(x)
     fit = build_fit(problem, predicted, problem.filtered(problem.measured - predicted), "", converged=True)
     assert record.torque is not None
@@ -421,9 +373,9 @@ def _record_fit(solved: _Together, number: int) -> RecordFit:
         resampled=record.resampled,
         loop=problem.loop,
         channels=list_loop_channels(problem.loop, record),
-        added_inertia=sum(solved.layout.added[number].values()),
+        added_inertia=sum(solved.problem.layout.added[number].values()),
         alone=solved.by_itself(number),
-        values={p.name: values[p.name] for p in solved.joint.parameters},
+        values={p.name: values[p.name] for p in problem.joint.parameters},
         initial=initial_of(values),
         level=one.level,
         repeatable=one.repeatable,
@@ -439,10 +391,10 @@ def _record_fit(solved: _Together, number: int) -> RecordFit:
 
 
 def _warn(
-    solved: _Together, judged: Uncertainty, compared: Agreement, covariance: Covariance, lost: Sequence[str]
+    solved: _Solved, judged: Uncertainty, compared: Agreement, covariance: Covariance, lost: Sequence[str]
 ) -> tuple[str, ...]:
     """Return what the reader must know, one sentence each."""
-    free, end = solved.free, solved.end
+    free, end = solved.problem.free, solved.end
     told = [i for i, p in enumerate(free) if p.name.partition("@")[0] not in INITIAL]
     return (
         *([] if end.converged else [NOT_CONVERGED]),

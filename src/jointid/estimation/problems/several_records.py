@@ -16,6 +16,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.estimation.problems.base import RecordProblem
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.nuisance_parameters import INITIAL, of_law
 from jointid.estimation.problems.sum import SumProblem, filter_rows
@@ -133,6 +134,56 @@ class RecordLayout:
         return found
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordsProblem(RecordProblem):
+    """Several records as one problem: what they share, fixed parameters too, then what is each record's own.
+
+    Attributes:
+        layout: how they belong together.
+        criterion: what is solved.
+    """
+
+    layout: RecordLayout
+    criterion: SumProblem[ClosedLoopProblem]
+
+    @classmethod
+    def of(cls, layout: RecordLayout, criterion: SumProblem[ClosedLoopProblem]) -> RecordsProblem:
+        """Return the problem of records that were added up."""
+        first, added, free = criterion.problems[0], layout.added[0], {p.name: p for p in criterion.free}
+        shared = {
+            p.name: free.get(p.name) or p.fixed((p.start or 0.0) - added.get(p.name, 0.0))
+            for p in first.parameters
+            if p.name in free or not (p.free or p.name in INITIAL)
+        }
+        measured = np.concatenate([problem.measured for problem in criterion.problems])
+        return cls(tuple((shared | free).values()), measured, first.filtering, layout, criterion)
+
+    @property
+    def joint(self) -> Joint:
+        """What is identified."""
+        return self.layout.joint
+
+    @property
+    def sample_time(self) -> float:
+        """Of the first record's torque, seconds."""
+        return self.criterion.problems[0].sample_time
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Of every parameter, by name."""
+        return {p.name: self.layout.unit(p) for p in self.parameters}
+
+    def filtered(self, columns: FloatArray) -> FloatArray:
+        """Return signals of all records, (samples,) or (samples, columns), each through its own filter."""
+        borders = np.cumsum([problem.measured.size for problem in self.criterion.problems])[:-1]
+        parts = zip(self.criterion.problems, np.split(columns, borders), strict=True)
+        return np.concatenate([problem.filtered(part) for problem, part in parts])
+
+    def of_record(self, number: int) -> tuple[Parameter, ...]:
+        """Return the free parameters that a record has, numbered from 0: shared ones, and ``name@number`` its own."""
+        return tuple(self.criterion.free[i] for i in self.criterion.places[number])
+
+
 def several(
     problems: Sequence[ClosedLoopProblem],
     own: Sequence[Sequence[str]] | None = None,
@@ -168,9 +219,16 @@ def several(
             known = more.get(p.name, 0.0)
             start = None if p.start is None else p.start - known
             members[label].append(replace(p, start=start, lower=p.lower - known, upper=p.upper - known))
+
+    def common(label: str, each: Sequence[Parameter]) -> Parameter:
+        """Return the parameter that records share: within the bounds of all of them."""
+        symbol = each[0].symbol + label.removeprefix(each[0].name)
+        lower, upper = max(p.lower for p in each), min(p.upper for p in each)
+        return replace(each[0], name=label, symbol=symbol, lower=lower, upper=upper)
+
     return SumProblem(
         tuple(problems),
-        tuple(_common(label, members[label]) for label in order),
+        tuple(common(label, members[label]) for label in order),
         tuple(np.array([order.index(label) for label in each], dtype=np.intp) for each in labels),
         tuple(np.array([more.get(p.name, 0.0) for p in q.free]) for q, more in zip(problems, added, strict=True)),
         (np.ones(1),) * len(problems),
@@ -222,15 +280,6 @@ def _apart(problems: Sequence[ClosedLoopProblem], own: Sequence[Sequence[str]]) 
         if len(sharing) == 1:
             apart[sharing[0]].add(name)
     return apart
-
-
-def _common(label: str, members: Sequence[Parameter]) -> Parameter:
-    """Return the parameter that records share: within the bounds of all of them."""
-    first, (_, _, number) = members[0], label.partition("@")
-    lower, upper = max(p.lower for p in members), min(p.upper for p in members)
-    return replace(
-        first, name=label, symbol=f"{first.symbol}@{number}" if number else first.symbol, lower=lower, upper=upper
-    )
 
 
 def whitening(error: FloatArray, level: float, order: int) -> FloatArray:

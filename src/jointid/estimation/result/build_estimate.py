@@ -7,11 +7,11 @@ torque is explained, and what its reader must be warned of.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import Protocol
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.estimation.problems.base import RecordProblem
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
 from jointid.estimation.problems.drive_side import DriveSideProblem
 from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
@@ -19,10 +19,8 @@ from jointid.estimation.problems.open_loop import OpenLoopProblem
 from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
 from jointid.estimation.result.params import EstimatedParameter, Params
 from jointid.estimation.result.parts import Checks, Data, Fit, Iteration, Settings
-from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter, Quantity
 from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Simulation
 from jointid.simulation.drive_side import LOAD_STATE
 from jointid.simulation.loop_input import ClosedLoop
@@ -50,43 +48,8 @@ _NEAR = 1e-6  # of a value: how near to a bound is at it
 _POOR = 0.15  # of the filtered torque: the EMPS axis leaves 0.045, the paper's 0.08
 
 
-class Solved(Protocol):
-    """What is asked of a problem that was solved: of one record, of a window of a log, of several records."""
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """All of them, in the order of the table."""
-
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        """Those that are identified."""
-
-    @property
-    def joint(self) -> Joint:
-        """What is identified."""
-
-    @property
-    def measured(self) -> FloatArray:
-        """What is reproduced, raw, (samples,)."""
-
-    @property
-    def filtering(self) -> Filtering:
-        """As used."""
-
-    @property
-    def size(self) -> float:
-        """Norm of what is measured, filtered."""
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Of every parameter, by name."""
-
-    def values(self, x: FloatArray) -> dict[str, float]:
-        """Return every parameter by name."""
-
-
 def build_estimate(
-    problem: Solved,
+    problem: RecordProblem,
     x: FloatArray,
     covariance: Covariance,
     basis: str,
@@ -103,7 +66,7 @@ def build_estimate(
     """Return the estimate that a problem's solution makes.
 
     Args:
-        problem: that was solved.
+        problem: that was solved: of one record, of several, or of a window of a log.
         x: its free parameters.
         covariance: of their errors.
         basis: how that was obtained, in a sentence.
@@ -131,7 +94,7 @@ def build_estimate(
     )
 
 
-def build_fit(problem: Solved, predicted: FloatArray, error: FloatArray, stop: str, *, converged: bool) -> Fit:
+def build_fit(problem: RecordProblem, predicted: FloatArray, error: FloatArray, stop: str, *, converged: bool) -> Fit:
     """Return how well a problem's solution explains what was measured; what it took is for the caller to add.
 
     Args:

@@ -27,21 +27,25 @@ def estimate_document(estimate: Estimate, *, details: bool = False) -> Document:
         details: whether to show every verdict with all its reasons, tests, effort and settings; else only the verdicts
             that did not pass, a line each.
     """
-    data, joint = estimate.data, estimate.settings.joint
+    data, joint, fit = estimate.data, estimate.settings.joint, estimate.fit
     source = f"of {data.record}" if not data.records else f"of {len(data.records)} records"
     title = f"{joint.model.capitalize()} joint, {estimate.settings.variant}, {source}"
-    facts = (
-        *_results(estimate),
-        *(_effort(estimate) if details else _unfinished(estimate)),
-        *_limits(estimate, details=details),
-    )
+    facts = [*_results(estimate)]
+    if details:
+        facts += _effort(estimate)
+    elif fit.interrupted or not (fit.converged or estimate.checks.verdicts):  # no verdict says why it ended so
+        facts += [("stopped", fit.stop)]
+    facts += _limits(estimate, details=details)
     passed = [verdict.status is Status.PASSED for verdict in estimate.checks.verdicts]
     if passed:
-        facts += (("checks", f"all {len(passed)} passed" if all(passed) else f"{sum(passed)} of {len(passed)} passed"),)
-    tables = _tables(estimate, details=details)
-    blocks = [Facts(tuple(_sources(estimate))), *tables, Facts(facts), *_verdicts(estimate, details=details)]
-    warnings = tuple(("warning", warning) for warning in estimate.checks.warnings)
-    return Document(title, (*blocks, *((Facts(warnings),) if warnings else ())))
+        facts += [("checks", f"all {len(passed)} passed" if all(passed) else f"{sum(passed)} of {len(passed)} passed")]
+    blocks: list[Block] = [Facts(tuple(_sources(estimate))), *_tables(estimate, details=details)]
+    if facts:
+        blocks.append(Facts(tuple(facts)))
+    blocks += _verdicts(estimate, details=details)
+    if estimate.checks.warnings:
+        blocks.append(Facts(tuple(("warning", warning) for warning in estimate.checks.warnings)))
+    return Document(title, tuple(blocks))
 
 
 def _sources(estimate: Estimate) -> Iterator[tuple[str, str]]:
@@ -74,12 +78,12 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
         yield Table(("record", "error % raw", "filtered", "filtered, alone", "rows"), errors)
         return
     yield parameters_table(estimate, initial=details)
-    known = combinations_table(estimate, "known together", differences=details)
-    if known is not None:
-        yield known
-    bounds = bounds_table(estimate, "the stiffness is refused; its lower bound (95 %, lightly damped mode)")
-    if bounds is not None:
-        yield bounds
+    for table in (
+        combinations_table(estimate, "known together", differences=details),
+        bounds_table(estimate, "the stiffness is refused; its lower bound (95 %, lightly damped mode)"),
+    ):
+        if table is not None:
+            yield table
     drift = estimate.checks.drift
     if drift is not None and drift.segments:
         yield _segments(estimate, drift)
@@ -123,12 +127,6 @@ def _effort(estimate: Estimate) -> Iterator[tuple[str, str]]:
     if estimate.settings.weighting:
         yield "weighting", estimate.settings.weighting
     yield "intervals", estimate.params.basis
-
-
-def _unfinished(estimate: Estimate) -> Iterator[tuple[str, str]]:
-    """Return why a search that no verdict is on ended where it should not have."""
-    if estimate.fit.interrupted or not (estimate.fit.converged or estimate.checks.verdicts):
-        yield "stopped", estimate.fit.stop
 
 
 def _limits(estimate: Estimate, *, details: bool) -> Iterator[tuple[str, str]]:
