@@ -10,8 +10,8 @@ out windows says and what leaving out places says (`uncertainty.jackknife`).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice
 
@@ -31,11 +31,12 @@ from jointid.estimation.problems.log_windows import (
     Pass,
     Places,
     Windowing,
-    WindowModel,
     compressed,
     motion,
     moves,
     repeats,
+    settling_of,
+    window_problem,
 )
 from jointid.estimation.result.build_estimate import (
     build_estimate,
@@ -50,7 +51,7 @@ from jointid.estimation.result.drift import drift
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Checks, Data, Fit, Windows
 from jointid.models.parameters import Parameter, adjusted
-from jointid.records.reading.chunks import Chunk, LongRecord
+from jointid.records.reading.chunks import LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
@@ -65,6 +66,7 @@ from jointid.uncertainty.position_dependent_error import Repeatable
 _STARTS = 5  # windows that are tried to start from
 _CLOCKS = 1000  # a period of the controller is taken to be a fraction of samples with no larger denominator
 _ROUNDING = 1e-6  # of the torque
+_NO_MOTION = "In no window of this record does the axis move; give another record."
 
 
 def identify_log(
@@ -93,53 +95,54 @@ def identify_log(
     # And whole periods of a controller that is slower than the log: the law's first is at a window's first sample.
     slower = Fraction(loop.controller.law(sample_time).period / sample_time).limit_denominator(_CLOCKS).numerator
     length = samples(settings.length, math.lcm(keep, slower))
-    model = WindowModel(
-        loop, wanted, chosen.free, filtering, length, samples(settings.settling or settings.length / 20)
-    )
-    piece, start = _start(source, model, chosen, progress)
-    known = {p.name: p.value for p in start.params if p.value is not None}
-    warnings: list[str] = []
+    settling = samples(settings.settling or settings.length / 20)
+    moving = (piece.record for piece in source.chunks(length, 2 * settling) if moves(piece.record))
+    record, known = _start(moving, loop, chosen, filtering, wanted, progress)
+    window = window_problem(record, loop, filtering, wanted, chosen.free)
+    start, warnings = window.vector(known), list[str]()
     if settings.settling is None:
-        needed = samples(model.settling_of(piece.record, known) * sample_time)
-        model = replace(model, settling=min(needed, length // (2 * keep) * keep))
+        needed = samples(settling_of(window, record, start) * sample_time)
+        settling = min(needed, length // (2 * keep) * keep)
         progress(f"a window forgets how it began in {needed * sample_time:g} s")
-        if needed > model.settling:
+        if needed > settling:
             warnings.append(
                 f"a window forgets how it began in no less than {needed * sample_time:g} s; give longer windows"
             )
-    window = model.problem(piece.record)
-    problem = LogProblem(source, model, window, Places.of(*motion(window)), progress)
-    end = solve(problem, StreamingGaussNewton(), window.vector(known))
+    problem = LogProblem(source, window, length, settling, Places.of(*motion(window)), progress)
+    end = solve(problem, StreamingGaussNewton(), start)
     assert isinstance(end, LogSolution)
-    return _answer(problem, piece.record, end, warnings)
+    return _answer(problem, record, end, warnings)
 
 
 def _start(
-    source: LongRecord, model: WindowModel, method: DIDIM | FlexibleDIDIM, progress: Progress
-) -> tuple[Chunk, Estimate]:
-    """Return a window that tells the joint, and what it says.
+    windows: Iterable[Record],
+    loop: ClosedLoop,
+    method: Method,
+    filtering: Filtering,
+    parameters: tuple[Parameter, ...],
+    progress: Progress,
+) -> tuple[Record, dict[str, float]]:
+    """Return a window that tells the joint, and the values that it gives.
 
     Raises:
         RecordError, MethodError: none of the first does; what is wrong with the last that was tried.
     """
-    changes = {p.name: p for p in model.parameters}
+    changes = {p.name: p for p in parameters}
     refusal: RecordError | MethodError | None = None
-    for piece in islice((piece for piece in model.cut(source) if moves(piece.record)), _STARTS):
-        progress(f"starting from the window that begins at {piece.record.begin:g} s")
+    for record in islice(windows, _STARTS):
+        progress(f"starting from the window that begins at {record.begin:g} s")
         try:
-            found = identify_record(
-                piece.record, model.loop, method, filtering=model.filtering, parameters=changes, progress=progress
-            )
+            found = identify_record(record, loop, method, filtering=filtering, parameters=changes, progress=progress)
         except (RecordError, MethodError) as error:
             refusal = error
             continue
         lost = [p.name for p in found.params if p.of_joint and p.value is None]
         if not lost:
-            return piece, found
+            return record, {p.name: p.value for p in found.params if p.value is not None}
         refusal = MethodError(
             f"A window does not tell {', '.join(lost)}; give a longer window, or identify the joint as rigid."
         )
-    raise refusal or MethodError("In no window of this record does the axis move; give another record.")
+    raise refusal or MethodError(_NO_MOTION)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -192,14 +195,14 @@ class StreamingGaussNewton:
             NotSimulatedError: a window cannot be simulated at the start.
             MethodError: in no window does the axis move.
         """
-        bounds, trace = Bounds.of(problem.free), list[Step]()
+        bounds, trace, before_all = Bounds.of(problem.free), list[Step](), problem.tally.evaluations
         x, every, whole = start, self.sparse, 0
         before: _Before | None = None
 
         def ended(x: FloatArray, found: Pass, status: Status, stop: str) -> LogSolution:
             residual, J = compressed(found.sums)
-            count = problem.tally.evaluations
-            return LogSolution(x, residual, J, status, stop, tuple(trace), count, found=found, passes=whole)
+            used = problem.tally.evaluations - before_all
+            return LogSolution(x, residual, J, status, stop, tuple(trace), used, found=found, passes=whole)
 
         for number in range(1, self.passes + 1):
             found = _pass_down(problem, x, every, before)
@@ -212,7 +215,7 @@ class StreamingGaussNewton:
                 every = 1
                 continue
             if not found.windows:
-                raise MethodError("In no window of this record does the axis move; give another record.")
+                raise MethodError(_NO_MOTION)
             sums = found.sums
             level = sums.square / sums.rows
             trace.append(Step(x, math.sqrt(sums.square), problem.tally.evaluations))
@@ -304,18 +307,18 @@ def _answer(problem: LogProblem, first: Record, end: LogSolution, warnings: list
         data=Data(
             torque_unit=unit,
             record=problem.source.name,
-            channels=list_loop_channels(problem.model.loop, first),
+            channels=list_loop_channels(window.loop, first),
             sample_time=sample_time,
             windows=Windows(
-                length=problem.model.length * sample_time,
-                settling=problem.model.settling * sample_time,
+                length=problem.length * sample_time,
+                settling=problem.settling * sample_time,
                 count=len(found.windows),
                 still=found.still,
                 duration=found.windows[-1].end - found.windows[0].begin,
             ),
         ),
         loop=window.loop_at(end.x),
-        delay=problem.model.loop.controller.law(sample_time).delay,
+        delay=window.loop.controller.law(sample_time).delay,
     )
 
 

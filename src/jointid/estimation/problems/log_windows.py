@@ -19,7 +19,7 @@ the latter from products of different windows only, as in `uncertainty.position_
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -37,7 +37,7 @@ from jointid.records.reading.chunks import Chunk, LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.solvers.problem import Tally
 from jointid.uncertainty.jackknife import Sums, root_of, total
 from jointid.uncertainty.position_dependent_error import Repeatable, cells
@@ -186,84 +186,23 @@ class NotSimulatedError(MethodError):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WindowModel:
-    """What is identified, alike in every window.
-
-    Attributes:
-        loop: joint and controller.
-        parameters: of the joint.
-        free: names of what surrounds it and is identified, too.
-        filtering: as declared.
-        length: samples that count in a window.
-        settling: samples at either end of a window that are simulated and not counted.
-    """
-
-    loop: ClosedLoop
-    parameters: tuple[Parameter, ...]
-    free: tuple[str, ...]
-    filtering: Filtering
-    length: int
-    settling: int
-
-    def cut(self, source: LongRecord, every: int = 1) -> Iterator[Chunk]:
-        """Return one window of a log in so many, each with its settling times."""
-        return source.chunks(self.length, 2 * self.settling, every)
-
-    def problem(self, record: Record, disturbed: float = 0.0) -> ClosedLoopProblem:
-        """Return the problem of one window, with its state at the first sample kept.
-
-        Args:
-            record: the window.
-            disturbed: by how much its beginning is to be wrong, as a share of the window's torque and speed.
-
-        Raises:
-            RecordError: a channel is missing.
-        """
-        known = tuple(p.fixed(0.0) for p in (*INITIAL_STATE, INITIAL_TORQUE))
-        problem = torque_problem(record, self.loop, self.filtering, self.parameters, known).freeing(*self.free)
-        inputs, period = problem.experiment.inputs, problem.experiment.law.period
-        torque = float(problem.filtered(problem.measured)[0])  # a single sample has all of the noise
-        velocity = float(inputs[1, REFERENCE] - inputs[0, REFERENCE]) / period
-        torque += disturbed * float(np.std(problem.measured))
-        velocity += disturbed * float(np.std(np.diff(inputs[:, REFERENCE]))) / period
-        position = beginning_position(replace(problem, measured=np.full(1, torque)), velocity)
-        values = {"initial_position": position, "initial_velocity": velocity, "initial_torque": torque}
-        return problem.keeping(values)
-
-    def settling_of(self, record: Record, values: Mapping[str, float]) -> int:
-        """Return how many samples a window takes to forget how it began, and its filter what lies beside it.
-
-        A beginning that is off by the window's whole torque and speed, as no window's is, must show in no later sample
-        of the torque by more than a hundredth.
-
-        Args:
-            record: a window that moves.
-            values: of the parameters, by name.
-        """
-        problem, other = self.problem(record), self.problem(record, disturbed=1.0)
-        x = problem.vector(values)
-        apart = np.abs(problem.torque(x) - other.torque(x)) > _FORGOTTEN * float(np.std(problem.measured))
-        remembers = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
-        assert problem.filtering.cutoff is not None
-        return remembers + math.ceil(_RINGS / (problem.filtering.cutoff * problem.sample_time))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class LogProblem:
     """A long log, window by window: a `solvers.problem.Problem` whose rows are summed as they are read.
 
     Attributes:
         source: the log.
-        model: what is identified.
         window: the problem of the window that is started from; those of all others are like it.
+        length: samples that count in a window.
+        settling: samples at either end of a window that are simulated and not counted.
         places: that repeat.
         progress: is told where a pass is.
         tally: of windows that were simulated, each with its derivatives.
     """
 
     source: LongRecord
-    model: WindowModel
     window: ClosedLoopProblem
+    length: int
+    settling: int
     places: Places
     progress: Progress = silent
     tally: Tally = field(default_factory=Tally)
@@ -293,7 +232,7 @@ class LogProblem:
         places: dict[int, Place] = {}
         still, ended = 0, True
         try:
-            for piece in self.model.cut(self.source, every):
+            for piece in self.source.chunks(self.length, 2 * self.settling, every):
                 if not moves(piece.record):
                     still += 1
                     continue
@@ -313,10 +252,10 @@ class LogProblem:
 
     def _look(self, piece: Chunk, values: Mapping[str, float]) -> tuple[Window, dict[int, Place]] | None:
         """Return what a window says, and what it says at each place, by its number; None where nothing of it counts."""
-        problem = self.model.problem(piece.record)
+        problem = begun(self.window, piece.record)
         samples, keep = problem.measured.size, problem.filtering.decimation or 1
         at = np.arange((samples - 1) % keep, samples, keep)
-        counted = (at >= self.model.settling) & (at < samples - self.model.settling)
+        counted = (at >= self.settling) & (at < samples - self.settling)
         if not counted.any():
             return None
         response, columns = problem.sensitivities(problem.vector(values))
@@ -341,6 +280,63 @@ class LogProblem:
         if count >= FEW and count % max(10 ** (len(str(count)) - 1), FEW) == 0:
             error = 100 * total([w.sums for w in windows]).relative_error
             self.progress(f"{count} windows, {windows[-1].end / 3600:.2f} h: torque error {error:.4f} %")
+
+
+def window_problem(
+    record: Record, loop: ClosedLoop, filtering: Filtering, parameters: tuple[Parameter, ...], free: Sequence[str]
+) -> ClosedLoopProblem:
+    """Return the problem of one window, with its state at the first sample kept.
+
+    Args:
+        record: the window.
+        loop: joint and controller.
+        filtering: as declared.
+        parameters: of the joint.
+        free: names of what surrounds it and is identified, too.
+
+    Raises:
+        RecordError: a channel is missing.
+    """
+    known = tuple(p.fixed(0.0) for p in (*INITIAL_STATE, INITIAL_TORQUE))
+    return begun(torque_problem(record, loop, filtering, parameters, known).freeing(*free), record)
+
+
+def begun(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0) -> ClosedLoopProblem:
+    """Return the problem of a window that is like another one's, with its own state at the first sample.
+
+    Args:
+        like: the problem of another window.
+        record: the window.
+        disturbed: by how much its beginning is to be wrong, as a share of the window's torque and speed.
+    """
+    assert record.torque is not None
+    experiment = prepare(like.loop, record)
+    problem = replace(like, measured=record.torque.values[: experiment.samples], experiment=experiment)
+    inputs, period = experiment.inputs, experiment.law.period
+    torque = float(problem.filtered(problem.measured)[0])  # a single sample has all of the noise
+    velocity = float(inputs[1, REFERENCE] - inputs[0, REFERENCE]) / period
+    torque += disturbed * float(np.std(problem.measured))
+    velocity += disturbed * float(np.std(np.diff(inputs[:, REFERENCE]))) / period
+    position = beginning_position(replace(problem, measured=np.full(1, torque)), velocity)
+    return problem.keeping({"initial_position": position, "initial_velocity": velocity, "initial_torque": torque})
+
+
+def settling_of(problem: ClosedLoopProblem, record: Record, x: FloatArray) -> int:
+    """Return how many samples a window takes to forget how it began, and its filter what lies beside it.
+
+    A beginning that is off by the window's whole torque and speed, as no window's is, must show in no later sample of
+    the torque by more than a hundredth.
+
+    Args:
+        problem: of a window that moves.
+        record: that window.
+        x: its free parameters.
+    """
+    other = begun(problem, record, disturbed=1.0)
+    apart = np.abs(problem.torque(x) - other.torque(x)) > _FORGOTTEN * float(np.std(problem.measured))
+    remembers = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
+    assert problem.filtering.cutoff is not None
+    return remembers + math.ceil(_RINGS / (problem.filtering.cutoff * problem.sample_time))
 
 
 def moves(record: Record) -> bool:

@@ -86,6 +86,7 @@ def test_two_records_under_different_gains() -> None:
     wrong = identify(records, axis.loop, method=QUICK)  # the second under the gains of the first
     assert wrong.checks.agreement.differs
     assert any("disagree" in warning for warning in wrong.checks.warnings)
+    assert str(wrong).count("records disagree") == 1  # as a warning, and not once more as a result
 
 
 def test_a_known_mass_an_own_friction_and_the_gain_of_the_drive() -> None:
