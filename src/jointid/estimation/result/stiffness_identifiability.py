@@ -44,9 +44,9 @@ from jointid.solvers.solve import solve
 from jointid.solvers.trust_region import TrustRegion
 from jointid.uncertainty.combination import ByCompliance, Combination
 from jointid.uncertainty.covariance import robust, white
-from jointid.uncertainty.flexible_vs_rigid_test import BoundaryTest, flexible_against_rigid
+from jointid.uncertainty.flexible_vs_rigid_test import flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
-from jointid.uncertainty.profile import Profile, profile
+from jointid.uncertainty.profile import profile
 from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 
 SHARES = (0.05, 0.1, 0.2, 0.33, 0.5)
@@ -74,20 +74,14 @@ class Visibility:
     """What a record shows of a joint's spring.
 
     Attributes:
-        shown: whether its stiffness is reported.
-        test: of the flexible joint against the rigid one.
-        profile: of the compliance, where one was needed.
-        reasons: why the stiffness is refused, a sentence each.
+        verdict: whether its stiffness is reported, and why not.
         rigid: values of the rigid joint on the same band. rigid_std: standard deviations of those that were free.
         rigid_error: (rows,) what it leaves.
         bounds: where the stiffness is refused.
         simulations: that all this took.
     """
 
-    shown: bool
-    test: BoundaryTest
-    profile: Profile | None
-    reasons: tuple[str, ...]
+    verdict: Verdict
     rigid: Mapping[str, float]
     rigid_std: Mapping[str, float]
     rigid_error: FloatArray
@@ -95,15 +89,9 @@ class Visibility:
     simulations: int
 
     @property
-    def verdict(self) -> Verdict:
-        """Whether the stiffness is reported, and why not."""
-        if self.shown:
-            return Verdict(Subject.STIFFNESS, Status.PASSED, (Message(Reason.STIFFNESS_SHOWN, str(self.test)),))
-        first, *others = self.reasons
-        said = (f"not identifiable from this record: {first}", *others)
-        return Verdict(
-            Subject.STIFFNESS, Status.FAILED, tuple(Message(Reason.STIFFNESS_NOT_SHOWN, one) for one in said)
-        )
+    def shown(self) -> bool:
+        """Whether the stiffness is reported."""
+        return self.verdict.status is Status.PASSED
 
 
 def visible(
@@ -137,20 +125,25 @@ def visible(
     runs = at.evaluations + 4 + len(_TEST_SHARES) * len(_TEST_MODES)
     reasons = [] if test.significant else [str(test)]
     reasons += _doubts(problem, x, known, error, together)
-    found = None
     if not reasons:
-        found, reasons = _profiled(problem, x, known)
-        runs += found.evaluations if found else 0
-    judged = uncertainty(J, J, error, where, [p.name for p in rigid.free])
-    bounds: tuple[StiffnessBound, ...] = ()
+        used, reasons = _follow_compliance(problem, x, known)
+        runs += used
+    values, bounds = rigid.values(at.x), list[StiffnessBound]()
     if reasons:
         progress("the record does not show the spring; looking how soft it may be")
-        mode = frequency_of(problem.values(x))
-        each = [_bound(problem, rigid.values(at.x), share, mode) for share in shares]
-        bounds, runs = tuple(bound for bound, _ in each), runs + sum(used for _, used in each)
+        for share in shares:
+            bound, used = _bound(problem, values, share, frequency_of(problem.values(x)))
+            bounds.append(bound)
+            runs += used
+        reasons[0] = f"not identifiable from this record: {reasons[0]}"
+        refused = tuple(Message(Reason.STIFFNESS_NOT_SHOWN, reason) for reason in reasons)
+        verdict = Verdict(Subject.STIFFNESS, Status.FAILED, refused)
+    else:
+        verdict = Verdict(Subject.STIFFNESS, Status.PASSED, (Message(Reason.STIFFNESS_SHOWN, str(test)),))
     names = [p.name for p in rigid.free]
+    judged = uncertainty(J, J, error, where, names)
     std = dict(zip(names, map(float, judged.covariance.std), strict=True))
-    return Visibility(not reasons, test, found, tuple(reasons), rigid.values(at.x), std, error, bounds, runs)
+    return Visibility(verdict, values, std, error, tuple(bounds), runs)
 
 
 def _doubts(
@@ -210,27 +203,26 @@ def _springs(problem: ClosedLoopProblem, rigid: Mapping[str, float], error: Floa
     return [(one - error)[:, np.newaxis] for one in tried if np.linalg.norm(one) < size]  # the others are unstable
 
 
-def _profiled(problem: ClosedLoopProblem, x: FloatArray, known: Uncertainty) -> tuple[Profile | None, list[str]]:
-    """Return the profile of the compliance, where its interval is not narrow anyway, and what is wrong with it."""
+def _follow_compliance(problem: ClosedLoopProblem, x: FloatArray, known: Uncertainty) -> tuple[int, list[str]]:
+    """Return the simulations of a profile of the compliance, and what is wrong with it; of a narrow interval, none."""
     names = [p.name for p in problem.free]
     if "stiffness" not in names:
-        return None, []
+        return 0, []
     at = names.index("stiffness")
     std, value = float(known.covariance.std[at]), float(x[at])
     if 2 * std <= _TIGHT * value:
-        return None, []
+        return 0, []
     by = ByCompliance(problem, 1e-4 / value)
-    unit = problem.loop.joint.unit(by.free[at])
+    unit = problem.joint.unit(by.free[at])
     scale, sign = np.ones(x.size), np.ones(x.size)
     scale[at], sign[at] = 1.0 / value**2, -1.0
     correlation = known.covariance.correlation * np.outer(sign, sign)
     spread = replace(known.covariance, std=known.covariance.std * scale, correlation=correlation)
-    wanted = Combination("compliance", "1/K12", unit, {"compliance": 1.0})
-    found = profile(by, by.exchanged(x), wanted, spread)
+    found = profile(by, by.exchanged(x), Combination("compliance", "1/K12", unit, {"compliance": 1.0}), spread)
     if found.bounded:
-        return found, []
+        return found.evaluations, []
     side = "stiff" if found.interval[0] is None else "soft"
-    return found, [f"the profile of the compliance has no end on its {side} side ({found})"]
+    return found.evaluations, [f"the profile of the compliance has no end on its {side} side ({found})"]
 
 
 # How soft the spring may be
