@@ -88,22 +88,19 @@ def identify_several(
     """Return the estimate of one joint from several records in one fit; see `jointid.identify`."""
     if isinstance(method, IDIM):
         raise MethodError("Records are identified together by simulating their loops; IDIM does not, so use DIDIM.")
-    layout = RecordLayout.of(len(records), loops, settings)
+    layout, given = RecordLayout.of(len(records), loops, settings), parameters or {}
     _require_different(records)
     estimates = []
     for k, record in enumerate(records):
         progress(f"record {k + 1}, {record.name}, by itself")
-        changes = layout.changes(parameters or {}, k, acting=False)
+        changes = layout.changes(given, k, acting=False)
         estimates.append(
             identify_record(record, layout.loops[k], method, filtering=filtering, parameters=changes, progress=progress)
         )
-    surrounding = [name for name in layout.free if name != "drive_gain"]
-    alone, problems = [], []
-    for k, values in enumerate(starts(estimates)):
-        found = records[k], estimates[k], layout.loops[k]
-        problems.append(_problem(*found, layout.changes(parameters or {}, k, acting=True), layout.free))
-        by_log = _problem(*found, layout.changes(parameters or {}, k, acting=False), surrounding)
-        alone.append(by_itself(by_log, values))
+    found = list(zip(records, estimates, strict=True))
+    problems = [_problem(*each, layout, k, given, acting=True) for k, each in enumerate(found)]
+    per_log = [_problem(*each, layout, k, given, acting=False) for k, each in enumerate(found)]
+    alone = [by_itself(problem, values) for problem, values in zip(per_log, starts(estimates), strict=True)]
     alone, weighting = _weighed(alone, settings.weighting)
     criterion = several(problems, settings.own, layout.added).weighing([one.weights for one in alone])
     gain = _gain(layout, alone)
@@ -115,7 +112,7 @@ def identify_several(
     simulations = used + (end.evaluations + 2) * len(records)
     about = tuple(
         f"record {number}: {said}"
-        for number, (record, estimate) in enumerate(zip(records, estimates, strict=True), 1)
+        for number, (record, estimate) in enumerate(found, 1)
         for said in record_warnings(record, estimate)
     )
     answer = _answer(_Solved(records, RecordsProblem.of(layout, criterion), end, alone))
@@ -138,16 +135,26 @@ def _require_different(records: Sequence[Record]) -> None:
 
 
 def _problem(
-    record: Record, estimate: Estimate, loop: ClosedLoop, changes: Mapping[str, Parameter], free: Sequence[str]
+    record: Record,
+    estimate: Estimate,
+    layout: RecordLayout,
+    number: int,
+    parameters: Mapping[str, Parameter],
+    *,
+    acting: bool,
 ) -> ClosedLoopProblem:
-    """Return a record's problem, the motor at its first sample resting or moving as its own identification found it."""
+    """Return a record's problem, the motor at its first sample resting or moving as its own identification found it.
+
+    Per torque that is `acting`, the gain of the drive may be free; else it is kept at 1.
+    """
+    loop, free = layout.loops[number], [name for name in layout.free if acting or name != "drive_gain"]
     found = {p.name: p for p in estimate.params}
     state = tuple(
         replace(p, start=found[p.name].value, free=found[p.name].free)
         for p in (*INITIAL_STATE, INITIAL_TORQUE)
         if p.name in found
     )
-    known = adjusted(loop.joint.parameters, changes)
+    known = adjusted(loop.joint.parameters, layout.changes(parameters, number, acting=acting))
     return torque_problem(record, loop, estimate.settings.filtering, known, state).freeing(*free)
 
 

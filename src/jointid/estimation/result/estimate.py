@@ -15,7 +15,7 @@ from jointid.common.document import Document, Documented
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.extras import extra
 from jointid.common.json_file import write
-from jointid.estimation.result.params import EstimatedParameter, Params
+from jointid.estimation.result.params import EstimatedParameter, Params, on_other_side
 from jointid.estimation.result.parts import Checks, Data, Fit, Settings
 from jointid.models.disturbances import Effect
 from jointid.models.joints import Joint
@@ -117,7 +117,7 @@ class Estimate(Documented):
     @property
     def other_side(self) -> tuple[EstimatedParameter, ...]:
         """The parameters on the other side of the transmission, in the same order; none without one."""
-        return self.params.on(self.other)
+        return on_other_side(self.params, self.other)
 
     @property
     def identified(self) -> IdentifiedJoint:
