@@ -99,7 +99,7 @@ def test_a_log_is_a_problem_that_any_solver_solves() -> None:
     problem = LogProblem(InMemory(record), window, 5000, 250, Places.of(*motion(window)))
     start = window.vector(TRUTH | {"inertia": 33.0, "coulomb": 12.0})
     error, J = problem.linearised(start)
-    sums = problem.passed(start).sums
+    sums = problem.pass_over(start).sums
     np.testing.assert_allclose(J.T @ J, sums.A, rtol=1e-9)
     np.testing.assert_allclose(J.T @ error, sums.b, rtol=1e-6)
     assert error @ error == pytest.approx(sums.square)

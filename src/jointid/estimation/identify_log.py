@@ -31,11 +31,11 @@ from jointid.estimation.problems.log_windows import (
     Pass,
     Places,
     Windowing,
-    compressed,
+    compress,
+    measure_settling,
     motion,
     moves,
     repeats,
-    settling_of,
     window_problem,
 )
 from jointid.estimation.result.build_estimate import (
@@ -101,7 +101,7 @@ def identify_log(
     window = window_problem(record, loop, filtering, wanted, chosen.free)
     start, warnings = window.vector(known), list[str]()
     if settings.settling is None:
-        needed = samples(settling_of(window, record, start) * sample_time)
+        needed = samples(measure_settling(window, record, start) * sample_time)
         settling = min(needed, length // (2 * keep) * keep)
         progress(f"a window forgets how it began in {needed * sample_time:g} s")
         if needed > settling:
@@ -199,8 +199,8 @@ class StreamingGaussNewton:
         x, every, whole = start, self.sparse, 0
         before: _Before | None = None
 
-        def ended(x: FloatArray, found: Pass, status: Status, stop: str) -> LogSolution:
-            residual, J = compressed(found.sums)
+        def end(x: FloatArray, found: Pass, status: Status, stop: str) -> LogSolution:
+            residual, J = compress(found.sums)
             used = problem.tally.evaluations - before_all
             return LogSolution(x, residual, J, status, stop, tuple(trace), used, found=found, passes=whole)
 
@@ -224,18 +224,18 @@ class StreamingGaussNewton:
             far = math.sqrt(float(step @ sums.A @ step) / level) if level > 0 else 0.0
             if not found.ended:
                 stop = f"interrupted after {len(found.windows)} windows ({found.windows[-1].end / 3600:.3g} h)"
-                return ended(x + step, found.moved(step), Status.INTERRUPTED, stop)
+                return end(x + step, found.moved(step), Status.EVALUATION_LIMIT, stop)
             # Where nothing is left, nothing is a deviation.
             if every == 1 and (far < self.tolerance or level <= _rounding(sums)):
                 stop = f"the last pass moved the parameters by {far:.2g} deviations (limit {self.tolerance:g})"
-                return ended(x + step, found.moved(step), Status.STEP, f"converged: {stop}")
+                return end(x + step, found.moved(step), Status.STEP, f"converged: {stop}")
             before, x = _Before(x, every, level, found), x + step
             problem.progress(f"{len(found.windows)} windows move the parameters by {far:.2g} deviations")
             if number >= self.sparse_passes or far < 1.0:
                 every = 1
         assert before is not None
         stop = "not converged: the last passes led uphill, or still moved the parameters"
-        return ended(before.x, before.found, Status.EVALUATION_LIMIT, stop)
+        return end(before.x, before.found, Status.EVALUATION_LIMIT, stop)
 
 
 def _rounding(sums: Sums) -> float:
@@ -251,7 +251,7 @@ def _pass_down(problem: LogProblem, x: FloatArray, every: int, before: _Before |
         NotSimulatedError: a window cannot be simulated at the start.
     """
     try:
-        found = problem.passed(x, every)
+        found = problem.pass_over(x, every)
     except NotSimulatedError:
         if before is None:
             raise

@@ -27,7 +27,6 @@ class Status(Enum):
         "start elsewhere: the criterion cannot be evaluated, or jumps, beside where it ended",
         False,
     )
-    INTERRUPTED = ("it was interrupted", "let it run to its end", False)
     STALLED = (
         "the steps go round in circles",
         "use the exact derivatives in place of the regressor, or start elsewhere",

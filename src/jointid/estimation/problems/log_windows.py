@@ -3,8 +3,8 @@
 A window begins in the middle of a motion. It begins where the law, turned round, puts the motor for the torque that was
 logged, at the speed of the reference; what of that is wrong the loop forgets within the settling time, of which nothing
 is counted, at either end: the zero-phase filter looks both ways. Neighbouring windows overlap by twice the settling
-time, so that the rows that count follow each other without a gap. How long it takes is measured (`settling_of`): 0.3 s
-in the paper's stiff loop, seconds in a slow one with an integral.
+time, so that the rows that count follow each other without a gap. How long it takes is measured (`measure_settling`):
+0.3 s in the paper's stiff loop, seconds in a slow one with an integral.
 
 What every visit to a place errs alike is no noise, and no longer record averages it away. A window's residual, summed
 over its rows at one place, is a draw of its own; where nothing repeats, these draws have no mean. With the sum s_cw of
@@ -218,9 +218,9 @@ class LogProblem:
 
     def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return residual and derivatives in as few rows as have the same sums, (free + 1,) and (free + 1, free)."""
-        return compressed(self.passed(x).sums)
+        return compress(self.pass_over(x).sums)
 
-    def passed(self, x: FloatArray, every: int = 1) -> Pass:
+    def pass_over(self, x: FloatArray, every: int = 1) -> Pass:
         """Pass over one window in so many; an interrupt ends it with what it has.
 
         Raises:
@@ -252,7 +252,7 @@ class LogProblem:
 
     def _look(self, piece: Chunk, values: Mapping[str, float]) -> tuple[Window, dict[int, Place]] | None:
         """Return what a window says, and what it says at each place, by its number; None where nothing of it counts."""
-        problem = begun(self.window, piece.record)
+        problem = begin_window(self.window, piece.record)
         samples, keep = problem.measured.size, problem.filtering.decimation or 1
         at = np.arange((samples - 1) % keep, samples, keep)
         counted = (at >= self.settling) & (at < samples - self.settling)
@@ -298,10 +298,10 @@ def window_problem(
         RecordError: a channel is missing.
     """
     known = tuple(p.fixed(0.0) for p in (*INITIAL_STATE, INITIAL_TORQUE))
-    return begun(torque_problem(record, loop, filtering, parameters, known).freeing(*free), record)
+    return begin_window(torque_problem(record, loop, filtering, parameters, known).freeing(*free), record)
 
 
-def begun(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0) -> ClosedLoopProblem:
+def begin_window(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0) -> ClosedLoopProblem:
     """Return the problem of a window that is like another one's, with its own state at the first sample.
 
     Args:
@@ -321,7 +321,7 @@ def begun(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0) -> Cl
     return problem.keeping({"initial_position": position, "initial_velocity": velocity, "initial_torque": torque})
 
 
-def settling_of(problem: ClosedLoopProblem, record: Record, x: FloatArray) -> int:
+def measure_settling(problem: ClosedLoopProblem, record: Record, x: FloatArray) -> int:
     """Return how many samples a window takes to forget how it began, and its filter what lies beside it.
 
     A beginning that is off by the window's whole torque and speed, as no window's is, must show in no later sample of
@@ -332,7 +332,7 @@ def settling_of(problem: ClosedLoopProblem, record: Record, x: FloatArray) -> in
         record: that window.
         x: its free parameters.
     """
-    other = begun(problem, record, disturbed=1.0)
+    other = begin_window(problem, record, disturbed=1.0)
     apart = np.abs(problem.torque(x) - other.torque(x)) > _FORGOTTEN * float(np.std(problem.measured))
     remembers = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
     assert problem.filtering.cutoff is not None
@@ -352,7 +352,7 @@ def motion(problem: ClosedLoopProblem) -> tuple[FloatArray, FloatArray]:
     return position, np.gradient(position, experiment.sample_time)
 
 
-def compressed(sums: Sums) -> tuple[FloatArray, FloatArray]:
+def compress(sums: Sums) -> tuple[FloatArray, FloatArray]:
     """Return a residual and its derivatives of these sums, (directions + 1,) and (directions + 1, free).
 
     The last row is what no parameter explains.
