@@ -24,7 +24,7 @@ from jointid.common.settings import documented, setting
 from jointid.common.text import number
 from jointid.estimation.methods.registry import SURROUNDINGS, Method, Task
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of, torque_problem
-from jointid.estimation.result.closed_loop_estimate import build_closed_loop_estimate
+from jointid.estimation.result.build_estimate import build_closed_loop_estimate
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.search.history import MOVING, History, free_more
 from jointid.estimation.search.starts import Start, given_start, inversion_start, regular_start

@@ -27,8 +27,8 @@ from jointid.estimation.methods.endogeneity import judged
 from jointid.estimation.methods.registry import Method, Task
 from jointid.estimation.problems.nuisance_parameters import LOG_DELAY, log_delay
 from jointid.estimation.problems.prescribed import CURRENT_LAG, DriveSideProblem, motion_problem
+from jointid.estimation.result.build_estimate import build_prescribed_estimate
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.prescribed_estimate import build_prescribed_estimate
 from jointid.models.joints import acts_on_whole
 from jointid.models.parameters import Parameter
 from jointid.simulation.closed_loop import in_threads

@@ -29,7 +29,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.estimation.problems.inverse_model import InverseModel, inverse_model
-from jointid.estimation.result.estimate import Iteration
+from jointid.estimation.result.parts import Iteration
 from jointid.models.disturbances import Effect
 from jointid.models.parameters import Parameter
 from jointid.records.record import Channel, Record

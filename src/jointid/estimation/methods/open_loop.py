@@ -17,8 +17,8 @@ from jointid.estimation.methods.drive_side import DriveSideFit, covariance_of, r
 from jointid.estimation.methods.registry import Method, Task
 from jointid.estimation.problems.closed_loop import initial_of
 from jointid.estimation.problems.prescribed import position_problem
+from jointid.estimation.result.build_estimate import build_prescribed_estimate
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.prescribed_estimate import build_prescribed_estimate
 from jointid.simulation.open_loop import OpenLoop
 from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
 from jointid.solvers.solve import solve
