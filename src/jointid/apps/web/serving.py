@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from jointid.apps.web.folder import PageError
-from jointid.common.extras import extra
+from jointid.common.errors import extra
 
 _GRACE = 2  # seconds that an open connection is given when the page ends
 _TOKEN = 24  # bytes that nobody guesses

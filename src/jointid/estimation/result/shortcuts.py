@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jointid.common.extras import extra
+from jointid.common.errors import extra
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
