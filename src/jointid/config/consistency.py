@@ -10,9 +10,9 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
-from jointid.common import messages
-from jointid.config.mechanics import GravityTable, JointTable
-from jointid.config.schema import MethodTable, ParameterTable, RunTable, keys_of
+from jointid.common import messages, units
+from jointid.config.schema import GravityTable, JointTable, MethodTable, ParameterTable, TransmissionTable, keys_of
+from jointid.config.schema_record import ChannelTable, RunTable
 from jointid.config.table import refusal
 from jointid.estimation.methods.registry import METHODS, MODELS, method_of, methods
 from jointid.estimation.problems.nuisance_parameters import surrounding
@@ -20,7 +20,11 @@ from jointid.models.controllers import Controller, numbers_of, with_numbers
 from jointid.models.friction import FRICTIONS
 from jointid.models.gravity import GRAVITY_PARAMETERS
 from jointid.models.joints import Joint
-from jointid.models.parameters import Parameter
+from jointid.models.parameters import TORQUE_UNIT, Kind, Parameter
+from jointid.models.transmission import Side
+from jointid.records.columns import known_units
+from jointid.records.drives.drive import Drive
+from jointid.records.drives.profiles import find_side
 from jointid.simulation.loop_input import ClosedLoop
 
 _NEXT_TO_ZERO = 1e-200
@@ -282,3 +286,143 @@ def _no_parameter(name: str, joint: JointTable, gravity: GravityTable | None, kn
             remedy = f'leave it out, or set gravity.load = "{load}".'
     model = f"a {joint.model} joint with {joint.friction} friction"
     return f" is not known for {model}; expected one of {', '.join(known)}: {remedy}"
+
+
+def channel_faults(
+    channels: Mapping[str, ChannelTable],
+    kinds: Collection[Kind],
+    transmission: TransmissionTable | None,
+    drive: Drive | None,
+) -> Iterator[str]:
+    """Yield channels without a column, or with settings or units that are not theirs, and torques that differ.
+
+    Args:
+        channels: that are right in themselves.
+        kinds: that the joint may be of, which is the load's where there is a transmission.
+        transmission: between motor and load.
+        drive: whose units they may be in, if it is right.
+    """
+    for name, table in channels.items():
+        if table.column is None and drive is not None and drive.traces is None:
+            yield (
+                f"record.channels.{name}.column is missing; expected text in quotes (name of the column in the "
+                "record's file): add it, or give drive.profile."
+            )
+        yield from (f"record.channels.{fault}" for fault in table.to_column().misplaced_faults(name))
+        yield from _unit_faults(name, table, kinds, transmission, drive)
+    if "injected" in channels:
+        both = ("injected", "torque")
+        pairs = {tuple(_si_unit(name, channels, kind, transmission, drive) for name in both) for kind in kinds}
+        pair = pairs.pop() if len(pairs) == 1 else (None, None)
+        # A force on one side of a screw and a torque on the other are both in SI.
+        if None not in pair and len({unit in TORQUE_UNIT.values() or unit for unit in pair}) > 1:
+            yield f"record.channels.injected is in {pair[0]}, but the torque in {pair[1]}: give both in one unit."
+
+
+def _unit_faults(
+    name: str,
+    table: ChannelTable,
+    kinds: Collection[Kind],
+    transmission: TransmissionTable | None,
+    drive: Drive | None,
+) -> Iterator[str]:
+    """Yield a unit that a joint of none of these kinds can have, or for which a number of the drive is missing."""
+    side = _side(name, table, drive)
+    moving = [kind_of(side, kind, transmission) for kind in kinds]
+    known = tuple(dict.fromkeys(unit for kind in moving for unit in known_units(name, kind)))
+    stated = table.to_column().stated_unit(known)
+    if stated is None:
+        return
+    if stated not in known:
+        where = "unit is" if table.unit is not None else "column names the unit"
+        yield f'record.channels.{name}.{where} "{stated}"{_misfit(name, stated, known, kinds, moving)}'
+    elif drive is not None and len(set(moving)) == 1:
+        lack = _lacking(name, stated, moving[0], transmission, drive)
+        yield from () if lack is None else (f'record.channels.{name} is in "{stated}", {lack}.',)
+
+
+def torque_unit(
+    channels: Mapping[str, ChannelTable], kind: Kind, transmission: TransmissionTable | None, drive: Drive
+) -> str | None:
+    """Return "A" or "V" for a torque in the drive's own units, None for one in N or N m."""
+    unit = _si_unit("torque", channels, kind, transmission, drive)
+    return None if unit in TORQUE_UNIT.values() else unit
+
+
+def list_channels(channels: Collection[str], drive: Drive | None) -> tuple[str, ...]:
+    """Return the names of the channels that the file declares, or that the drive's profile may find."""
+    profile = None if drive is None else drive.traces
+    return tuple(dict.fromkeys([*channels, *(() if profile is None else profile.channels)]))
+
+
+def _si_unit(
+    channel: str,
+    channels: Mapping[str, ChannelTable],
+    kind: Kind,
+    transmission: TransmissionTable | None,
+    drive: Drive | None,
+) -> str | None:
+    """Return the unit in which a channel is logged, made SI; None if it cannot be."""
+    table = channels.get(channel)
+    moving = kind_of(_side(channel, table, drive), kind, transmission)
+    known = known_units(channel, moving)
+    stated = table.to_column().stated_unit(known) if table else None
+    if stated is None and channel == "injected":
+        torque = _si_unit("torque", channels, kind, transmission, drive)
+        return torque if torque is None or torque in known else known[0]
+    if stated is None:
+        return known[0]
+    if stated not in known or _lacking(channel, stated, moving, transmission, drive or Drive()):
+        return None
+    return (drive or Drive()).resolve_unit(units.unit(stated), moving).si
+
+
+def _side(channel: str, table: ChannelTable | None, drive: Drive | None) -> Side:
+    """Return the side of a transmission on which a channel is measured."""
+    declared = None if table is None else table.to_column()
+    return find_side(channel, declared, drive.traces, drive.axis) if drive else find_side(channel, declared, None, None)
+
+
+def _lacking(channel: str, unit: str, kind: Kind, transmission: TransmissionTable | None, drive: Drive) -> str | None:
+    """Return the end of the sentence on a unit for which a number of the drive is missing."""
+    try:
+        geared = transmission is not None and transmission.geared
+        drive.resolve_unit(units.unit(unit), kind, of_load=channel == "load_position", geared=geared)
+    except units.UnitError as error:
+        return str(error)
+    return None
+
+
+def _misfit(channel: str, unit: str, known: Collection[str], kinds: Collection[Kind], moving: Collection[Kind]) -> str:
+    """Return the end of the sentence on a unit that a channel cannot have; its side may move otherwise than a joint."""
+    expected = f"expected one of {', '.join(known)}"
+    try:
+        dimension = units.unit(unit).dimension
+    except units.UnitError:
+        otherwise = "give one of them, and the gain that takes the column to it"
+        return f", which is not known; {expected}: {messages.suggest(unit, known, otherwise)}"
+    fitting = [kind for kind in TORQUE_UNIT if kind not in kinds and unit in known_units(channel, kind)]
+    remedy = "".join(f', or set joint.kind = "{kind}"' for kind in fitting)
+    if set(moving) != set(kinds) and any(unit in known_units(channel, kind) for kind in kinds):
+        remedy = ', or set side = "load"'
+    return f", a unit of {dimension}; {expected}: give one of them{remedy}."
+
+
+def transmission_faults(transmission: TransmissionTable, kinds: Collection[Kind]) -> Iterator[str]:
+    """Yield that a load of these kinds has no lead."""
+    if transmission.lead is not None and "prismatic" not in kinds:
+        yield (
+            f"transmission.lead is {transmission.lead:g}, but the load is revolute; expected a ratio: give that, "
+            'or set joint.kind = "prismatic".'
+        )
+
+
+def side_faults(named: Mapping[str, Side]) -> Iterator[str]:
+    """Yield the sides that are named, by their table, where there is no transmission."""
+    for table, side in named.items():
+        yield f'{table}.side is "{side}", but nothing lies between motor and load: add [transmission], or leave it out.'
+
+
+def kind_of(side: Side, kind: Kind, transmission: TransmissionTable | None) -> Kind:
+    """Return how a side of a joint of that kind, which is its load's, moves: with a lead the motor turns."""
+    return "revolute" if transmission and transmission.lead is not None and side == "motor" else kind

@@ -11,9 +11,8 @@ from typing import Any, Literal, Self
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.progress import Progress, silent
 from jointid.config import serialise
-from jointid.config.channels import list_channels, torque_unit
-from jointid.config.consistency import change_parameter, choose_method, needed_channels
-from jointid.config.sources import Run, Source
+from jointid.config.consistency import change_parameter, choose_method, list_channels, needed_channels, torque_unit
+from jointid.config.schema_record import Run, Source
 from jointid.config.validation import check_tables
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
@@ -265,54 +264,6 @@ class JointFile:
                 "start under [parameters], or identify the joint first."
             )
         return {p.name: float(p.start) for p in parameters if p.start is not None}
-
-    def override(
-        self,
-        *,
-        method: str | None = None,
-        filtering: str | None = None,
-        friction: str | None = None,
-        minimiser: str | None = None,
-        frequency: float | None = None,
-        estimator: str | None = None,
-        harmonics: int | None = None,
-        period: float | None = None,
-        drift: str | None = None,
-    ) -> JointFile:
-        """Return this file with some choices replaced, and checked again; None leaves a choice as it is.
-
-        Args:
-            method: its name; another one than the file's comes with its default settings.
-            filtering: a preset, "default", "published" or "as-printed".
-            friction: name of the friction law, "symmetric" or another of `jointid.models.friction`.
-            minimiser: of DIDIM for a flexible joint, "least-squares" or "nelder-mead".
-            frequency: in Hz, that DIDIM for a flexible joint starts from.
-            estimator: of IDIM, "ols", "weighted", "robust" or "iv".
-            harmonics: of IDIM, of the force over the motor position.
-            period: of the first harmonic, in m or rad.
-            drift: of IDIM, "force", "viscous" or "both".
-
-        Raises:
-            JointFileError: the file does not have what the method needs, a parameter is not one of the law's, or a
-                setting is not one of the method's.
-        """
-        tables = self.tables()
-        if method is not None and method != self.method.name:
-            tables["method"] = {"name": method}
-        if filtering is not None:
-            tables["filtering"] = {"preset": filtering}
-        if friction is not None:
-            tables["joint"]["friction"] = friction
-        settings = {
-            "minimiser": minimiser,
-            "frequency": frequency,
-            "estimator": estimator,
-            "harmonics": harmonics,
-            "period": period,
-            "drift": drift,
-        }
-        tables["method"] |= {key: value for key, value in settings.items() if value is not None}
-        return type(self).of(tables, self.path)
 
     def tables(self) -> dict[str, Any]:
         """Return the tables that say the same, as `of` takes them; what is at its default is left out.

@@ -13,13 +13,29 @@ from typing import Any, Self, TypeVar
 from pydantic import ValidationError
 
 from jointid.common.errors import JointFileError
-from jointid.config.channels import channel_faults, list_channels
-from jointid.config.consistency import free_faults, gravity_refusal, method_faults, parameter_faults, record_faults
-from jointid.config.gearing import TransmissionTable, side_faults, transmission_faults
-from jointid.config.laws import LAW_TABLES, LawTable
-from jointid.config.mechanics import GravityTable, JointTable
-from jointid.config.record_table import ChannelsTable, ChannelTable, DriveTable
-from jointid.config.schema import FileTable, MethodTable, ParameterTable, RunTable, TogetherTable
+from jointid.config.consistency import (
+    channel_faults,
+    choose_method,
+    free_faults,
+    gravity_refusal,
+    list_channels,
+    method_faults,
+    parameter_faults,
+    record_faults,
+    side_faults,
+    transmission_faults,
+)
+from jointid.config.schema import (
+    FileTable,
+    GravityTable,
+    JointTable,
+    MethodTable,
+    ParameterTable,
+    TogetherTable,
+    TransmissionTable,
+)
+from jointid.config.schema_controller import LAW_TABLES, LawTable
+from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RunTable
 from jointid.config.table import Table, sentences
 from jointid.estimation.methods.registry import MODELS
 from jointid.models.controllers import Controller
@@ -52,6 +68,12 @@ def check_tables(raw: Mapping[str, Any]) -> FileTable:
     if faults:
         raise JointFileError(faults)
     return file
+
+
+def named_method(raw: Mapping[str, Any]) -> str | None:
+    """Return the method that a joint file names, or that it has where it names none; None if that is not known."""
+    draft = _Draft.of(raw)
+    return choose_method(_table(raw, "method").get("name"), draft.named, draft.controlled, draft.model or "rigid")
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias
 from jointid import PD, PID, Cascade, Column, Drive, Filtering, FlexibleDIDIM, Gravity, Transmission
 from jointid.common.settings import Declared, settings_of
 from jointid.common.units import units_of
-from jointid.config.sources import Source
+from jointid.config.schema_record import Source
 from jointid.models.friction import FRICTIONS
 from jointid.records.columns import known_units, unit_in_name
 from jointid.records.record import CHANNELS

@@ -1,29 +1,78 @@
-"""[record] and [drive]: the file of the record, the columns of its channels, whose traces they are, its own units."""
+"""[record], [drive] and [[records]]: files, how they are read, the columns of channels, and the drive's own units."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
-from jointid.common.settings import settings_of
-from jointid.config.generate import keys_from
-from jointid.config.sources import Source
+from jointid.common.settings import declare, documented, setting, settings_of
+from jointid.common.units import units_of
+from jointid.config.keys import Flag, Text, keys_from
 from jointid.config.table import Table, accept_by, refusal
-from jointid.config.values import Flag, Text
 from jointid.records.columns import Column
 from jointid.records.drives.drive import Drive
 from jointid.records.formats import Csv, format_of
 from jointid.records.record import Channel, Injection
 from jointid.records.time_base.resampling import Resampling
+from jointid.records.time_base.uniformity import CLOCK_TOLERANCE
 
 OPTIONS = ("delimiter", "decimal", "header")
 """The keys of [record] that are options of the format's reader."""
 
 Delimiter = Annotated[Text, accept_by(lambda mark: Csv(delimiter=mark))]
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The file of the record, and how it is read; see `jointid.records.reading.read`."""
+
+    file: str | None = setting(None, "path of the record, from the joint file's folder", accept=format_of)
+    time: str | None = setting(
+        None, "name of the time column; without it, and without a sample time, the column called t or time"
+    )
+    time_unit: str | None = setting(
+        None, "unit of the time column; without it the one in its name, as in Time [ms], or s", choices=units_of("time")
+    )
+    sample_time: float | None = setting(
+        None, "time between samples, where there is no time column; beside one the two must agree", unit="s", above=0
+    )
+    clock_tolerance: float = setting(
+        CLOCK_TOLERANCE, "largest jitter of the time stamps, as a share of the sample time", at_least=0
+    )
+    options: Mapping[str, Any] = field(default_factory=dict)  # of the format's reader
+    resample: Resampling | None = setting(
+        None,
+        "to which uniform clock all channels are brought, and how; without it a clock that is not uniform is refused",
+    )
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One of several records that are identified together."""
+
+    file: str = field(metadata=declare("path of the record, from the joint file's folder", accept=format_of))
+    added_inertia: float = setting(
+        0.0,
+        "what is known to have been added to the load, as it is there, beyond what is shared",
+        unit="kg or kg m2",
+        at_least=0,
+    )
+    own: tuple[str, ...] = setting(
+        (),
+        "names of parameters of this record's own, which the others do not share; the motor's state at the first "
+        "sample always is",
+    )
+    controller: Mapping[str, float] = field(
+        default_factory=dict,
+        metadata=declare("numbers of the controller that were others in this record, by the keys of [controller]"),
+    )
 
 
 def _all_but(*kept: str) -> list[str]:
@@ -121,3 +170,12 @@ class DriveTable(Table):
     def drive(self) -> Drive:
         """Return what is known of the drive."""
         return Drive(**self.given())
+
+
+@keys_from(Run)
+class RunTable(Table):
+    """[[records]]: one of several records that are identified together, and what is known to differ in it."""
+
+    def run(self) -> Run:
+        """Return the record."""
+        return Run(**self.settings())
