@@ -90,7 +90,7 @@ class JointFile:
             JointFileError: with one sentence for each fault.
         """
         file = check_tables(tables)
-        channels, gear, drive = file.record.channels.given(), file.transmission, file.drive.drive()
+        channels, gear, drive = file.record.channels.given(), file.transmission, file.drive.build()
         transmission = gear.transmission(file.joint.kind) if gear else None
         joint = file.joint.joint(torque_unit(channels, file.joint.kind, gear, drive), transmission, file.gravity)
         named = list_channels(channels, drive)
@@ -99,15 +99,15 @@ class JointFile:
         known = {parameter.name: parameter for parameter in joint.parameters}
         return cls(
             joint=joint,
-            columns={name: table.to_column() for name, table in channels.items()},
+            columns={name: table.build() for name, table in channels.items()},
             method=file.method.method(method, joint.model),
             controller=file.controller.refer(transmission) if file.controller else None,
-            filtering=file.filtering.filtering(),
+            filtering=file.filtering.build(),
             parameters={name: change_parameter(known[name], table) for name, table in file.parameters.items()},
             drive=drive,
-            source=file.record.source(),
+            source=file.record.build(),
             name=file.joint.name,
-            runs=tuple(table.run() for table in file.records),
+            runs=tuple(table.build() for table in file.records),
             free=tuple(file.together.free),
             weighting=file.together.weighting,
             path=path,

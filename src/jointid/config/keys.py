@@ -94,7 +94,8 @@ def keys_from(
         for one in settings_of(owner):
             if one.name not in without:
                 declared.setdefault(one.name, []).append(one)
-    return _complete_with({name: _key(same, (types or {}).get(name)) for name, same in declared.items()})
+    keys = {name: _key(same, (types or {}).get(name)) for name, same in declared.items()}
+    return _complete_with(keys, owners[0] if len(owners) == 1 else None)
 
 
 def keys_of_kinds(kinds: Mapping[str, type]) -> Callable[[type[T]], type[T]]:
@@ -118,10 +119,11 @@ def keys_of_kinds(kinds: Mapping[str, type]) -> Callable[[type[T]], type[T]]:
     return _complete_with(keys)
 
 
-def _complete_with(keys: Mapping[str, Typed]) -> Callable[[type[T]], type[T]]:
+def _complete_with(keys: Mapping[str, Typed], builds: type | None = None) -> Callable[[type[T]], type[T]]:
     def complete(table: type[T]) -> type[T]:
         make: Any = create_model
         made: type[T] = make(table.__name__, __base__=table, __module__=table.__module__, __doc__=table.__doc__, **keys)
+        made.builds = builds
         return made
 
     return complete

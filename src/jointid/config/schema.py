@@ -78,7 +78,7 @@ class GravityTable(Table):
     def gravity(self, transmission: Transmission | None = None) -> Gravity:
         """Return the gravity, as a joint has it on its side of the transmission."""
         angle = self.angle if transmission is None else self.angle * transmission.torque("load")
-        return Gravity(self.load, Counterbalance(**self.counterbalance.given()), angle)
+        return Gravity(self.load, self.counterbalance.build(), angle)
 
 
 @keys_from(Transmission, without=("load", "lead"))
@@ -126,11 +126,9 @@ class FilteringTable(Table):
             for key, value in self.given("preset").items():
                 yield key, messages.beside_preset(value, self.preset)
 
-    def filtering(self) -> Filtering:
+    def build(self) -> Any:
         """Return the filtering."""
-        if self.preset is not None:
-            return FILTERINGS[self.preset]()
-        return Filtering(**self.settings())
+        return super().build() if self.preset is None else FILTERINGS[self.preset]()
 
 
 @keys_from(*methods())

@@ -91,10 +91,6 @@ class ChannelTable(Table):
         if self.time is not None and self.sample_time is not None:
             yield "time", f' is "{self.time}" beside sample_time = {self.sample_time:g}; keep one of them.'
 
-    def to_column(self) -> Column:
-        """Return the column that is declared."""
-        return Column(**self.given())
-
 
 @keys_from(Column, without=_all_but("tap"))
 class TorqueTable(ChannelTable):
@@ -109,7 +105,7 @@ class InjectedTable(ChannelTable):
         """Yield that no such injection exists."""
         yield from super().faults()
         any_signal = Channel(np.zeros(1), "N", 1.0)
-        if refused := refusal(lambda: Injection(any_signal, self.to_column().at, self.in_torque)):
+        if refused := refusal(lambda: Injection(any_signal, self.build().at, self.in_torque)):
             yield "in_torque", refused
 
 
@@ -151,10 +147,10 @@ class RecordTable(Table):
         """Return the options of the format's reader that are given."""
         return {key: value for key, value in self.given().items() if key in OPTIONS}
 
-    def source(self) -> Source:
+    def build(self) -> Source:
         """Return the file of the record, and how it is read."""
         options = self.options()
-        resample = None if self.resample is None else Resampling(**self.resample.given())
+        resample = None if self.resample is None else self.resample.build()
         return Source(**self.given("channels", "resample", *options), resample=resample, options=options)
 
 
@@ -162,20 +158,7 @@ class RecordTable(Table):
 class DriveTable(Table):
     """[drive]: whose traces the record is made of, and the numbers behind the drive's own units."""
 
-    def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that the numbers contradict each other."""
-        if refused := refusal(self.drive):
-            yield "", refused
-
-    def drive(self) -> Drive:
-        """Return what is known of the drive."""
-        return Drive(**self.given())
-
 
 @keys_from(Run)
 class RunTable(Table):
     """[[records]]: one of several records that are identified together, and what is known to differ in it."""
-
-    def run(self) -> Run:
-        """Return the record."""
-        return Run(**self.settings())
