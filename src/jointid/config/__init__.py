@@ -13,9 +13,9 @@ from jointid.config.loading import (
     with_paths,
 )
 from jointid.config.schema import json_schema
-from jointid.config.schema_record import Run, Source
+from jointid.config.schema_record import Run, Source, Together
 
 __all__ = [
-    "JointFile", "Run", "Source", "controller_text", "dumps", "json_schema", "load", "loads", "save",
+    "JointFile", "Run", "Source", "Together", "controller_text", "dumps", "json_schema", "load", "loads", "save",
     "save_with_controller", "with_controller", "with_parameters", "with_paths",
 ]  # fmt: skip

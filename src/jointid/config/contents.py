@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.progress import Progress, silent
 from jointid.config import serialise
 from jointid.config.consistency import change_parameter, choose_method, list_channels, needed_channels, torque_unit
-from jointid.config.schema_record import Run, Source
+from jointid.config.schema_record import Run, Source, Together
 from jointid.config.validation import check_tables
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
@@ -47,8 +47,7 @@ class JointFile:
         source: the file of the record.
         name: what reports call the joint.
         runs: records that are identified together.
-        free: names of what surrounds the joint and is then identified too.
-        weighting: of their rows; see `jointid.SeveralRecords`.
+        together: how they are; see `jointid.SeveralRecords`.
         path: of the joint file; a text is taken to stand in `joint.toml`.
 
     Example:
@@ -74,8 +73,7 @@ class JointFile:
     source: Source = field(default_factory=Source)
     name: str | None = None
     runs: tuple[Run, ...] = ()
-    free: tuple[str, ...] = ()
-    weighting: Literal["spectrum", "level"] = "spectrum"
+    together: Together = field(default_factory=Together)
     path: Path = field(default=Path("joint.toml"), compare=False)
 
     @classmethod
@@ -108,8 +106,7 @@ class JointFile:
             source=file.record.build(),
             name=file.joint.name,
             runs=tuple(table.build() for table in file.records),
-            free=tuple(file.together.free),
-            weighting=file.together.weighting,
+            together=file.together.build(),
             path=path,
         )
 
@@ -133,9 +130,7 @@ class JointFile:
                 torque at the controller's limit.
         """
         path = self.record_path(path)
-        columns = self._columns
-        source = self.source
-        record = read(path, columns, clock_tolerance=source.clock_tolerance, resample=source.resample, **self._reading)
+        record = read(path, self._columns, **self._reading, **self._clock, **self.source.options)
         controller, torque = self.controller, record.torque
         limit = controller.law(torque.sample_time).limit if controller is not None and torque is not None else None
         gear = self.joint.transmission
@@ -171,10 +166,7 @@ class JointFile:
         Raises:
             RecordError: a channel has a sample time of its own, or no record is named.
         """
-        source = self.source
-        reading = {"clock_tolerance": source.clock_tolerance, "resample": source.resample, **self._reading}
-        settings = {key: value for key, value in reading.items() if key not in self.source.options}
-        return Log(self.record_path(path), self._columns, settings, self.source.options)
+        return Log(self.record_path(path), self._columns, self._reading | self._clock, self.source.options)
 
     def write(self, record: Record, path: str | os.PathLike[str]) -> None:
         """Write a record, on the joint's side of its transmission, as this file reads it: `record(path)` gives it back.
@@ -182,7 +174,7 @@ class JointFile:
         Raises:
             RecordError: see `jointid.records.files.writing.write`.
         """
-        write(record, path, self.columns, **self._reading)
+        write(record, path, self.columns, **self._reading, **self.source.options)
 
     def record_path(self, path: str | os.PathLike[str] | None = None) -> str | os.PathLike[str]:
         """Return the path of the record: that one, or the one this file names.
@@ -215,8 +207,12 @@ class JointFile:
             "sample_time": self.source.sample_time,
             "kind": self.joint.kind,
             "transmission": self.joint.transmission,
-            **self.source.options,
         }
+
+    @property
+    def _clock(self) -> dict[str, Any]:
+        """Further arguments of reading one."""
+        return {"clock_tolerance": self.source.clock_tolerance, "resample": self.source.resample}
 
     @property
     def added_inertias(self) -> tuple[float, ...]:
@@ -279,9 +275,7 @@ class JointFile:
         tables = {
             "joint": serialise.joint_table(self.joint, self.name),
             "transmission": serialise.transmission_table(self.joint.transmission),
-            "gravity": {}
-            if self.joint.gravity is None
-            else serialise.gravity_table(self.joint.gravity, self.joint.transmission),
+            "gravity": serialise.gravity_table(self.joint.gravity, self.joint.transmission),
             "record": record,
             "drive": serialise.settings(self.drive),
             "controller": {}
@@ -291,8 +285,6 @@ class JointFile:
             "method": serialise.method_table(self.method, self.joint.model),
             "parameters": parameters,
             "records": [serialise.settings(run) for run in self.runs],
-            "together": serialise.settings(
-                self, *(f.name for f in fields(self) if f.name not in ("free", "weighting"))
-            ),
+            "together": serialise.settings(self.together),
         }
         return {name: table for name, table in tables.items() if table}

@@ -174,32 +174,22 @@ def _annotation_of(one: Declared) -> Any:
         return Annotated[Text, Field(json_schema_extra={"enum": list(declared.choices)})]
     if one.choices:
         return Literal[*one.choices]
-    if declared.only:
-        return Annotated[
-            int, AfterValidator(_one_of(declared.only)), Field(json_schema_extra={"enum": [*declared.only]}), one.says
-        ]
+    allowed = AfterValidator(_check_allowed(one))
+    if declared.only:  # a Literal would take true for 1
+        return Annotated[int, allowed, Field(json_schema_extra={"enum": [*declared.only]}), one.says]
     if one.type is float:
         bounds = Field(gt=declared.above, ge=declared.at_least, le=declared.at_most, allow_inf_nan=declared.infinite)
-        return Annotated[float, bounds, AfterValidator(_check_allowed(one)), one.says]
+        return Annotated[float, bounds, allowed, one.says]
     if one.type is int:
         return Annotated[int, Field(gt=declared.above, ge=declared.at_least, le=declared.at_most or MOST), one.says]
     return _PLAIN[one.type]
 
 
 def _check_allowed(one: Declared) -> Callable[[float], float]:
-    """Return the validator of what bounds do not say: that a number is one, and not 0."""
+    """Return the validator of what bounds do not say: that a number is one, and not 0, or one of a few."""
 
     def check(value: float) -> float:
         if one.fault(value) is not None:
-            raise ValueError
-        return value
-
-    return check
-
-
-def _one_of(known: Collection[int]) -> Callable[[int], int]:
-    def check(value: int) -> int:
-        if value not in known:  # a Literal would take true for 1
             raise ValueError
         return value
 

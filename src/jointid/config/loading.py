@@ -192,10 +192,7 @@ def _with_table(text: str, name: str, written: str) -> str:
     tables = _parse(text)
     made = _join(_sections(text), written, re.compile(_HEADING.format(name)))
     expected = tables | tomllib.loads(written)
-    try:
-        return made if tomllib.loads(made) == expected else tomli_w.dumps(expected)
-    except tomllib.TOMLDecodeError:  # two of them: the old one has no heading
-        return tomli_w.dumps(expected)
+    return _checked(made, expected)
 
 
 def with_paths(text: str, before: Path, after: Path) -> str:
@@ -227,9 +224,14 @@ def with_paths(text: str, before: Path, after: Path) -> str:
 
     sections = _sections(text)
     made = "".join(_FILE.sub(moved, one, count=1) if _OF_RECORD.match(one) else one for one in sections)
+    return _checked(made, expected)
+
+
+def _checked(made: str, expected: Mapping[str, Any]) -> str:
+    """Return a text that was changed, or, where it does not say what it should, the tables written anew."""
     try:
         return made if tomllib.loads(made) == expected else tomli_w.dumps(expected)
-    except tomllib.TOMLDecodeError:  # the path is a text of several lines
+    except tomllib.TOMLDecodeError:  # two tables of one name, where the old one has no heading; a path of several lines
         return tomli_w.dumps(expected)
 
 

@@ -17,9 +17,9 @@ from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
 from jointid.common import messages, units
 from jointid.common.messages import Says
 from jointid.common.settings import settings_of
-from jointid.config.keys import Bound, Flag, LengthUnit, Names, Natural, Number, Positive, Size, Text, keys_from
+from jointid.config.keys import Bound, Flag, LengthUnit, Natural, Number, Positive, Size, Text, keys_from
 from jointid.config.schema_controller import ControllerTable
-from jointid.config.schema_record import DriveTable, RecordTable, RunTable
+from jointid.config.schema_record import DriveTable, RecordTable, RunTable, TogetherTable
 from jointid.config.table import Table, accept_by, refusal
 from jointid.estimation.methods.registry import Method, MethodName, method_of, methods
 from jointid.models.disturbances import Drift, Effect, PositionHarmonics
@@ -210,15 +210,6 @@ class ParameterTable(Table):
             yield "start", " stands beside value; keep value to fix the parameter, or start to identify it."
         if self.value is None and self.free is False:
             yield "value", " is missing; a parameter that is not free needs the value that it keeps: add it."
-
-
-class TogetherTable(Table):
-    """[together]: how several records are identified together."""
-
-    free: Names = Field([], description="names of what surrounds the joint and is identified too")
-    weighting: Literal["spectrum", "level"] = Field(
-        "spectrum", description="what of their record's residual the rows are weighed by"
-    )
 
 
 class FileTable(Table):

@@ -1,4 +1,4 @@
-"""[record], [drive] and [[records]]: files, how they are read, the columns of channels, and the drive's own units."""
+"""[record], [drive], [[records]] and [together]: files, the columns of their channels, and the drive's own units."""
 
 from __future__ import annotations
 
@@ -72,6 +72,17 @@ class Run:
     controller: Mapping[str, float] = field(
         default_factory=dict,
         metadata=declare("numbers of the controller that were others in this record, by the keys of [controller]"),
+    )
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class Together:
+    """How several records are identified together."""
+
+    free: tuple[str, ...] = setting((), "names of what surrounds the joint and is identified too")
+    weighting: Literal["spectrum", "level"] = setting(
+        "spectrum", "what of their record's residual the rows are weighed by"
     )
 
 
@@ -162,3 +173,8 @@ class DriveTable(Table):
 @keys_from(Run)
 class RunTable(Table):
     """[[records]]: one of several records that are identified together, and what is known to differ in it."""
+
+
+@keys_from(Together)
+class TogetherTable(Table):
+    """[together]: how several records are identified together."""

@@ -30,11 +30,10 @@ from jointid.config.schema import (
     JointTable,
     MethodTable,
     ParameterTable,
-    TogetherTable,
     TransmissionTable,
 )
 from jointid.config.schema_controller import LAW_TABLES, LawTable
-from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RunTable
+from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RunTable, TogetherTable
 from jointid.config.table import Table, refusal, sentences
 from jointid.estimation.methods.registry import MODELS
 from jointid.models.controllers import Controller
@@ -119,6 +118,7 @@ class Draft:
     def of(cls, raw: Mapping[str, Any]) -> Self:
         """Return what is right of the tables of a joint file, as `tomllib` reads them."""
         kind, controller = _table(raw, "joint").get("kind"), raw.get("controller")
+        listed = records if isinstance(records := raw.get("records"), list) else []
         drives = _part(DriveTable, raw.get("drive", {}))
         drive = drives.build() if drives else None
         channels, parameters = _table(raw, "record", "channels"), _table(raw, "parameters")
@@ -146,7 +146,7 @@ class Draft:
                 name: parameter for name, value in parameters.items() if (parameter := _part(ParameterTable, value))
             },
             bare=[name for name, value in parameters.items() if not isinstance(value, dict)],
-            runs={k: run for k, value in enumerate(_list(raw, "records")) if (run := _part(RunTable, value))},
+            runs={k: run for k, value in enumerate(listed) if (run := _part(RunTable, value))},
             together=_part(TogetherTable, raw.get("together", {})),
         )
 
@@ -215,9 +215,3 @@ def _table(raw: Mapping[str, Any], *path: str) -> Mapping[str, Any]:
         below = raw.get(key)
         raw = below if isinstance(below, dict) else {}
     return raw
-
-
-def _list(raw: Mapping[str, Any], key: str) -> list[Any]:
-    """Return the raw list at a key, empty if there is none."""
-    found = raw.get(key)
-    return found if isinstance(found, list) else []

@@ -92,8 +92,8 @@ def _from_several(file: JointFile, records: list[Path], listener: Progress) -> E
     several = SeveralRecords(
         added_inertia=[more for one in each for more in one.added_inertias],
         own=[more.own for one in each for more in one.runs],
-        free=file.free,
-        weighting=file.weighting,
+        free=file.together.free,
+        weighting=file.together.weighting,
     )
     return run(
         logged, loops, file.method, several=several, filtering=file.filtering, parameters=file.parameters,

@@ -13,7 +13,6 @@ from jointid import __version__
 from jointid.apps.web import fields
 from jointid.apps.web.folder import Run, read_json
 from jointid.apps.web.form import place_faults
-from jointid.apps.web.preview import find_duration
 from jointid.apps.web.requests import AppState, format_size
 from jointid.common.text import number
 from jointid.records.formats import FORMATS
@@ -92,12 +91,11 @@ def _render(template: str, state: AppState, code: int = 200, **values: object) -
 
 def label_end(preview: Mapping[str, Any], draft: Mapping[str, str], column: Mapping[str, Any]) -> str:
     """Return the label at the right end of a plot's time axis: a duration, or a number of rows."""
-    name = draft.get("record.time")
-    lasted = find_duration(preview, name)
-    samples = next((one["samples"] for one in preview["columns"] if one["name"] == name), None)
-    if lasted is None or samples != column["samples"]:
+    times = [one for one in preview["columns"] if one["name"] == draft.get("record.time") and one["low"] is not None]
+    if not times or times[0]["samples"] != column["samples"]:
         return f"{column['samples']} rows"
-    return f"{number(lasted, 3)} {draft.get('record.time_unit') or fields.time_unit(name or '')}"
+    unit = draft.get("record.time_unit") or fields.time_unit(times[0]["name"])
+    return f"{number(times[0]['high'] - times[0]['low'], 3)} {unit}"
 
 
 def _build_rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:

@@ -66,14 +66,6 @@ def build_preview(table: Table) -> dict[str, Any]:
     return {"columns": columns, "more": max(len(names) - _LISTED, 0), "roles": roles}
 
 
-def find_duration(preview: Mapping[str, Any], time: str | None) -> float | None:
-    """Return how long the time column lasts, in its own unit; None where there is none."""
-    for column in preview["columns"]:
-        if column["name"] == time and column["low"] is not None:
-            return float(column["high"] - column["low"])
-    return None
-
-
 def _describe_column(name: str, values: FloatArray, *, drawn: bool) -> dict[str, Any]:
     found = OutlineBuilder()
     found.take(np.where(np.isfinite(values), values, np.nan))
