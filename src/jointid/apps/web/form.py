@@ -47,11 +47,11 @@ class Order:
 
     Attributes:
         text: the joint file.
-        learn: what the worker needs to learn the controller first, None where it is known or not needed.
+        gain: of the controller that is to be learned first, in place of a stand-in; None where none is.
     """
 
     text: str
-    learn: dict[str, Any] | None
+    gain: float | None
 
 
 def clean_entries(sent: Iterable[tuple[str, str]]) -> dict[str, str]:
@@ -94,9 +94,11 @@ def make_reading_tables(draft: Draft, file: str) -> dict[str, Any]:
         JointFileError: see `make_tables`.
     """
     said = make_tables(draft, file)
-    made = _reading(said)
-    made["method"] = {"name": "didim" if "reference" in _channels(made) else "idim"}
-    return {**made, "controller": _STAND_IN} if made["method"]["name"] == "didim" else made
+    made: dict[str, Any] = {key: said[key] for key in ("transmission", "record", "drive") if key in said}
+    made["joint"] = {"kind": said["joint"]["kind"]}
+    if "reference" not in _channels(made):
+        return made | {"method": {"name": "idim"}}
+    return made | {"method": {"name": "didim"}, "controller": _STAND_IN}
 
 
 def make_order(draft: Draft, file: str) -> Order:
@@ -122,8 +124,7 @@ def make_order(draft: Draft, file: str) -> Order:
     gain = 1.0 if gain is None else gain
     if not isinstance(gain, float) or not 0 < gain < float("inf"):
         raise JointFileError("controller.gain is no positive number; correct it, or leave it empty for 1.")
-    reading = {**_reading(said), "method": {"name": "idim"}}
-    return Order(text, {"gain": gain, "tables": said, "reading": reading})
+    return Order(text, gain)
 
 
 def place_faults(error: Exception | None, draft: Draft, names: Collection[str]) -> Faults:
@@ -190,12 +191,6 @@ def _named(one: Field, draft: Draft) -> bool:
     if path[:2] != ["record", "channels"]:
         return True
     return bool(draft.get(f"record.channels.{path[2]}.column", "").strip())
-
-
-def _reading(said: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the tables that say how a record is read, of a rigid joint of that kind."""
-    made: dict[str, Any] = {key: said[key] for key in ("transmission", "record", "drive") if key in said}
-    return {"joint": {"kind": said["joint"]["kind"]}, **made}
 
 
 def _channels(said: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -203,7 +203,7 @@ async def identify(request: Request, state: AppState) -> Response:
     except OSError:
         shutil.copyfile(state.folder.path / record["file"], run.folder / record["file"])
     (run.folder / "joint.toml").write_text(order.text, encoding="utf-8", newline="\n")
-    write_json(run.folder / "work.json", {"file": record["file"], "name": record["name"], "learn": order.learn})
+    write_json(run.folder / "work.json", {"file": record["file"], "name": record["name"], "gain": order.gain})
     state.jobs.start(run)
     return state.redirect(f"/runs/{run.number}")
 
