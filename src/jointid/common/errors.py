@@ -45,10 +45,6 @@ class MethodError(JointidError):
     """A method asked for what the record, the joint or the controller does not have."""
 
 
-class SimulationError(JointidError):
-    """A simulation that was asked for by itself (not as one candidate of many) and failed."""
-
-
 class ExtraError(JointidError):
     """An optional package is missing; the sentence names the extra that brings it."""
 

@@ -36,14 +36,22 @@ _CONSTANTS = ("true", "false", "inf", "nan")
 _FROM_ZERO = ("torque_filters",)  # lists counted from 0, as in the names of their numbers; all others from 1
 
 
-def load(path: str | os.PathLike[str], changes: Iterable[str] = (), **choices: str | None) -> JointFile:
+def load(
+    path: str | os.PathLike[str],
+    changes: Iterable[str] = (),
+    *,
+    method: str | None = None,
+    filtering: str | None = None,
+    friction: str | None = None,
+) -> JointFile:
     """Load a joint file, checked completely.
 
     Args:
         path: of the TOML file, in UTF-8.
         changes: keys to set before it is checked, each as ``method.frequency=30``.
-        choices: set before those, None leaves what the file says: `method`, its name, of which another one than the
-            file's comes with its default settings; `filtering`, a preset; `friction`, the name of a law.
+        method: its name, set before those; another one than the file's comes with its default settings.
+        filtering: a preset, likewise in place of what the file says.
+        friction: the name of a law, likewise.
 
     Raises:
         JointFileError: the file cannot be read, is no TOML, or has faults; `faults` has a sentence for each.
@@ -59,11 +67,17 @@ def load(path: str | os.PathLike[str], changes: Iterable[str] = (), **choices: s
         raise JointFileError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
     except UnicodeDecodeError as error:
         raise JointFileError(f"{path} is not text in UTF-8 (byte {error.start}); save it as UTF-8.") from error
-    return _build(text, path, changes, **choices)
+    return _build(text, path, changes, method, filtering, friction)
 
 
 def loads(
-    text: str, folder: str | os.PathLike[str] = ".", changes: Iterable[str] = (), **choices: str | None
+    text: str,
+    folder: str | os.PathLike[str] = ".",
+    changes: Iterable[str] = (),
+    *,
+    method: str | None = None,
+    filtering: str | None = None,
+    friction: str | None = None,
 ) -> JointFile:
     """Load a joint file from its text; see `load`.
 
@@ -71,19 +85,20 @@ def loads(
         text: TOML.
         folder: from which the path of the record is taken.
         changes: keys to set before it is checked, each as ``method.frequency=30``.
-        choices: as of `load`.
+        method: as of `load`.
+        filtering: as of `load`.
+        friction: as of `load`.
     """
-    return _build(text, Path(folder) / "joint.toml", changes, **choices)
+    return _build(text, Path(folder) / "joint.toml", changes, method, filtering, friction)
 
 
 def _build(
     text: str,
     path: Path,
     changes: Iterable[str],
-    *,
-    method: str | None = None,
-    filtering: str | None = None,
-    friction: str | None = None,
+    method: str | None,
+    filtering: str | None,
+    friction: str | None,
 ) -> JointFile:
     tables = _parse(text)
     if method is not None and method != named_method(tables):
