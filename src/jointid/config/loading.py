@@ -105,9 +105,8 @@ def _build(
         tables["method"] = {"name": method}
     if filtering is not None:
         tables["filtering"] = {"preset": filtering}
-    if friction is not None:
-        tables = apply_changes(tables, [f"joint.friction={json.dumps(friction)}"])
-    return JointFile.of(apply_changes(tables, changes), path)
+    first = [] if friction is None else [f"joint.friction={json.dumps(friction)}"]
+    return JointFile.of(apply_changes(tables, [*first, *changes]), path)
 
 
 def dumps(file: JointFile) -> str:
