@@ -8,13 +8,12 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 
 from jointid.common import messages, units
+from jointid.common.transmission import Side
 from jointid.config.gearing import TransmissionTable, kind_of
 from jointid.config.record_table import ChannelTable
 from jointid.models.parameters import TORQUE_UNIT, Kind
-from jointid.models.transmission import Side
 from jointid.records.columns import known_units
 from jointid.records.drives.drive import Drive
-from jointid.records.drives.profiles import find_side
 
 
 def channel_faults(
@@ -109,7 +108,7 @@ def _si_unit(
 def _side(channel: str, table: ChannelTable | None, drive: Drive | None) -> Side:
     """Return the side of a transmission on which a channel is measured."""
     declared = None if table is None else table.to_column()
-    return find_side(channel, declared, drive.traces, drive.axis) if drive else find_side(channel, declared, None, None)
+    return (drive or Drive()).side(channel, declared)
 
 
 def _lacking(channel: str, unit: str, kind: Kind, transmission: TransmissionTable | None, drive: Drive) -> str | None:

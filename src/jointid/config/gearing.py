@@ -7,11 +7,11 @@ from collections.abc import Collection, Iterator, Mapping
 from pydantic import Field
 
 from jointid.common import units
+from jointid.common.transmission import Side, Transmission
 from jointid.config.generate import keys_from
 from jointid.config.table import Table
 from jointid.config.values import LengthUnit, Size
 from jointid.models.parameters import Kind
-from jointid.models.transmission import Side, Transmission
 
 
 @keys_from(Transmission, without=("load", "lead"))

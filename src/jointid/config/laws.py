@@ -9,12 +9,12 @@ from typing import Annotated, Any, Literal, TypeAlias, Union
 
 from pydantic import Field, create_model
 
+from jointid.common.transmission import Side, Transmission
 from jointid.config.filters import FilterTable, FilterTables, filters
 from jointid.config.generate import Typed, keys_from
 from jointid.config.table import Table, refusal
 from jointid.config.values import Matrix, Number, Numbers
 from jointid.models.controllers import LAWS, Controller, StateSpaceController
-from jointid.models.transmission import Side, Transmission
 
 _NO_KEYS = ("ratio",)  # which the transmission and `side` say
 

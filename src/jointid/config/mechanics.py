@@ -7,13 +7,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from jointid.common.transmission import Transmission
 from jointid.config.generate import keys_from
 from jointid.config.table import Table, accept_by, refusal
 from jointid.config.values import Text
 from jointid.models.friction import FRICTIONS, friction_named
 from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
-from jointid.models.transmission import Transmission
 
 
 class JointTable(Table):

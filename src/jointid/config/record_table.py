@@ -18,7 +18,7 @@ from jointid.records.columns import Column
 from jointid.records.drives.drive import Drive
 from jointid.records.formats import Csv, format_of
 from jointid.records.record import Channel, Injection
-from jointid.records.time_base.resampling import Resampling
+from jointid.records.resampling import Resampling
 
 OPTIONS = ("delimiter", "decimal", "header")
 """The keys of [record] that are options of the format's reader."""

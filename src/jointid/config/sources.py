@@ -8,15 +8,15 @@ from typing import Any
 
 from jointid.common.settings import declare, documented, setting
 from jointid.common.units import units_of
+from jointid.records.clock import CLOCK_TOLERANCE
 from jointid.records.formats import format_of
-from jointid.records.time_base.resampling import Resampling
-from jointid.records.time_base.uniformity import CLOCK_TOLERANCE
+from jointid.records.resampling import Resampling
 
 
 @documented
 @dataclass(frozen=True, slots=True)
 class Source:
-    """The file of the record, and how it is read; see `jointid.records.reading.read`."""
+    """The file of the record, and how it is read; see `jointid.records.reading`."""
 
     file: str | None = setting(None, "path of the record, from the joint file's folder", accept=format_of)
     time: str | None = setting(

@@ -13,6 +13,7 @@ from typing import Any, Self, TypeVar
 from pydantic import ValidationError
 
 from jointid.common.errors import JointFileError
+from jointid.common.transmission import Side
 from jointid.config.channels import channel_faults, list_channels
 from jointid.config.consistency import free_faults, gravity_refusal, method_faults, parameter_faults, record_faults
 from jointid.config.gearing import TransmissionTable, side_faults, transmission_faults
@@ -24,7 +25,6 @@ from jointid.config.table import Table, sentences
 from jointid.estimation.methods.registry import MODELS
 from jointid.models.controllers import Controller
 from jointid.models.parameters import Kind
-from jointid.models.transmission import Side
 from jointid.records.drives.drive import Drive
 from jointid.records.record import CHANNELS
 

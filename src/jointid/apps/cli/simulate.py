@@ -74,8 +74,8 @@ def _joint(
     from jointid import prepare, simulate
     from jointid.apps.cli.console import progress, ready, show
     from jointid.common.errors import MethodError
+    from jointid.common.transmission import transmission_lines
     from jointid.config import load
-    from jointid.models.transmission import transmission_lines
     from jointid.output import json as answers
     from jointid.simulation.closed_loop import require_finished
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from jointid.apps.web.roles import guess_roles
 from jointid.common.arrays import FloatArray
-from jointid.records.files.outline import OutlineBuilder
 from jointid.records.formats import Table
+from jointid.records.inspection import OutlineBuilder
 
 _DRAWN = 64  # columns whose outline is kept; the others are listed by name
 _LISTED = 2000  # names

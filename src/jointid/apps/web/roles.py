@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from jointid.records.drives.profiles import Profile, load_profile, profile_names
+from jointid.records.drives.drive import Profile, load_profile, profile_names
 from jointid.records.record import CHANNELS
 
 _PROFILE_FIRST = "generic"

@@ -21,8 +21,8 @@ from jointid.estimation.streaming.drift import DriftTest
 from jointid.models.disturbances import Effect
 from jointid.models.joints import Joint
 from jointid.models.refer import OtherSide, other_side
+from jointid.records.record import Resampled
 from jointid.records.signals.filtering import Filtering
-from jointid.records.time_base.uniformity import Resampled
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.regression import Conditioning

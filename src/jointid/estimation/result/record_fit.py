@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.result.params import EstimatedParameter
+from jointid.records.record import Resampled
 from jointid.records.signals.filtering import Filtering
-from jointid.records.time_base.uniformity import Resampled
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.uncertainty.position_dependent_error import Repeatable

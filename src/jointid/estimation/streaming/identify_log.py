@@ -41,7 +41,7 @@ from jointid.estimation.streaming.settings import Windowing
 from jointid.estimation.streaming.streaming_gauss_newton import End, Pass, Passes
 from jointid.estimation.streaming.window import Model, motion, moves, settling_of
 from jointid.models.parameters import Parameter, adjusted
-from jointid.records.reading.chunks import Chunk, LongRecord
+from jointid.records.chunks import Chunk, LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop

@@ -18,7 +18,7 @@ from jointid.common.progress import Progress
 from jointid.estimation.streaming.position_bins import Place, Places
 from jointid.estimation.streaming.window import Model, NotSimulatedError, Window, looked_at, moves
 from jointid.models.parameters import Parameter
-from jointid.records.reading.chunks import LongRecord
+from jointid.records.chunks import LongRecord
 from jointid.solvers.bounds import Bounds
 from jointid.uncertainty.jackknife import Sums, step_of, total
 

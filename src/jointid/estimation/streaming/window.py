@@ -23,7 +23,7 @@ from jointid.estimation.search.starts import beginning_position
 from jointid.estimation.streaming.position_bins import Place, Places
 from jointid.models.controllers import REFERENCE
 from jointid.models.parameters import Parameter
-from jointid.records.reading.chunks import Chunk
+from jointid.records.chunks import Chunk
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome

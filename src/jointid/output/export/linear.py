@@ -10,7 +10,7 @@ from typing import ClassVar
 from jointid import __version__
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.models.transmission import Side
+from jointid.common.transmission import Side
 from jointid.output.export.joint_model import JointModel
 from jointid.output.export.naming import identifier, number
 from jointid.output.export.provenance import remarks
