@@ -44,6 +44,7 @@ RATIO_BAND = (0.5, 2.0)
 
 RATIO_TOLERANCE = 0.1
 """Relative distance of a ratio from a unit's factor within which that unit is named."""
+
 ROUNDING = 0.01
 """Share of a torque's rms that its rounding may be: the EMPS axis leaves 4 % for other reasons."""
 

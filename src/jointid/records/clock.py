@@ -22,6 +22,7 @@ Clocks of drives and computers differ by 0.01 %; a wrong rate is wrong by far mo
 """
 
 _TIME = re.compile(r"(?:t|time)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
+
 CLOCK_TOLERANCE = 0.05
 """Largest jitter of a time stamp step, as a share of the sample time.
 

@@ -24,7 +24,6 @@ from jointid.records.signals.encoder import unwrap, wrap_faults
 
 _MOVES = 0.01  # of this axis's travel: an axis that moves less is held
 _NUMBER = re.compile(r"\d+")
-_POSITIONS = ("motor_position", "reference")
 
 
 def read(
@@ -299,7 +298,7 @@ class _Columns:
 
     def find_other_positions(self, found: Mapping[str, Column], clocks: Clocks) -> dict[str, Channel]:
         """Return the positions of other axes that moved, by their columns; one that cannot be read is left out."""
-        position = next((channel for channel in ("motor_position", "reference") if channel in found), None)
+        position = _own_position(found)
         own = position and replace(self, faults=[]).build_channel(position, found, clocks)
         made: dict[str, Channel] = {}
         if not (position and own):
@@ -330,7 +329,7 @@ def _add_stamps(
     """Return the channels with their instants; raise what has none, or is thinned to its updates."""
     faults = []
     made = {}
-    position = next((name for name in ("motor_position", "reference") if name in found), "")
+    position = _own_position(found)
     for name, channel in {**logged, **others}.items():
         column = found[name] if name in found else replace(found[position], column=name)
         clock = clocks.clock_of(column)
@@ -363,6 +362,11 @@ def _build_record(channels: Mapping[str, Channel], found: Mapping[str, Column], 
     )
 
 
+def _own_position(channels: Collection[str]) -> str:
+    """Return the channel that tells this axis from others, "" without one."""
+    return next((channel for channel in ("motor_position", "reference") if channel in channels), "")
+
+
 def find_other_axes(channels: Mapping[str, str], names: Collection[str]) -> tuple[str, ...]:
     """Return the position columns of other axes, in the log's order.
 
@@ -374,8 +378,8 @@ def find_other_axes(channels: Mapping[str, str], names: Collection[str]) -> tupl
         names: of all columns.
     """
     numbered = {channel: dict(_axis_numbers(column, names)) for channel, column in channels.items()}
-    position = next((channel for channel in _POSITIONS if channel in channels), None)
-    if position is None:
+    position = _own_position(channels)
+    if not position:
         return ()
     for number, others in numbered[position].items():
         alike = [channel for channel, found in numbered.items() if number in found]

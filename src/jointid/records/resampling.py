@@ -1,4 +1,8 @@
-"""Bring channels to one uniform clock, or to the rate at which they are refreshed."""
+"""Bring channels to one uniform clock where that is asked for, or to the rate at which they are refreshed.
+
+Resampling is right where the *samples* were taken at the stamps. Where only the stamps jitter, the samples are uniform
+already, and resampling would add the jitter to them: `sample_time` without a time column is right there.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +27,7 @@ frequency, where a joint leaves nothing."""
 
 _ONE_INSTANT = 1e-6  # of a sample time
 _LARGEST = 10**8  # samples of one channel
+
 _SAME = 1e-6  # of a sample
 _WHOLE = 1e-2  # how near to a whole number of samples counts as one
 _CHANGES = 20  # fewer changes than this do not show a rhythm

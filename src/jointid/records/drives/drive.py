@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
-from importlib.resources.abc import Traversable
 from typing import Any
 
 from jointid.common import units
@@ -27,8 +26,8 @@ from jointid.common.transmission import SI_UNITS, Side, usual_side
 from jointid.records.columns import Column, known_units
 from jointid.records.record import CHANNELS, Tap, Timing
 
+_FOLDER = files("jointid.records.drives")  # of the profiles
 _AGREES = 0.05  # of a rated torque: nameplates are rounded, and peak and rms ampere differ by 41 %
-
 _COUNTS = {"prismatic": "counts_per_metre", "revolute": "counts_per_turn"}
 _HUMP = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _WORD = re.compile(r"[a-z0-9]+")
@@ -201,7 +200,7 @@ class Profile:
 @cache
 def profile_names() -> tuple[str, ...]:
     """Return the names of all profiles, sorted."""
-    return tuple(sorted(entry.name.removesuffix(".toml") for entry in _profile_files() if entry.name.endswith(".toml")))
+    return tuple(sorted(file.name.removesuffix(".toml") for file in _FOLDER.iterdir() if file.name.endswith(".toml")))
 
 
 @cache
@@ -213,15 +212,10 @@ def load_profile(name: str) -> Profile:
     """
     if name not in profile_names():
         raise RecordError(f'No drive profile is called "{name}"; there are {", ".join(profile_names())}.')
-    (entry,) = (entry for entry in _profile_files() if entry.name == f"{name}.toml")
-    raw = tomllib.loads(entry.read_text(encoding="utf-8"))
+    raw = tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
     channels = {channel: tuple(map(_parse_signal, signals)) for channel, signals in raw.pop("channels").items()}
     lists: dict[str, Any] = {key: tuple(raw.pop(key)) for key in ("sources", "assumed", "time") if key in raw}
     return Profile(name=name, channels=channels, **lists, **raw)
-
-
-def _profile_files() -> Iterator[Traversable]:
-    return files("jointid.records.drives").iterdir()
 
 
 def _parse_signal(raw: dict[str, Any]) -> TraceSignal:

@@ -101,7 +101,7 @@ class _Decoder:
             start = self.take(count, 1)
             return self.data[start : start + max(count - 1, 0)].decode("utf-8", "replace")
         if kind in _TIME:
-            return Instant(int(self.number("i4")), int(self.number("u4")))
+            return Instant(int(self.number("i4")) * 10**9 + int(self.number("u4")))
         return self.message(kind, deep + 1)
 
     def number(self, kind: str) -> Any:
@@ -123,23 +123,15 @@ class _Decoder:
             raise SkippedTopicError(f"a message of it has more than {_BUDGET} parts")
 
 
-class Instant(NamedTuple):
-    """A time or a duration."""
-
-    seconds: int
-    nanoseconds: int
-
-    @property
-    def total(self) -> int:
-        """Nanoseconds."""
-        return self.seconds * 10**9 + self.nanoseconds
+class Instant(int):
+    """A time or a duration in nanoseconds."""
 
 
 def header_stamp(message: Mapping[str, Value]) -> int | None:
     """Return the stamp in the header of a message [ns]; None where there is none, or it is 0."""
     header = message.get("header")
     stamp = header.get("stamp") if isinstance(header, dict) else None
-    return stamp.total if isinstance(stamp, Instant) and stamp.total else None
+    return stamp if isinstance(stamp, Instant) and stamp else None
 
 
 def flatten_numbers(
@@ -160,7 +152,7 @@ def flatten_numbers(
     for key, value in message.items():
         inner = "" if key in _OF_ITS_OWN else f"/{key}"
         if isinstance(value, Instant):
-            yield f"{path}{inner}", value.total / 1e9
+            yield f"{path}{inner}", value / 1e9
         elif isinstance(value, float):
             yield f"{path}{inner}", value
         elif isinstance(value, dict) and key not in ("header", "layout"):

@@ -19,6 +19,7 @@ _COMMENTS = ("#", "%", "//")
 _HEAD = 65536  # bytes
 _LONGEST = 2_500_000  # characters of a line: 100,000 numbers of 24
 _SPREADSHEET = "sep="  # "sep=;" is a note from one spreadsheet program to another
+
 BLANKS = " "
 """The delimiter that stands for any run of blanks."""
 
