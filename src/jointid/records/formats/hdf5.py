@@ -18,8 +18,7 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import RecordError
-from jointid.common.extras import extra
+from jointid.common.errors import RecordError, extra
 from jointid.records.formats.table import Block, Holds, Table, split_rows
 from jointid.records.formats.untrusted import (
     PIECES,

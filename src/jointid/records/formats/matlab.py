@@ -27,8 +27,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import RecordError
-from jointid.common.extras import extra
+from jointid.common.errors import RecordError, extra
 from jointid.records.formats.hdf5 import PACKING, SIGNATURE, Contents, Member, open_contents, refusal_reason
 from jointid.records.formats.table import Block, Holds, NotStreamedError, Table, split_rows
 from jointid.records.formats.untrusted import PIECES

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import RecordError
-from jointid.common.extras import extra
+from jointid.common.errors import RecordError, extra
 from jointid.records.formats.messages import (
     Definition,
     Field,

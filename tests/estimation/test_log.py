@@ -1,0 +1,313 @@
+"""A long record in windows: the same answer as at once, in bounded memory, and what changes on the way is seen."""
+
+from __future__ import annotations
+
+import tracemalloc
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError, RecordError
+from jointid.estimation.identify import identify
+from jointid.estimation.identify_log import StreamingGaussNewton
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.problems.log_windows import LogProblem, Places, Windowing, motion, window_problem
+from jointid.estimation.result.summary import describe_drift
+from jointid.models.controllers import PD, Cascade
+from jointid.models.friction import AsymmetricFriction
+from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid.paper.twin import CONTROLLERS, TABLE_2
+from jointid.records.chunks import Chunk, InMemory, Log
+from jointid.records.formats import Table, write_table
+from jointid.records.record import Channel, Record
+from jointid.records.signals.excitation import trapezoids
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.synthesis import simulated_record
+from jointid.solvers.solve import solve
+from jointid.solvers.trust_region import TrustRegion
+
+PERIOD = 1e-3
+LOOP = ClosedLoop(RigidJoint(), Cascade(kp=100.0, kv=2000.0))
+TRUTH = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+SPEEDS = (0.05, 0.1, 0.2)
+
+
+def rigid(duration: float, seed: int = 1, noise: float = 2.0, **changed: float) -> Record:
+    """Return laps of 10 s, after which the axis is where it began."""
+    lap = trapezoids(SPEEDS, 2.0, 0.1, PERIOD)
+    reference = np.tile(np.concatenate([lap, np.zeros(10_000 - lap.size)]), round(duration / 10))
+    log = noise * np.random.default_rng(seed).standard_normal(reference.size)
+    return simulated_record(LOOP, reference, TRUTH | changed, sample_time=PERIOD, torque_noise=log)
+
+
+def joined(*records: Record) -> Record:
+    """Return records one after the other."""
+    changes = {}
+    for name in ("torque", "reference"):
+        channels = [dict(r.items())[name] for r in records]
+        changes[name] = replace(channels[0], values=np.concatenate([c.values for c in channels]))
+    return Record(**changes, name="joined")
+
+
+def test_windows_say_what_the_whole_says() -> None:
+    record = rigid(120.0)
+    whole, parts = identify(record, LOOP), identify(record, LOOP, windows=Windowing(length=5.0))
+    assert parts.fit.converged
+    assert parts.data.windows.count == 24
+    for name, truth in TRUTH.items():
+        std = whole[name].stderr
+        assert std is not None
+        assert parts[name].stderr is not None
+        assert abs(parts[name].value - whole[name].value) <= 0.35 * std, name
+        assert abs(parts[name].value - truth) <= 3.5 * std, name
+        assert 0.4 <= parts[name].stderr / std <= 2.5, name
+    assert parts.fit.filtered_error == pytest.approx(whole.fit.filtered_error, rel=0.02)
+
+
+def test_without_noise_the_truth_comes_back() -> None:
+    estimate = identify(rigid(40.0, noise=0.0), LOOP, windows=Windowing(length=5.0))
+    for name, truth in TRUTH.items():
+        assert estimate[name].value == pytest.approx(truth, rel=1e-6)
+    assert estimate.fit.converged
+
+
+@pytest.mark.slow
+def test_a_flexible_joint_in_windows_is_that_of_the_whole() -> None:
+    loop = ClosedLoop(FlexibleJoint(), CONTROLLERS["L19"])
+    reference = trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, PERIOD, duration=600.0)
+    force = 30.0 * np.random.default_rng(5).standard_normal(reference.size)
+    record = simulated_record(loop, reference, TABLE_2, sample_time=PERIOD, disturbance=force)
+    method = FlexibleDIDIM(frequency=30.0)
+    whole, parts = identify(record, loop, method), identify(record, loop, windows=Windowing(length=15.0), method=method)
+    for name in TABLE_2:
+        std = whole[name].stderr
+        assert std is not None
+        assert abs(parts[name].value - whole[name].value) <= 0.35 * std, name
+
+
+def test_a_log_is_a_problem_that_any_solver_solves() -> None:
+    """Its residual and derivatives, in as few rows as have the same sums: bounded least squares ends at the same."""
+    record = rigid(30.0)
+    joint, filtering = LOOP.joint, Filtering()
+    window = window_problem(record, LOOP, filtering, joint.parameters, ())
+    problem = LogProblem(InMemory(record), window, 5000, 250, Places.of(*motion(window)))
+    start = window.vector(TRUTH | {"inertia": 33.0, "coulomb": 12.0})
+    error, J = problem.linearised(start)
+    sums = problem.pass_over(start).sums
+    np.testing.assert_allclose(J.T @ J, sums.A, rtol=1e-9)
+    np.testing.assert_allclose(J.T @ error, sums.b, rtol=1e-6)
+    assert error @ error == pytest.approx(sums.square)
+    streamed, other = (solve(problem, solver, start) for solver in (StreamingGaussNewton(), TrustRegion(1e-8)))
+    assert streamed.converged
+    np.testing.assert_allclose(streamed.x, other.x, rtol=1e-4)
+    assert streamed.evaluations == 3 * 6 + 1  # windows: of a sparse pass one, and of three whole ones all
+
+
+def test_with_few_windows_it_is_said_why_repetition_cannot_be_judged() -> None:
+    text = str(identify(rigid(30.0), LOOP, windows=Windowing(length=6.0)))
+    assert "cannot be judged: that takes a place which the axis passes in 8 windows or more, and in these 5" in text
+    assert "no place is visited at two times" not in text
+
+
+def stored(path: Path, record: Record) -> Log:
+    channels = dict(record.items())
+    write_table(path, Table({name: channels[name].values for name in ("torque", "reference")}))
+    return Log(path, {"torque": "torque", "reference": "reference"}, {"sample_time": PERIOD})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", [".csv", ".npy"])
+def test_memory_does_not_grow_with_the_record(tmp_path: Path, suffix: str) -> None:
+    short = stored(tmp_path / f"short{suffix}", rigid(50.0))
+    long = stored(tmp_path / f"long{suffix}", rigid(200.0))
+    identify(short, LOOP, windows=Windowing(length=5.0))  # what is loaded once is loaded
+    found = []
+    for log in (short, long):
+        tracemalloc.start()
+        estimate = identify(log, LOOP, windows=Windowing(length=5.0))
+        found.append(
+            (
+                tracemalloc.get_traced_memory()[1],
+                estimate.data.windows.count,
+                estimate.fit.simulations / estimate.fit.passes,
+            )
+        )
+        tracemalloc.stop()
+    (before, few, _), (after, many, work) = found
+    assert (few, many) == (10, 40)
+    assert after <= 1.25 * before
+    assert work <= 1.5 * many  # a pass, and what sparse ones before it read
+
+
+def test_a_record_in_a_file_is_that_in_memory(tmp_path: Path) -> None:
+    record = rigid(60.0)
+    there, here = (
+        identify(source, LOOP, windows=Windowing(length=5.0))
+        for source in (stored(tmp_path / "day.npy", record), record)
+    )
+    for p in here.params:
+        assert there[p.name].value == pytest.approx(p.value, rel=1e-12)
+
+
+@dataclass
+class Stopped:
+    """A record whose reading is interrupted, in its first whole pass."""
+
+    source: InMemory
+    after: int
+    name: str = "stopped"
+
+    @property
+    def sample_time(self) -> float:
+        return self.source.sample_time
+
+    def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
+        for count, piece in enumerate(self.source.chunks(length, overlap, every)):
+            if every == 1 and count >= self.after:
+                raise KeyboardInterrupt
+            yield piece
+
+
+def test_an_interrupt_keeps_what_it_had() -> None:
+    record = rigid(100.0)
+    whole, estimate = (
+        identify(record, LOOP),
+        identify(Stopped(InMemory(record), 12), LOOP, windows=Windowing(length=5.0)),
+    )
+    assert estimate.fit.interrupted
+    assert not estimate.fit.converged
+    assert estimate.data.windows.count == 12
+    assert estimate.fit.stop.startswith("interrupted after 12 windows")
+    std = whole["inertia"].stderr
+    assert std is not None
+    assert abs(estimate["inertia"].value - whole["inertia"].value) <= 3 * std
+    with pytest.raises(KeyboardInterrupt):  # of too few windows nothing can be said
+        identify(Stopped(InMemory(record), 3), LOOP, windows=Windowing(length=5.0))
+
+
+def test_a_joint_that_changes_is_seen_and_one_that_does_not_is_not() -> None:
+    steady = identify(rigid(400.0), LOOP, windows=Windowing(length=4.0))
+    assert len(steady.checks.drift.segments) == 8
+    assert steady.checks.drift.agreement is not None
+    assert not steady.checks.drift.agreement.differs
+    assert "no parameter changes" in describe_drift(steady.checks.drift, steady.params)
+    warming = joined(*(rigid(100.0, seed=k, viscous=80.0 - 10.0 * k) for k in range(4)))
+    estimate = identify(warming, LOOP, windows=Windowing(length=4.0))
+    assert "viscous" in estimate.checks.drift.names
+    assert "inertia" not in estimate.checks.drift.names
+    values = [s.values["viscous"] for s in estimate.checks.drift.segments]
+    assert values[0] == pytest.approx(80.0, abs=5.0)
+    assert values[-1] == pytest.approx(50.0, abs=5.0)
+    trend = next(t for t in estimate.checks.drift.trends if t.name == "viscous")
+    assert trend.per_hour == pytest.approx(-10.0 * 36, rel=0.2)
+    assert "per hour" in str(estimate)
+
+
+def test_windows_without_motion_are_left_out() -> None:
+    still = np.zeros(20_000)
+    record = rigid(40.0)
+    assert record.torque is not None
+    assert record.reference is not None
+    quiet = Record(
+        torque=replace(record.torque, values=2.0 + 0.1 * np.random.default_rng(0).standard_normal(still.size)),
+        reference=Channel(np.full(still.size, record.reference.values[-1]), "m", PERIOD),
+    )
+    estimate = identify(joined(record, quiet, rigid(40.0, seed=2)), LOOP, windows=Windowing(length=4.0))
+    assert estimate.data.windows.still >= 3
+    for name, truth in TRUTH.items():
+        std = estimate[name].stderr
+        assert std is not None
+        assert abs(estimate[name].value - truth) <= 4 * std
+
+
+def test_how_long_a_window_remembers_is_measured() -> None:
+    stiff = identify(rigid(40.0), LOOP, windows=Windowing(length=5.0))
+    slow = ClosedLoop(RigidJoint(), Cascade(kp=5.0, kv=500.0))
+    reference = trapezoids(SPEEDS, 2.0, 0.1, PERIOD, duration=100.0)
+    record = simulated_record(slow, reference, TRUTH, sample_time=PERIOD)
+    loose = identify(record, slow, windows=Windowing(length=10.0))
+    assert stiff.data.windows.settling < 1.0 < loose.data.windows.settling
+    assert loose["inertia"].value == pytest.approx(30.0, rel=1e-2)
+    assert any(
+        "forgets" in warning for warning in identify(record, slow, windows=Windowing(length=1.5)).checks.warnings
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"method": IDIM()}, "give the method didim"),
+        ({"length": 0.0}, "A window lasts a finite time"),
+        ({"length": 5.0, "settling": 3.0}, "at most half a window of 5 s; received 3 s"),
+        ({"length": 5.0, "settling": 0.0}, "more than 0"),
+        ({"length": 40.0}, "two windows or more"),
+    ],
+)
+def test_what_cannot_be_done_is_said(changes: dict[str, object], said: str) -> None:
+    with pytest.raises(MethodError, match=said):
+        method = changes.pop("method", None)
+        identify(rigid(20.0), LOOP, method, windows=Windowing(**changes))  # type: ignore[arg-type]
+
+
+def test_a_record_that_nothing_can_be_started_from_is_refused() -> None:
+    record = rigid(20.0)
+    assert record.reference is not None
+    resting = replace(record, reference=replace(record.reference, values=np.zeros(len(record.reference))))
+    with pytest.raises(MethodError, match="In no window of this record does the axis move"):
+        identify(resting, LOOP, windows=Windowing(length=4.0))
+    with pytest.raises(RecordError, match="needs torque"):
+        identify(Record(reference=record.reference), LOOP, windows=Windowing(length=4.0))
+
+
+def test_what_surrounds_the_joint_can_be_free() -> None:
+    declared = ClosedLoop(RigidJoint(), PD(kp=1.1e5, kd=2000.0))
+    true = ClosedLoop(RigidJoint(), PD(kp=1e5, kd=2000.0))
+    reference = trapezoids(SPEEDS, 2.0, 0.1, PERIOD, duration=60.0)
+    record = simulated_record(true, reference, TRUTH, sample_time=PERIOD)
+    estimate = identify(record, declared, windows=Windowing(length=5.0), method=DIDIM(free=("kp",)))
+    assert estimate["kp"].value == pytest.approx(1e5, rel=1e-4)
+    assert estimate.settings.loop.controller.kp == pytest.approx(1e5, rel=1e-4)  # type: ignore[union-attr]
+    assert "kp" not in estimate.values
+
+
+def test_a_stretch_is_silent_of_what_it_does_not_tell() -> None:
+    """Both ways in the first half, forwards only in the second, which tells nothing of friction backwards."""
+    loop = ClosedLoop(RigidJoint(friction=AsymmetricFriction()), LOOP.controller)
+    lap = trapezoids(SPEEDS, 2.0, 0.1, PERIOD)
+    both = np.tile(np.concatenate([lap, np.zeros(10_000 - lap.size)]), 10)
+    out = lap[: np.argmax(lap) + 1]
+    onwards = np.concatenate([i * out[-1] + out for i in range(both.size // out.size)])
+    truth = {"inertia": 30.0, "offset": 0.0}
+    for way, viscous, coulomb in (("forwards", 80.0, 15.0), ("backwards", 60.0, 12.0)):
+        truth |= {f"viscous_{way}": viscous, f"coulomb_{way}": coulomb}
+    reference = np.concatenate([both, onwards])
+    log = 2.0 * np.random.default_rng(1).standard_normal(reference.size)
+    record = simulated_record(loop, reference, truth, sample_time=PERIOD, torque_noise=log)
+    estimate = identify(record, loop, windows=Windowing(length=5.0))
+    first, second = estimate.checks.drift.segments
+    told = {"inertia", "viscous_forwards", "coulomb_forwards"}
+    assert set(second.values) == told == {t.name for t in estimate.checks.drift.trends}
+    assert set(first.values) == told | {"viscous_backwards", "coulomb_backwards"}
+    assert estimate.checks.drift.agreement is not None
+    assert not estimate.checks.drift.agreement.differs
+    assert "not excited" in estimate.summary(details=True)
+
+
+def test_windows_begin_with_a_period_of_a_controller_slower_than_the_log() -> None:
+    """Windows of 5.01 s would begin in the middle of one of 4 ms: noise-free, that left 0.04 % of the torque."""
+    loop = ClosedLoop(RigidJoint(), Cascade(kp=30.0, kv=2000.0, period=4e-3))
+    lap = trapezoids(SPEEDS, 2.0, 0.1, PERIOD)
+    reference = np.tile(np.concatenate([lap, np.zeros(10_000 - lap.size)]), 4)
+    estimate = identify(
+        simulated_record(loop, reference, TRUTH, sample_time=PERIOD), loop, windows=Windowing(length=5.001)
+    )
+    assert estimate.data.windows.length == pytest.approx(5.02)
+    assert estimate.fit.filtered_error < 1e-5
+    for name, truth in TRUTH.items():
+        assert estimate[name].value == pytest.approx(truth, rel=1e-6)

@@ -1,0 +1,103 @@
+"""`jointid identify --window`: from a text file to the table, its JSON, and how it ends when it cannot go on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from jointid.apps.cli.app import main
+from jointid.records.chunks import Chunk, Log
+from tests.estimation.test_log import rigid, stored
+
+JOINT_FILE = """
+[joint]
+kind = "prismatic"
+
+[record]
+file = "day.csv"
+sample_time = 0.001
+
+[record.channels]
+torque = { column = "torque" }
+reference = { column = "reference" }
+
+[controller]
+law = "cascade"
+kp = 100.0
+kv = 2000.0
+"""
+
+
+@pytest.fixture(scope="module")
+def joint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("day")
+    stored(folder / "day.csv", rigid(80.0))
+    path = folder / "joint.toml"
+    path.write_text(JOINT_FILE, encoding="utf-8")
+    return path
+
+
+def run(*words: object) -> int:
+    """Run the program and return its exit code."""
+    with pytest.raises(SystemExit) as end:
+        main([str(word) for word in words])
+    assert isinstance(end.value.code, int)
+    return end.value.code
+
+
+def test_a_log_is_identified_and_every_key_documented(
+    joint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.json"
+    assert run("identify", joint, "--window", 4, "--json", out) == 0
+    said = capsys.readouterr()
+    assert "Rigid joint, DIDIM in windows, of day" in said.out
+    assert "20 of 4 s" in said.out
+    assert "forgets how it began" in said.err
+    answer = json.loads(out.read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.long/1"
+    assert answer["parameters"]["inertia"]["value"] == pytest.approx(30.0, abs=0.5)
+    page = (Path(__file__).resolve().parents[2] / "docs" / "answers.md").read_text(encoding="utf-8")
+    section = page.split("## `jointid.long/1`")[1].split("\n## ")[0]
+    for key in answer:
+        assert key == "schema" or f"`{key}`" in section, key
+
+
+def test_an_interrupted_log_is_told_as_far_as_it_was_read(
+    joint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = Log.chunks
+
+    def stopped(self: Log, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
+        for count, piece in enumerate(whole(self, length, overlap, every)):
+            if every == 1 and count == 14:
+                raise KeyboardInterrupt
+            yield piece
+
+    monkeypatch.setattr(Log, "chunks", stopped)
+    out = tmp_path / "out.json"
+    assert run("identify", joint, "--window", 4, "--json", out, "-q") == 130
+    said = capsys.readouterr()
+    assert "interrupted after 14 windows" in said.out
+    assert "what was written so far is kept" in said.err
+    assert json.loads(out.read_text(encoding="utf-8"))["interrupted"] is True
+
+
+def test_a_bad_row_ends_it_with_its_line(joint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = (joint.parent / "day.csv").read_text(encoding="utf-8").splitlines()
+    lines[54_321] = "1.0,#"
+    bad = tmp_path / "bad.csv"
+    bad.write_text("\n".join(lines), encoding="utf-8")
+    assert run("identify", joint, "--record", bad, "--window", 4, "-q") == 2
+    assert 'bad.csv: line 54322, column "reference" holds "#", which is not a number' in capsys.readouterr().err
+
+
+def test_it_needs_a_controller(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "joint.toml"
+    bare = JOINT_FILE.split("[controller]", maxsplit=1)[0]
+    path.write_text(bare + 'motor_position = { column = "q" }\n[method]\nname = "idim"\n', encoding="utf-8")
+    assert run("identify", path, "--window", 60, "-q") == 2
+    assert "add [controller] to the joint file" in capsys.readouterr().err

@@ -1,0 +1,352 @@
+"""Several records in one fit: known masses, a drive's gain, other controllers, and whether two runs agree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError
+from jointid.estimation.identify import identify
+from jointid.estimation.identify_several import SOLVER, by_itself, starts, whitened
+from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
+from jointid.estimation.problems.several_records import SeveralRecords, several
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.friction import AsymmetricFriction
+from jointid.models.joints import RigidJoint
+from jointid.paper.twin import Twin, twin
+from jointid.records.record import InjectionPoint, Record
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.closed_loop import in_threads
+from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.synthesis import simulated_record
+from jointid.solvers.solve import solve
+from tests.estimation.conftest import CONTROLLER
+
+Noise = Literal["disturbance", "white", "none"]
+
+KILOGRAMS = 10.0
+FRICTION = ("motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb")
+QUICK = FlexibleDIDIM(frequency=30.0)
+RIGID = ClosedLoop(RigidJoint(), CONTROLLER)
+
+
+@cache
+def twins(noise: Noise) -> Twin:
+    return twin(noise=noise)
+
+
+def heavier(truth: Mapping[str, float]) -> dict[str, float]:
+    """The twin with 10 kg on the load, and nothing else changed; Table 4 changes all of it a little."""
+    return {**truth, "load_inertia": truth["load_inertia"] + KILOGRAMS}
+
+
+def logged(loop: ClosedLoop, values: Mapping[str, float], noise: Noise = "none", seed: int = 0) -> Record:
+    """A run of a twin with the noise of the paper's 8 %, as its drive logs it."""
+    axis = twins(noise)
+    reference, injected = axis.record.reference, axis.record.injected
+    assert reference is not None
+    assert injected is not None
+    random = axis.noise * np.random.default_rng(seed).standard_normal(len(reference))
+    record = simulated_record(
+        loop, reference.values, values, sample_time=1e-3, injected=injected.channel.values,
+        disturbance=random if noise == "disturbance" else None, torque_noise=random if noise == "white" else None,
+        name=f"run {seed}",
+    )  # fmt: skip
+    return record.without("motor_position", "load_position")
+
+
+def problem_of(record: Record, loop: ClosedLoop) -> ClosedLoopProblem:
+    state = (INITIAL_STATE[0], INITIAL_STATE[1].fixed(0.0))
+    return torque_problem(record, loop, Filtering(), loop.joint.parameters, state)
+
+
+# Noise-free: the truth
+
+
+def test_two_records_under_different_gains() -> None:
+    """Each record has its own loop, so its own gains are no more than that."""
+    axis = twins("none")
+    slower = ClosedLoop(axis.loop.joint, replace(axis.loop.controller, kp=120.0, kv=200.0))  # type: ignore[type-var]
+    records = [logged(axis.loop, axis.truth), logged(slower, axis.truth)]
+    found = identify(records, [axis.loop, slower], method=QUICK)
+    for name, value in found.values.items():
+        assert value == pytest.approx(axis.truth[name], rel=1e-4), name
+    assert found.fit.converged
+    assert not found.checks.agreement.differs
+    with pytest.raises(MethodError, match="gain cannot be told"):
+        identify(records, [axis.loop, slower], several=SeveralRecords(free=["drive_gain"]), method=QUICK)
+    wrong = identify(records, axis.loop, method=QUICK)  # the second under the gains of the first
+    assert wrong.checks.agreement.differs
+    assert any("disagree" in warning for warning in wrong.checks.warnings)
+    assert str(wrong).count("records disagree") == 1  # as a warning, and not once more as a result
+
+
+def test_a_known_mass_an_own_friction_and_the_gain_of_the_drive() -> None:
+    axis, gain = twins("none"), 1.03
+    loaded = heavier(axis.truth) | {"motor_coulomb": 11.0, "load_coulomb": 12.0, "load_viscous": 130.0}
+    per_log = [{name: value / gain for name, value in truth.items()} for truth in (axis.truth, loaded)]
+    shared = SeveralRecords(added_inertia=[0.0, KILOGRAMS], own=[(), FRICTION], free=["drive_gain"])
+    found = identify([logged(axis.loop, values) for values in per_log], axis.loop, several=shared, method=QUICK)
+    assert found["drive_gain"].value == pytest.approx(gain, rel=1e-6)
+    for name in ("motor_inertia", "load_inertia", "stiffness", "damping", "offset"):
+        assert found[name].value == pytest.approx(axis.truth[name], rel=1e-4), name
+    for name in FRICTION:
+        assert found[f"{name}@1"].value == pytest.approx(axis.truth[name], rel=1e-4), name
+        assert found[f"{name}@2"].value == pytest.approx(loaded[name], rel=1e-4), name
+    second = found.data.records[1]
+    assert second.values["load_inertia"] == pytest.approx(loaded["load_inertia"], rel=1e-6)
+    assert second.measured == pytest.approx(second.predicted, abs=1e-5)
+    # By itself each record has the same inertia on the load: the gain takes it to kilograms, what was added is off.
+    assert {p.name: p.value for p in second.alone}["load_inertia"] == pytest.approx(axis.truth["load_inertia"])
+
+
+def test_a_torque_constant_from_a_known_mass() -> None:
+    """A torque in ampere: the joint comes in kilograms, and the drive's gain in newtons per ampere."""
+    joint = RigidJoint(torque_unit="A")
+    loop = ClosedLoop(joint, replace(CONTROLLER, gain=1.0))
+    truth = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.0}
+    reference = twins("none").record.reference
+    assert reference is not None
+    records = [
+        simulated_record(loop, reference.values, {n: v / 35.0 for n, v in values.items()}, sample_time=1e-3)
+        for values in (truth, truth | {"inertia": 105.0})
+    ]
+    with pytest.raises(MethodError, match="per A; free drive_gain"):
+        identify(records, loop, several=SeveralRecords(added_inertia=[0.0, KILOGRAMS]))
+    found = identify(records, loop, several=SeveralRecords(added_inertia=[0.0, KILOGRAMS], free=["drive_gain"]))
+    assert found["drive_gain"].value == pytest.approx(35.0, rel=1e-6)
+    assert found["drive_gain"].unit == "N/A"
+    assert found["inertia"].value == pytest.approx(95.0, rel=1e-6)
+    assert found["inertia"].unit == "kg"
+
+
+def test_what_is_fixed_and_bounded_is_so_without_the_added_mass() -> None:
+    axis = twins("none")
+    known = {p.name: p for p in axis.loop.joint.parameters}
+    records = [logged(axis.loop, axis.truth), logged(axis.loop, heavier(axis.truth))]
+    fixed = {"load_inertia": known["load_inertia"].fixed(axis.truth["load_inertia"])}
+    found = identify(
+        records, axis.loop, several=SeveralRecords(added_inertia=[0.0, KILOGRAMS]), parameters=fixed, method=QUICK
+    )
+    assert found["load_inertia"].value == axis.truth["load_inertia"]
+    assert found["load_inertia"].stderr is None
+    assert found["stiffness"].value == pytest.approx(axis.truth["stiffness"], rel=1e-6)
+    bounded = {"load_inertia": replace(known["load_inertia"], upper=30.0)}
+    found = identify(
+        records, axis.loop, several=SeveralRecords(added_inertia=[0.0, KILOGRAMS]), parameters=bounded, method=QUICK
+    )
+    assert float(found["load_inertia"].value or 0.0) <= 30.0
+    assert any("load_inertia is at its bound" in warning for warning in found.checks.warnings)
+
+
+# With noise: what a second record is worth
+
+
+@pytest.fixture(scope="module")
+def noisy() -> Estimate:
+    axis = twins("white")
+    records = [logged(axis.loop, t, "white", s) for s, t in enumerate((axis.truth, heavier(axis.truth)), 50)]
+    return identify(records, axis.loop, several=SeveralRecords(added_inertia=[0.0, KILOGRAMS]), method=QUICK)
+
+
+def test_a_second_record_narrows_the_intervals(noisy: Estimate) -> None:
+    """Each record by itself, and both: about the root of the sum of their informations."""
+    first, second = ({p.name: p for p in record.alone} for record in noisy.data.records)
+    for p in noisy.params:
+        alone = [float(each[p.name].stderr or 0.0) for each in (first, second)]
+        assert float(p.stderr or 0.0) <= 1.1 * np.sum(np.array(alone) ** -2.0) ** -0.5, p.name
+        assert abs(float(p.value or 0.0) - twins("white").truth[p.name]) <= 3 * float(p.stderr or 0.0)
+    assert not noisy.checks.agreement.differs
+
+
+def test_a_record_that_is_much_noisier_does_no_harm() -> None:
+    """It counts for what it is worth: nearly nothing."""
+    axis = twins("white")
+    quiet, loud = (logged(axis.loop, axis.truth, "white", seed) for seed in (50, 51))
+    assert loud.torque is not None
+    more = 100.0 * np.random.default_rng(52).standard_normal(len(loud.torque))
+    loud = replace(loud, torque=replace(loud.torque, values=loud.torque.values + more))
+    found = identify([quiet, loud], axis.loop, method=QUICK)
+    assert found.data.records[1].level > 5 * found.data.records[0].level
+    for p in found.data.records[0].alone:
+        if p.of_joint:
+            assert float(found[p.name].stderr or 0.0) <= 1.02 * float(p.stderr or 0.0), p.name
+            assert abs(float(found[p.name].value or 0.0) - float(p.value or 0.0)) <= 0.5 * float(p.stderr or 0.0), (
+                p.name
+            )
+
+
+def test_what_one_record_refuses_another_may_tell() -> None:
+    truth = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.0}
+    estimate = identify(logged(RIGID, truth), RIGID)
+    refusing = estimate.amended(
+        params={"rows": tuple(replace(p, value=None) if p.name == "coulomb" else p for p in estimate.params)}
+    )
+    first, second = starts([refusing, estimate])
+    assert first == second
+    with pytest.raises(MethodError, match="No record by itself tells coulomb"):
+        starts([refusing, refusing])
+
+
+def test_the_answer_prints(noisy: Estimate) -> None:
+    text = noisy.summary(details=True)
+    assert "of 2 records" in text
+    assert "run 51, 10.000 kg added to the load; read: torque, reference, injected" in text
+    assert "1 alone" in text
+    assert "agree within their intervals" in text
+    assert "spectrum of its residual" in text
+    assert noisy["ZZ2"].name == "load_inertia"
+    with pytest.raises(KeyError):
+        noisy["mass"]
+
+
+def test_simulations_are_those_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    from jointid.simulation.kernels import drive as kernels
+
+    axis = twins("white")
+    records = [
+        logged(RIGID, {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.0}, "white", s) for s in (1, 2)
+    ]
+    calls = []
+    original = kernels.run
+    monkeypatch.setattr(kernels, "run", lambda *arguments: (calls.append(1), original(*arguments))[1])
+    found = identify(records, RIGID)
+    assert found.fit.simulations == len(calls)
+    assert axis.noise > 0
+
+
+# Statistics; their seeds are fixed once and never retuned
+
+RUNS = 24  # of 100, which docs/methods.md tells of
+
+
+def differences(noise: Noise, seed: int) -> tuple[float, float]:
+    """How much the load's inertia differs, by fits of each record alone, and of both with all else shared.
+
+    From the truth, where the search of every run ends; every fit is run to its end.
+    """
+    axis = twins(noise)
+    truths = [dict(axis.truth), heavier(axis.truth)]
+    problems = [problem_of(logged(axis.loop, t, noise, 2 * seed + k), axis.loop) for k, t in enumerate(truths)]
+    alone = [by_itself(problem, values) for problem, values in zip(problems, truths, strict=True)]
+    apart = alone[1].values["load_inertia"] - alone[0].values["load_inertia"]
+    alone = [whitened(one) for one in alone]
+    criterion = several(problems, [("load_inertia",)] * 2).weighing([one.weights for one in alone])
+    end = solve(criterion, SOLVER, criterion.vector([one.end.x for one in alone]))
+    found = dict(zip([p.name for p in criterion.free], end.x, strict=True))
+    return apart, float(found["load_inertia@2"] - found["load_inertia@1"])
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize(("noise", "apart"), [("white", 0.161), ("disturbance", 0.22)])
+def test_ten_kilograms_more_by_records_apart_and_together(noise: Noise, apart: float) -> None:
+    """Apart: what the sensitivities foretell, which for white noise no estimator betters. Together: 0.07 kg."""
+    found = np.array(in_threads(lambda seed: differences(noise, seed), range(7000, 7000 + RUNS)))
+    assert np.all(np.abs(found.mean(axis=0) - KILOGRAMS) <= 0.05)
+    spread, chance = found.std(axis=0, ddof=1), 2 / np.sqrt(2 * RUNS)  # two deviations of a deviation
+    assert spread[0] == pytest.approx(apart, rel=chance)
+    assert spread[1] <= 0.07 * (1 + chance)
+
+
+def gain_of(noise: Noise, seed: int) -> tuple[float, float, bool]:
+    axis, gain = twins(noise), 1.03
+    truths = [
+        dict(axis.truth),
+        heavier(axis.truth) | {"motor_coulomb": 11.0, "load_coulomb": 12.0, "load_viscous": 130.0},
+    ]
+    records = [
+        logged(axis.loop, {n: v / gain for n, v in t.items()}, noise, 2 * seed + k) for k, t in enumerate(truths)
+    ]
+    found = identify(
+        records,
+        axis.loop,
+        several=SeveralRecords(added_inertia=[0.0, KILOGRAMS], own=[(), FRICTION], free=["drive_gain"]),
+        method=QUICK,
+    )
+    told = found["drive_gain"]
+    return (float(told.value or 0.0) / gain - 1, float(told.stderr or 0.0) / gain, found.checks.agreement.differs)
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("noise", ["disturbance", "white"])
+def test_the_gain_of_a_drive_by_a_known_mass(noise: Noise) -> None:
+    """A drive whose torque is 3 % more than its log says, two records, 10 kg on the load, friction free in each."""
+    found = np.array(in_threads(lambda seed: gain_of(noise, seed), range(8000, 8000 + RUNS)))
+    error, std, differs = found.T
+    assert abs(error.mean()) <= 0.002 + 2 * 0.007 / np.sqrt(RUNS)
+    assert error.std(ddof=1) <= 0.007 * (1 + 2 / np.sqrt(2 * RUNS))
+    assert abs(np.mean(np.abs(error) <= 2 * std) - 0.95) <= 0.03 + 2 * np.sqrt(0.95 * 0.05 / RUNS)
+    assert differs.mean() <= 0.15  # records that agree are seldom said not to
+
+
+# The real axis
+
+
+@pytest.mark.parametrize("friction", ["symmetric", "asymmetric"])
+def test_the_two_emps_records_disagree_on_the_inertia_and_it_is_said(
+    emps: Record, emps_pulses: Record, friction: str
+) -> None:
+    """Least squares gives 95.4 and 94.1 kg, further apart than both 2-sigma allow; the common interval holds both."""
+    loop = RIGID if friction == "symmetric" else ClosedLoop(RigidJoint(friction=AsymmetricFriction()), CONTROLLER)
+    assert emps_pulses.injected is not None
+    pulses = replace(emps_pulses, injected=replace(emps_pulses.injected, at=InjectionPoint.BEFORE_LIMIT))
+    found = identify([emps.without("motor_position"), pulses.without("motor_position")], loop)
+    alone = [{p.name: p for p in record.alone}["inertia"] for record in found.data.records]
+    values, spreads = (np.array([getattr(p, key) for p in alone]) for key in ("value", "stderr"))
+    assert values == pytest.approx([95.4, 94.1], abs=0.1)
+    assert abs(values[0] - values[1]) > 2 * np.hypot(*spreads)
+    inertia = found.checks.agreement["inertia"]
+    assert inertia.differs
+    assert inertia.between == pytest.approx(0.85, abs=0.1)
+    assert float(found["inertia"].stderr or 0.0) > 0.7 * inertia.between  # widened by it
+    assert any("disagree by more than their intervals allow" in warning for warning in found.checks.warnings)
+    assert abs(values - found["inertia"].value) == pytest.approx(0.0, abs=2 * float(found["inertia"].stderr or 0.0))
+    for name in found.values:
+        if name not in ("inertia", "offset"):
+            assert not found.checks.agreement[name].differs, name
+    assert "by the level of its residual alone, because it repeats with the motion" in found.settings.weighting
+    assert all(record.repeatable.significant for record in found.data.records)
+    assert all(
+        record.relative_error <= (0.0479 if friction == "symmetric" else 0.0402) for record in found.data.records
+    )
+
+
+def test_weighing_what_repeats_away_would_believe_a_wrong_model(emps: Record) -> None:
+    """Why the spectrum is not used where the residual repeats: viscous friction 245 for 210 N s/m."""
+    state = tuple(replace(p, start=0.0) for p in INITIAL_STATE)
+    estimate = identify(emps, RIGID)
+    problem = torque_problem(emps, RIGID, Filtering(), RIGID.joint.parameters, state)
+    one = by_itself(problem, {p.name: p.value or 0.0 for p in estimate.params})
+    assert one.values["viscous"] == pytest.approx(210, abs=2)
+    assert whitened(one).values["viscous"] > 235
+
+
+# What is refused
+
+
+def test_what_cannot_be_is_refused_in_a_sentence() -> None:
+    axis = twins("none")
+    records = [axis.record, axis.record]
+    for arguments, sentence in (
+        ({"records": records[:1]}, "Two or more records are identified together; received 1"),
+        ({"loops": [axis.loop]}, "loops has one entry for each of the 2 records"),
+        ({"added_inertia": [10.0]}, "added_inertia has one entry for each of the 2 records"),
+        ({"own": ["offset", "offset"]}, "own has one entry for each of the 2 records"),
+        ({"added_inertia": [0.0, -1.0]}, "An added inertia is 0 or more"),
+        ({"own": [("drive_gain",), ()]}, "The gain of the drive is one for all records"),
+        ({"weighting": "none"}, "The weighting is one of spectrum, level"),
+        ({"method": IDIM()}, "IDIM"),
+        ({}, "are the same record"),
+    ):
+        given = {"records": records, "loops": axis.loop, "method": QUICK} | arguments
+        with pytest.raises(MethodError, match=sentence):
+            records_, loops, method = (given.pop(name) for name in ("records", "loops", "method"))
+            identify(records_, loops, method, several=SeveralRecords(**given))  # type: ignore[arg-type, call-overload]
