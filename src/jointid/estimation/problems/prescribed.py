@@ -25,8 +25,7 @@ from jointid.estimation.problems.inverse_model import motor_torque
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, LOG_DELAY, log_delay
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter, Quantity
-from jointid.records.record import Channel, Record, Tap, Timing
-from jointid.records.refer import require_units
+from jointid.records.record import Channel, Record, Tap, Timing, require_units
 from jointid.records.signals.filtering import (
     Filtering,
     decimate,
@@ -232,7 +231,7 @@ def torque_and_position(
         MethodError: no parameter of the joint is free.
     """
     record.require(closing.channels, method)
-    require_units(record, closing.joint)
+    require_units(record, closing.joint.kind, closing.joint.torque_unit)
     require_free(parameters)
     torque, position = motor_torque(record), record.motor_position
     assert position is not None
