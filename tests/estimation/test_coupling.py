@@ -14,7 +14,7 @@ from jointid.records.drives.drive import Drive
 from jointid.records.formats import Table, write_table
 from jointid.records.reading.other_axes import find_other_axes
 from jointid.records.reading.read import read
-from jointid.uncertainty.coupling import coupling
+from jointid.uncertainty.residual_tests import coupling
 
 T = 1e-3
 TIME = np.arange(20_000) * T

@@ -24,8 +24,7 @@ from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
 from jointid.solvers.solution import Solution
 from jointid.solvers.solve import solve
-from jointid.uncertainty.bands import band_deviations
-from jointid.uncertainty.covariance import sandwich
+from jointid.uncertainty.covariance import band_deviations, sandwich
 
 JOINT = ji.FlexibleJoint()
 PHYSICAL = ("motor_inertia", "stiffness", "load_inertia")

@@ -13,9 +13,9 @@ from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.parameters import Parameter, Quantity
 from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering
-from jointid.uncertainty.combination import ByCompliance, Combination, single
 from jointid.uncertainty.covariance import larger, sandwich, stationary, white
-from jointid.uncertainty.profile import Profiling, profile
+from jointid.uncertainty.identifiability import Combination, single
+from jointid.uncertainty.profile import ByCompliance, Profiling, profile
 from tests.estimation.linear import Toy, linear, parameters, solved
 
 ROWS = 60

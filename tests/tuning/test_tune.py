@@ -11,7 +11,7 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.common.message import Message
-from jointid.diagnostics.minimum_detectable_change import compute_minimum_detectable_change
+from jointid.diagnostics.changes import compute_minimum_detectable_change
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM

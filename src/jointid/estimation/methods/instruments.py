@@ -26,7 +26,7 @@ from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.loop_input import ClosedLoop, prepare
-from jointid.uncertainty.endogeneity_test import ChiSquareTest, durbin_wu_hausman
+from jointid.uncertainty.model_tests import ChiSquareTest, durbin_wu_hausman
 
 _SETTLED = 1e-3  # deviations: values that change by less have settled
 _MOST = 25  # simulations

@@ -31,8 +31,7 @@ from jointid.estimation.result.params import Params
 from jointid.records.record import Record
 from jointid.simulation.drive_side import LOAD_STATE
 from jointid.solvers.solution import Solution
-from jointid.uncertainty.bands import band_words
-from jointid.uncertainty.covariance import Covariance, words
+from jointid.uncertainty.covariance import Covariance, band_words, words
 
 
 def build_prescribed_estimate(

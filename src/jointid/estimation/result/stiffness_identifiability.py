@@ -32,10 +32,9 @@ from jointid.estimation.search.history import History, least_squares
 from jointid.models.joints import FlexibleJoint, split_by_mode
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.loop_input import ClosedLoop
-from jointid.uncertainty.combination import ByCompliance, Combination
-from jointid.uncertainty.flexible_vs_rigid_test import BoundaryTest, flexible_against_rigid
+from jointid.uncertainty.model_tests import BoundaryTest, flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
-from jointid.uncertainty.profile import Profile, profile
+from jointid.uncertainty.profile import Profile, profile_compliance
 from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 
 SHARES = (0.05, 0.1, 0.2, 0.33, 0.5)
@@ -225,16 +224,7 @@ def _profiled(problem: ClosedLoopProblem, x: FloatArray, known: Uncertainty) -> 
     std, value = float(known.covariance.std[at]), float(x[at])
     if 2 * std <= _TIGHT * value:
         return None, []
-    by = ByCompliance(problem, 1e-4 / value)
-    unit = problem.loop.joint.unit(by.free[at])
-    scale = np.ones(x.size)
-    scale[at] = 1.0 / value**2
-    spread = replace(known.covariance, std=known.covariance.std * scale, correlation=known.covariance.correlation)
-    sign = np.ones(x.size)
-    sign[at] = -1.0
-    spread = replace(spread, correlation=spread.correlation * np.outer(sign, sign))
-    wanted = Combination("compliance", "1/K12", unit, {"compliance": 1.0})
-    found = profile(by, by.exchanged(x), wanted, spread)
+    found = profile_compliance(problem, x, known.covariance, problem.joint.unit)
     if found.bounded:
         return found, []
     side = "stiff" if found.interval[0] is None else "soft"

@@ -9,7 +9,7 @@ from jointid.common.text import number
 from jointid.estimation.problems.nuisance_parameters import INITIAL
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.params import EstimatedParameter, known_on_other_side
-from jointid.uncertainty.combination import Kind
+from jointid.uncertainty.identifiability import Kind
 from jointid.uncertainty.verdict import StiffnessBound
 
 _LOST = 1000.0  # %: a deviation so much larger than its value says nothing in percent
