@@ -131,7 +131,7 @@ def test_and_does_what_is_predicted_of_it(logged: tuple[Twin, Estimate]) -> None
     error, J = problem.linearised(truth)
     variance = float(error @ error) / error.size
     spread = np.linalg.inv(J.T @ J) * variance
-    added = compute_encoder_information(problem, truth, "log", STEP, STEP).motor
+    added, _ = compute_encoder_information(problem, truth, "log", STEP, STEP)
     predicted = np.sqrt(np.diag(add_information(spread, added)))
     seen = problem.positions(truth).motor_position
     seen = (seen - seen.mean(axis=0)) / np.sqrt(STEP**2 / 12)
@@ -174,7 +174,7 @@ def test_the_faster_motion_has_twice_the_acceleration(disturbed: tuple[Twin, Est
     fast = double_acceleration(problem, axis.record)
     before, after = (np.abs(np.diff(e.inputs[::50, 0], 2)).max() for e in (problem.experiment, fast.experiment))
     assert after / before == pytest.approx(2.0, rel=0.05)
-    assert fast.samples == pytest.approx(problem.experiment.samples / np.sqrt(2), abs=1)
+    assert fast.experiment.samples == pytest.approx(problem.experiment.samples / np.sqrt(2), abs=1)
 
 
 def test_information_adds_to_a_covariance_that_may_be_singular() -> None:

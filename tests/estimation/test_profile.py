@@ -213,14 +213,6 @@ def test_a_stiffness_that_is_not_seen_has_a_lower_bound_only() -> None:
     assert found.reached[0] <= 1e-5
 
 
-def test_a_compliance_takes_the_place_of_one_stiffness() -> None:
-    A, y = line()
-    with pytest.raises(MethodError, match="received 0 stiffnesses"):
-        ByCompliance(linear(parameters("a", "b", "c"), A, y), 1e-9)
-    with pytest.raises(MethodError, match="and -1"):
-        ByCompliance(spring(1.0, 0.1), -1.0)
-
-
 @pytest.mark.slow
 def test_on_the_twin_the_compliance_is_bounded_and_the_sum_of_the_frictions_known() -> None:
     axis = twin("L19", seed=3)

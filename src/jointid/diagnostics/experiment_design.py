@@ -196,7 +196,7 @@ def advise(
     before = stationary(J, J, error).std
     tests = []
     for motion in (add_pulses(problem, height, width), double_acceleration(problem, record)):
-        changed = replace(problem, experiment=motion.experiment, measured=problem.measured[: motion.samples])
+        changed = replace(problem, experiment=motion.experiment, measured=problem.measured[: motion.experiment.samples])
         response, columns = changed.sensitivities(x)
         predicted: dict[str, float] = {}
         if response.outcome is Outcome.FINISHED:
@@ -221,12 +221,12 @@ def _list_encoders(
     problem: ClosedLoopProblem, x: FloatArray, noise: Noise, step: tuple[float, float]
 ) -> list[tuple[str, str, FloatArray]]:
     """Return name, description and information of a motor encoder, a load encoder and both."""
-    added = compute_encoder_information(problem, x, noise, *step)
+    motor, load = compute_encoder_information(problem, x, noise, *step)
     unit = POSITION_UNIT[problem.joint.kind]
-    found = [("motor encoder", f"steps of {step[0]:.2g} {unit}", added.motor)]
-    if added.load is not None:
-        found.append(("load encoder", f"steps of {step[1]:.2g} {unit}", added.load))
-        found.append(("both", f"steps of {step[0]:.2g} and {step[1]:.2g} {unit}", added.motor + added.load))
+    found = [("motor encoder", f"steps of {step[0]:.2g} {unit}", motor)]
+    if load is not None:
+        found.append(("load encoder", f"steps of {step[1]:.2g} {unit}", load))
+        found.append(("both", f"steps of {step[0]:.2g} and {step[1]:.2g} {unit}", motor + load))
     return found
 
 
@@ -362,7 +362,7 @@ def design_stiffness_test(
         J = by.filtered(columns)
         known = doubt**2 * stationary(J, J, error).matrix
         if encoder:
-            load = compute_encoder_information(by, x, noise or find_noise_source(record), step, step).load
+            _, load = compute_encoder_information(by, x, noise or find_noise_source(record), step, step)
             assert load is not None
             known = add_information(known, load)
         at = [p.name for p in by.free].index("stiffness")

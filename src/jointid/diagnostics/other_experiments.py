@@ -58,19 +58,6 @@ _EVERY = 20.0  # widths from one pulse to the next
 _FASTER = math.sqrt(2.0)  # times the speed: twice the acceleration
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EncoderInformation:
-    """Information of one encoder each, (free, free), in the inverse squares of the parameters' units.
-
-    Attributes:
-        motor: of an encoder on the motor.
-        load: of one on the load; None for a rigid joint.
-    """
-
-    motor: FloatArray
-    load: FloatArray | None
-
-
 def find_noise_source(record: Record) -> Noise:
     """Return the source of the torque residual implied by the tap of the record."""
     return "log" if record.tap is Tap.MEASURED else "loop"
@@ -93,8 +80,10 @@ def choose_encoder_steps(record: Record, given: float | None) -> tuple[float, fl
 
 def compute_encoder_information(
     problem: ClosedLoopProblem, x: FloatArray, noise: Noise, motor_step: float, load_step: float
-) -> EncoderInformation:
-    """Return the information of encoders (see the module).
+) -> tuple[FloatArray, FloatArray | None]:
+    """Return the information of an encoder on the motor, and of one on the load; None for a rigid joint.
+
+    It is (free, free), in the inverse squares of the parameters' units (see the module).
 
     Args:
         problem: of the torque.
@@ -109,16 +98,16 @@ def compute_encoder_information(
     if noise == "log":
         rounding = np.zeros(len(motor))
         on_load = _inform(load, rounding, load_step) if flexible else None
-        return EncoderInformation(_inform(motor, rounding, motor_step), on_load)
+        return _inform(motor, rounding, motor_step), on_load
     nothing = np.zeros((x.size, x.size))
     if not flexible:
-        return EncoderInformation(nothing, None)
+        return nothing, None
     left = _simulate_load_error(problem, x)
     if left is None:
-        return EncoderInformation(nothing, nothing)
+        return nothing, nothing
     of_load = [p.name.startswith("load_") or p.name in ("stiffness", "damping") for p in problem.free]
     own = subtract_driven_motion(problem, x, motor, load) * np.array(of_load)  # in the load's equation of motion
-    return EncoderInformation(nothing, _inform(own, left, load_step))
+    return nothing, _inform(own, left, load_step)
 
 
 def _inform(columns: FloatArray, left: FloatArray, step: float) -> FloatArray:
@@ -194,13 +183,11 @@ class Variation:
     Attributes:
         name, description: in a word or two, and with its numbers.
         experiment: to simulate.
-        samples: of its log.
     """
 
     name: str
     description: str
     experiment: LoopInput
-    samples: int
 
 
 def choose_pulse(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[float, float]:
@@ -233,7 +220,7 @@ def add_pulses(problem: ClosedLoopProblem, height: float, width: float) -> Varia
     again = "more " if experiment.injected else ""
     description = f"{again}pulses of {height:.2g} {unit} and {1e3 * width:.3g} ms, one in {_EVERY * width:.2g} s"
     changed = replace(experiment, after_limit=experiment.after_limit + more)
-    return Variation(f"{again}pulses", description, changed, experiment.samples)
+    return Variation(f"{again}pulses", description, changed)
 
 
 def double_acceleration(problem: ClosedLoopProblem, record: Record) -> Variation:
@@ -265,5 +252,4 @@ def double_acceleration(problem: ClosedLoopProblem, record: Record) -> Variation
         else Injection(shorten(record.injected.channel), record.injected.at, record.injected.in_torque),
         name=record.name,
     )
-    experiment = prepare(problem.loop, driven)
-    return Variation("faster", "the same path with twice the acceleration", experiment, experiment.samples)
+    return Variation("faster", "the same path with twice the acceleration", prepare(problem.loop, driven))

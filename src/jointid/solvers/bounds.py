@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.models.parameters import Parameter
+from jointid.common.parameters import Parameter
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.models.parameters import Parameter
+from jointid.common.parameters import Parameter
 
 
 class Problem(Protocol):

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Table
 from jointid.common.errors import MethodError
+from jointid.common.parameters import Parameter
 from jointid.common.text import number
-from jointid.models.parameters import Parameter
 from jointid.solvers.problem import Problem
 from jointid.uncertainty.covariance import bandwidth
 from jointid.uncertainty.profile import refit

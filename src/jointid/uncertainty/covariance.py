@@ -106,7 +106,7 @@ def white(J: FloatArray, error: FloatArray) -> Covariance:
 
     Args:
         J: (rows, parameters), the sensitivities of the prediction.
-        error: (rows,) what remains; ``s^2 = ||error||^2 / (rows - parameters)``.
+        error: (rows,) the residual; ``s^2 = ||error||^2 / (rows - parameters)``.
     """
     norms = column_norms(J)
     variance = float(error @ error) / max(error.size - J.shape[1], 1)
@@ -128,7 +128,7 @@ def sandwich(
     Args:
         Z: (rows, parameters), the instruments.
         J: (rows, parameters), the sensitivities of the prediction.
-        error: (rows,) what remains.
+        error: (rows,) the residual.
         equations: rows hold so many equations one after the other, which share their instants.
         series: rows of each record, where several stand one after the other.
     """
@@ -192,7 +192,7 @@ def stationary(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence
     Args:
         Z: (rows, parameters), the instruments.
         J: (rows, parameters), the sensitivities of the prediction.
-        error: (rows,) what remains, in the order of time. Its periodogram is averaged over sqrt(rows) neighbours, the
+        error: (rows,) the residual, in the order of time. Its periodogram is averaged over sqrt(rows) neighbours, the
             mean left out, which a fit of an offset takes away.
         series: rows of each record, where several stand one after the other; each has a spectrum of its own.
     """
@@ -236,7 +236,7 @@ def sum_over_frequencies(columns: FloatArray, weights: FloatArray) -> FloatArray
 
 
 def robust(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence[int] | None = None) -> Covariance:
-    """Return the larger of `sandwich` and `stationary`, in every direction; its arguments are theirs."""
+    """Return the larger of `sandwich` and `stationary` in every direction; the arguments are theirs."""
     return larger(sandwich(Z, J, error, series=series), stationary(Z, J, error, series))
 
 
@@ -265,7 +265,7 @@ def residual_left_out(
     Args:
         Z: (rows, parameters), the instruments.
         J: (rows, parameters), the sensitivities of the prediction.
-        error: (rows,) what remains.
+        error: (rows,) the residual.
         spread: (parameters, parameters), the inverse of Z' J.
         block: (rows,) the number of each row's block.
 
@@ -338,18 +338,12 @@ def words(covariance: Covariance) -> str:
 
 
 def with_bands(covariance: Covariance, Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
-    """Return a covariance whose deviations are no smaller than `band_deviations`, whose arguments these are."""
+    """Return a covariance whose deviations are no smaller than `band_deviations` of the same Z, J and error."""
     return replace(covariance, std=np.maximum(covariance.std, band_deviations(Z, J, error)))
 
 
 def band_deviations(Z: FloatArray, J: FloatArray, error: FloatArray) -> FloatArray:
-    """Return standard deviations from the scores by bands of frequency, (parameters,) (see the module).
-
-    Args:
-        Z: (rows, parameters), the instruments.
-        J: (rows, parameters), the sensitivities of the prediction.
-        error: (rows,) what remains.
-    """
+    """Return standard deviations from the scores by bands of frequency, (parameters,), of what `sandwich` takes."""
     norms = column_norms(Z)
     spectrum = np.fft.rfft(error)
     energy = np.cumsum(np.abs(spectrum) ** 2)

@@ -19,8 +19,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.message import Message
+from jointid.common.parameters import Parameter, Quantity
 from jointid.common.text import number
-from jointid.models.parameters import Parameter, Quantity
 from jointid.uncertainty.covariance import Covariance
 
 _INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
@@ -129,6 +129,11 @@ class Known:
     relative: float
 
     @property
+    def interval(self) -> tuple[float, float]:
+        """Two standard deviations about the value."""
+        return self.value - 2 * self.std, self.value + 2 * self.std
+
+    @property
     def verdict(self) -> str:
         """How well it is known, in a word: 2 sigma up to 10 % of what is combined, up to 50 %, or more."""
         return "well" if 2 * self.relative <= _WELL else "poorly" if 2 * self.relative <= _POORLY else "not"
@@ -143,14 +148,15 @@ class Identifiability:
         physical: sums and differences with a meaning of their own.
         directions: the combinations of the sensitivities' singular vectors, the best known first.
         condition: of the sensitivities scaled by the parameters: the largest over the smallest singular value.
-        limitations: pairs that are known only together, and what must be positive and whose 2-sigma interval holds 0;
-            none of a good record.
+        undetermined: names of what must be positive and whose 2-sigma interval holds 0.
+        limitations: pairs that are known only together, and what is undetermined; none of a good record.
     """
 
     parameters: tuple[Known, ...]
     physical: tuple[Known, ...]
     directions: tuple[Known, ...]
     condition: float
+    undetermined: tuple[str, ...]
     limitations: tuple[Message, ...]
 
 
@@ -188,16 +194,17 @@ def identifiability(
     limitations = [
         _describe_pair(joint, each, spread, i, j) for i, j in pairs if abs(spread.correlation[i, j]) > _INSEPARABLE
     ]
-    for p, one in zip(joint, each, strict=True):
-        if p.lower >= 0 and one.value - 2 * one.std <= 0.0:
-            said = f"{p.symbol} is not told from 0: its interval holds it"
-            values = {"parameter": p.name, "value": one.value, "std": one.std}
-            limitations.append(Message(Limitation.NOT_SIGNIFICANT, said, values))
+    lost = [(p, one) for p, one in zip(joint, each, strict=True) if p.lower >= 0 and one.interval[0] <= 0.0]
+    for p, one in lost:
+        said = f"{p.symbol} is not told from 0: its interval holds it"
+        values = {"parameter": p.name, "value": one.value, "std": one.std}
+        limitations.append(Message(Limitation.NOT_SIGNIFICANT, said, values))
     return Identifiability(
         each,
         tuple(known(combination) for combination in physical(joint, units)),
         tuple(sorted(directions, key=lambda one: one.relative)),
         condition,
+        tuple(p.name for p, _ in lost),
         tuple(limitations),
     )
 

@@ -65,7 +65,6 @@ class BoundaryTest:
         over: whose signs gave that: blocks of "time", or of "place".
         draws: (draws,) the statistic in them.
         amount: of the extra direction that is best, 0 or more.
-        alternative: the number of the direction that is best, from 0.
         gained: share of the sum of squares.
         level: below which the flexible model is believed.
     """
@@ -75,7 +74,6 @@ class BoundaryTest:
     over: str
     draws: FloatArray
     amount: float
-    alternative: int
     gained: float
     level: float
 
@@ -164,7 +162,7 @@ def flexible_against_rigid(
     p_values = {over: float(1 + np.sum(drawn >= statistic)) / (draws + 1) for over, drawn in turned.items()}
     over = max(p_values, key=lambda one: p_values[one])
     share = found / rigid if rigid > 0 else 0.0
-    return BoundaryTest(statistic, p_values[over], over, turned[over], float(amounts[best]), best, share, level)
+    return BoundaryTest(statistic, p_values[over], over, turned[over], float(amounts[best]), share, level)
 
 
 @dataclass(frozen=True, slots=True)

@@ -233,7 +233,7 @@ def by_place(Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells) -> C
     Args:
         Z: (rows, parameters), the instruments.
         J: (rows, parameters), the sensitivities of the prediction.
-        error: (rows,) what remains.
+        error: (rows,) the residual.
         where: the rows' cells. Those along the travel are correlated over ``ceil(4 (cells / 100)^(2/9))`` on each
             side, the rule of `uncertainty` for rows, and left out of the fit by as many and one together.
 

@@ -25,8 +25,8 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
+from jointid.common.parameters import Parameter, Quantity
 from jointid.common.text import number
-from jointid.models.parameters import Parameter, Quantity
 from jointid.solvers.bounds import Bounds
 from jointid.solvers.problem import Counted, Problem
 from jointid.solvers.solution import Solution
@@ -138,14 +138,6 @@ class ByCompliance:
 
     problem: Problem
     least: float
-
-    def __post_init__(self) -> None:
-        stiff = [p.name for p in self.problem.free if p.quantity is Quantity.STIFFNESS]
-        if len(stiff) != 1 or not (math.isfinite(self.least) and self.least > 0):
-            raise MethodError(
-                "A compliance takes the place of the one free stiffness, and is at least a positive number; received "
-                f"{len(stiff)} stiffnesses and {self.least}."
-            )
 
     @property
     def free(self) -> tuple[Parameter, ...]:
