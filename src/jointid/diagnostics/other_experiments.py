@@ -47,7 +47,7 @@ from jointid.records.signals.excitation import pulses
 from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.log_output import as_logged
 from jointid.simulation.loop_input import LoopInput, prepare
-from jointid.uncertainty.covariance import smoothed_periodogram, sum_over_frequencies
+from jointid.uncertainty.covariance import smoothed_spectrum, sum_over_frequencies
 
 Noise: TypeAlias = Literal["loop", "log"]
 
@@ -118,8 +118,8 @@ def _inform(columns: FloatArray, left: FloatArray, step: float) -> FloatArray:
         left: (samples,) an example of its errors beside rounding.
         step: of the encoder.
     """
-    spectrum, both = smoothed_periodogram(left)
-    weights = both / (spectrum + left.size * step**2 / 12.0)
+    spectrum, both = smoothed_spectrum(left, left.size)
+    weights = both / ((spectrum + step**2 / 12.0) * left.size)
     return sum_over_frequencies(columns, np.concatenate([[0.0], weights]))
 
 

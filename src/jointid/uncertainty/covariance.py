@@ -201,22 +201,21 @@ def stationary(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence
         found = np.zeros_like(spread)
         for part in _parts(len(Z), series):
             columns = Z[part]
-            rows, told = len(columns), int(np.sum(np.any(columns != 0.0, axis=0)))
-            spectrum, both = smoothed_periodogram(error[part])
-            weights = np.concatenate([spectrum[:1], both * spectrum]) / max(rows - told, 1)
-            found += sum_over_frequencies(columns, weights) / rows
+            used = int(np.sum(np.any(columns != 0.0, axis=0)))
+            spectrum, both = smoothed_spectrum(error[part], max(len(columns) - used, 1))
+            found += sum_over_frequencies(columns, np.concatenate([spectrum[:1], both * spectrum])) / len(columns)
         return found
 
     return scaled_sandwich(Z, J, meat, len(Z))
 
 
-def smoothed_periodogram(signal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the square of a signal's transform, and how many frequencies each stands for, both (samples // 2,).
+def smoothed_spectrum(signal: FloatArray, degrees: int) -> tuple[FloatArray, FloatArray]:
+    """Return the spectrum of a signal of so many degrees of freedom, and how many frequencies each value stands for.
 
-    It is averaged over sqrt(samples) neighbours, the mean left out. In half a spectrum every frequency stands for two,
-    but the last of an even number of samples.
+    Both are (samples // 2,), the mean left out. The periodogram is averaged over sqrt(samples) neighbours. In half a
+    spectrum every frequency stands for two, but the last of an even number of samples.
     """
-    periodogram = np.abs(np.fft.rfft(signal)[1:]) ** 2
+    periodogram = np.abs(np.fft.rfft(signal)[1:]) ** 2 / degrees
     half = min(max(math.isqrt(signal.size) // 2, 1), periodogram.size - 1)
     padded = np.pad(periodogram, half, "reflect")
     both = np.full(periodogram.size, 2.0)
