@@ -40,8 +40,8 @@ from jointid.models.controllers import with_numbers
 from jointid.models.parameters import Quantity, unit_of
 from jointid.models.transmission import Side
 from jointid.records.record import Record
-from jointid.uncertainty.covariance import larger, robust
-from jointid.uncertainty.position_dependent_error import Cells, by_place, cells, repeatable
+from jointid.uncertainty.covariance import robust
+from jointid.uncertainty.position_dependent_error import Cells, cells, widened
 from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict, not_tested
 
 _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
@@ -417,8 +417,6 @@ def _make_finding(state: _State, after: _State, found: _TestResults, level: floa
         return Finding(suspect, value * _torque_per_unit(state.problem), rivals, changes)
     residual, slopes = after.problem.linearised(after.x)
     columns = _stack_columns(after, -slopes)
-    covariance, where = robust(columns, columns, residual), _assign_cells(after)
-    if repeatable(residual, where).significant:
-        covariance = larger(covariance, by_place(columns, columns, residual, where))
+    covariance, _ = widened(robust(columns, columns, residual), columns, columns, residual, _assign_cells(after))
     refined_std = float(covariance.std[free.index(suspect.name)])
     return Finding(replace(suspect, size=value - suspect.declared, std=refined_std), value, rivals, changes)

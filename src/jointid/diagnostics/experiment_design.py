@@ -139,14 +139,13 @@ class Advice(Documented):
         blocks += [Facts(facts)] if facts else []
         for kind, group in (("torque and", self.sensors), ("torque from", self.tests)):
             header = ("symbol", "reported", *(f"{kind} {one.name}" for one in group), "unit")
-            rows = tuple(self._row(name, group) for name in self.std)
-            blocks.append(Table(header, rows, words=(0, len(header) - 1)))
+            rows = []
+            for name, std in self.std.items():
+                stds = (number(2 * one.std[name] if one.std else None, 2) for one in group)
+                rows.append((self.symbols[name], number(2 * std, 2), *stds, self.units[name]))
+            blocks.append(Table(header, tuple(rows), words=(0, len(header) - 1)))
         title = f"Predicted 2-sigma intervals of {self.record} with other sensors or motions"
         return Document(title, (*blocks, Listing(self.sentences)))
-
-    def _row(self, name: str, group: tuple[Prediction, ...]) -> tuple[str, ...]:
-        stds = (number(2 * one.std[name] if one.std else None, 2) for one in group)
-        return self.symbols[name], number(2 * self.std[name], 2), *stds, self.units[name]
 
 
 def advise(

@@ -40,8 +40,8 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of
 from jointid.records.record import Tap
 from jointid.simulation.log_output import as_logged
-from jointid.uncertainty.covariance import larger, robust
-from jointid.uncertainty.position_dependent_error import Cells, by_place, repeatable
+from jointid.uncertainty.covariance import robust
+from jointid.uncertainty.position_dependent_error import Cells, widened
 
 STRIBECK, PRESLIDING, LIMIT, OFFSET, INJECTED_GAIN = "stribeck", "presliding", "limit", "offset", "injected_gain"
 
@@ -321,6 +321,6 @@ def _test_group(
 
     covariance = robust(alone, alone, after)
     test = judge(float(covariance.std[0]))
-    if test.p_value > _WIDENED or not repeatable(after, where()).significant:
+    if test.p_value > _WIDENED:
         return test
-    return judge(float(larger(covariance, by_place(alone, alone, after, where())).std[0]))
+    return judge(float(widened(covariance, alone, alone, after, where())[0].std[0]))

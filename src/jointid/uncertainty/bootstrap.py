@@ -10,7 +10,7 @@ repeats there. For every resample, with w the number of times each row was drawn
 One step is a problem as linear as the covariance takes it to be, and costs no simulation; it differs from a sandwich in
 that the information is drawn too, and that its intervals need not be symmetric. A refit sees the bend. What rests on
 few rows, as the initial state does on the first, is missing from many resamples, and is then kept by the one step: no
-bootstrap tells its deviation.
+bootstrap gives its deviation.
 """
 
 from __future__ import annotations
@@ -185,7 +185,7 @@ def _require(choices: int, blocks: int) -> None:
 def _one_step(x: FloatArray, residual: FloatArray, J: FloatArray) -> Callable[[FloatArray], FloatArray]:
     """Return one Gauss-Newton step on a resample, about the one on the record.
 
-    The columns are made orthogonal first: the normal equations of parameters that are hardly told apart lose half the
+    The columns are made orthogonal first: the normal equations of parameters that are nearly collinear lose half the
     digits. In these the record's own information is the identity, and what a resample has lost of it is seen.
     """
     Q, R = np.linalg.qr(J)

@@ -88,17 +88,17 @@ class Covariance:
         return math.sqrt(max(float(weighted @ self.correlation @ weighted), 0.0))
 
 
-def covariance_of(matrix: FloatArray, lags: int, units: FloatArray | float = 1.0) -> Covariance:
+def covariance_of(matrix: FloatArray, lags: int, scale: FloatArray | float = 1.0) -> Covariance:
     """Return a matrix of covariances, (parameters, parameters), as deviations and correlations.
 
     Args:
-        matrix: of scaled parameters.
+        matrix: of the parameters, or of the scaled ones.
         lags: rows on each side whose correlation was taken in.
-        units: (parameters,) of one scaled parameter each.
+        scale: (parameters,) what the parameters were multiplied with.
     """
     std = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    scale = np.where(std > 0, std, 1.0)
-    return Covariance(std * units, matrix / np.outer(scale, scale), lags)
+    positive = np.where(std > 0, std, 1.0)
+    return Covariance(std / scale, matrix / np.outer(positive, positive), lags)
 
 
 def white(J: FloatArray, error: FloatArray) -> Covariance:
@@ -112,7 +112,7 @@ def white(J: FloatArray, error: FloatArray) -> Covariance:
     variance = float(error @ error) / max(error.size - J.shape[1], 1)
     R = np.linalg.qr(J / norms, mode="r")  # of J' J only the square of its condition number would be left
     inverse = np.linalg.pinv(R)
-    return covariance_of(variance * inverse @ inverse.T, 0, 1 / norms)
+    return covariance_of(variance * inverse @ inverse.T, 0, norms)
 
 
 def bandwidth(rows: int) -> int:
@@ -162,7 +162,7 @@ def scaled_sandwich(
     norms = column_norms(Z)
     Z, J = Z / norms, J / norms
     spread = np.asarray(np.linalg.pinv(Z.T @ J), dtype=np.float64)
-    return covariance_of(spread @ meat(Z, J, spread) @ spread.T, lags, 1 / norms)
+    return covariance_of(spread @ meat(Z, J, spread) @ spread.T, lags, norms)
 
 
 def bartlett_sum(scores: FloatArray, lags: int) -> FloatArray:
@@ -253,7 +253,8 @@ def larger(first: Covariance, second: Covariance) -> Covariance:
     other = whiten.T @ (second.matrix / np.outer(std, std)) @ whiten
     sizes, directions = np.linalg.eigh(0.5 * (other + other.T))
     factor = root @ directions * np.sqrt(np.maximum(sizes, 1.0))
-    return covariance_of(factor @ factor.T, first.bandwidth, std)
+    found = covariance_of(factor @ factor.T, first.bandwidth)
+    return replace(found, std=found.std * std)
 
 
 def residual_left_out(

@@ -135,7 +135,7 @@ class Known:
 
     @property
     def verdict(self) -> str:
-        """How well it is known, in a word: 2 sigma up to 10 % of what is combined, up to 50 %, or more."""
+        """Grade in a word: "well" for 2 sigma up to 10 % of what is combined, "poorly" up to 50 %, "not" for more."""
         return "well" if 2 * self.relative <= _WELL else "poorly" if 2 * self.relative <= _POORLY else "not"
 
 

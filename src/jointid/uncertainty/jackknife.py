@@ -8,7 +8,7 @@ group after the other does to the estimate then says how far it may be off (the 
 
 with A = sum_g J_g'J_g and b = sum_g J_g'e_g, 0 where the estimate is. It holds whatever the correlation and the size of
 the errors within a group are, and errs towards intervals that are too wide where there are few groups. What one group
-tells alone nothing is left to be compared with, and no more directions than G - 1 scatter at all: there the intervals
+alone determines cannot be compared with another, and no more directions than G - 1 scatter at all: there the intervals
 are no narrower than those of a white residual. The square of J's condition number must stay within the digits of a
 number: columns are scaled to one length first.
 """
@@ -24,8 +24,8 @@ from jointid.common.arrays import FloatArray
 from jointid.solvers.bounds import Bounds
 from jointid.uncertainty.covariance import Covariance, covariance_of, larger
 
-_SINGULAR = 1e-12  # of the largest: a direction of the scaled parameters that nothing tells
-_ALONE = 0.9  # of what is told in a direction: the group is as good as alone
+_SINGULAR = 1e-12  # of the largest: a direction of the scaled parameters that nothing determines
+_ALONE = 0.9  # of the information in a direction: the group is as good as alone
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -250,6 +250,17 @@ def by_place(Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells) -> C
     return scaled_sandwich(Z, J, meat, _LAGS)
 
 
+def widened(
+    covariance: Covariance, Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells, unit: str = ""
+) -> tuple[Covariance, Repeatable]:
+    """Return a covariance over time, or the larger of it and `by_place` where the residual repeats with the motion.
+
+    The verdict on that comes with it; the other arguments are those of `uncertainty`.
+    """
+    verdict = repeatable(error, where, unit)
+    return larger(covariance, by_place(Z, J, error, where)) if verdict.significant else covariance, verdict
+
+
 def uncertainty(
     Z: FloatArray,
     J: FloatArray,
@@ -270,15 +281,15 @@ def uncertainty(
         unit: of the residual.
         series: rows of each record, where several stand one after the other. A place errs alike in all of them.
     """
-    over_time, verdict = robust(Z, J, error, series), repeatable(error, where, unit)
-    judged, basis = over_time, f"{words(over_time)}, and by the residual's spectrum where that says more"
+    over_time = robust(Z, J, error, series)
+    judged, verdict = widened(over_time, Z, J, error, where, unit)
+    basis = f"{words(over_time)}, and by the residual's spectrum where that says more"
     if verdict.p_value is not None:
         basis = (
             f"autocorrelation-robust (Newey-West over {over_time.bandwidth} rows on each side, or by the residual's "
             "spectrum: the larger in every direction)"
         )
     if verdict.significant:
-        judged = larger(over_time, by_place(Z, J, error, where))
         basis += (
             ", widened for what repeats with the motion (scores summed over cells of position, direction and speed)"
         )

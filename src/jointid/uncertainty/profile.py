@@ -310,7 +310,7 @@ def profile_compliance(
         problem: that was solved, its stiffness free.
         x: (free,) where.
         covariance: of the free parameters, the stiffness among them, to be believed.
-        unit: of a parameter, as a joint tells it.
+        unit: returns that of a parameter; a joint's `unit`.
         settings: see `Profiling`.
     """
     at = [p.quantity for p in problem.free].index(Quantity.STIFFNESS)
