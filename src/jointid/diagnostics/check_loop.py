@@ -17,9 +17,10 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Listing, Table
 from jointid.common.errors import MethodError
-from jointid.common.message import Message
+from jointid.common.messages import Message
 from jointid.common.progress import silent
 from jointid.common.text import number
+from jointid.common.transmission import Side
 from jointid.diagnostics.fault_tests import (
     INJECTED_GAIN,
     LIMIT,
@@ -38,7 +39,6 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.search.history import History, least_squares
 from jointid.models.controllers import with_numbers
 from jointid.models.parameters import Quantity, unit_of
-from jointid.models.transmission import Side
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import robust
 from jointid.uncertainty.position_dependent_error import Cells, cells, widened

@@ -34,6 +34,7 @@ from jointid.common.document import Block, Document, Documented, Facts, Listing,
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.text import number
+from jointid.common.transmission import Transmission, transmission_lines
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.other_experiments import (
     Noise,
@@ -52,7 +53,6 @@ from jointid.estimation.search.exploration import FASTEST
 from jointid.estimation.search.starts import pseudo_regular
 from jointid.models.joints import acts_on_whole
 from jointid.models.parameters import POSITION_UNIT
-from jointid.models.transmission import Transmission, transmission_lines
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome

@@ -42,7 +42,7 @@ from jointid.common.errors import MethodError
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.parameters import TORQUE_UNIT
 from jointid.records.record import Channel, Injection, Record, Tap
-from jointid.records.signals.encoder_step import find_encoder_step
+from jointid.records.signals.encoder import find_encoder_step
 from jointid.records.signals.excitation import pulses
 from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.log_output import as_logged

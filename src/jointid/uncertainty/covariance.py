@@ -48,7 +48,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.common.message import Message
+from jointid.common.messages import Message
 
 _BANDS = 8  # of frequency, whose scores are compared
 _MOST = 2.0  # times its residual: what leaving a block out may make of it

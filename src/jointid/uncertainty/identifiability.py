@@ -18,7 +18,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
-from jointid.common.message import Message
+from jointid.common.messages import Message
 from jointid.common.parameters import Parameter, Quantity
 from jointid.common.text import number
 from jointid.uncertainty.covariance import Covariance

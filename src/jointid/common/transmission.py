@@ -1,0 +1,134 @@
+"""A transmission between motor and load: which side a position or a torque is of, and what it is on the other.
+
+One ratio r, the motor's position per position of the load, says all of it. Power passes without loss::
+
+    q motor = r q load,        tau load = r tau motor
+
+A drive logs its channels on either side; a joint is identified on one of them, and its record is *referred* to that
+side when it is read: positions by what takes a position there, torques by the inverse of that.
+
+The efficiency is taken as 1, the same in both directions. What a real gear loses is found in the friction: a loss that
+grows with the speed in the viscous, one that does not in the Coulomb part. A loss in proportion to the torque that is
+passed on belongs to neither, and is spread over them and over the load's inertia.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
+
+from jointid.common import units
+from jointid.common.errors import MethodError
+from jointid.common.settings import check_settings, declare, documented, setting
+
+Side: TypeAlias = Literal["motor", "load"]
+
+SIDES: tuple[Side, ...] = ("motor", "load")
+
+SI_UNITS: Mapping[str, tuple[str, str]] = {"prismatic": ("m", "N"), "revolute": ("rad", "N m")}
+
+
+@documented
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Transmission:
+    """A gear, a belt or a screw without loss; given by its ratio or by its lead.
+
+    Raises:
+        MethodError: not one of ratio and lead is given, or one of the values is impossible.
+
+    Example:
+        >>> import jointid as ji
+        >>> screw = ji.Transmission(load="prismatic", lead=0.010)
+        >>> law = ji.Cascade(kp=25.0, kv=0.02, ratio=screw.torque("motor"))  # its numbers are the motor's
+        >>> loop = ji.ClosedLoop(ji.RigidJoint("prismatic", transmission=screw), law)
+        >>> print(screw)
+        10 mm per turn, without loss (efficiency taken as 1); values are on the load side
+    """
+
+    load: units.Kind = field(metadata=declare("how the load moves"))
+    ratio: float | None = setting(
+        None,
+        "how far the motor goes while the load goes 1, where both move alike: 100 of a gear 100:1; this or the lead",
+        above=0,
+        negative="use sign = -1 to turn the load round",
+    )
+    lead: float | None = setting(
+        None,
+        "how far a prismatic load goes in one turn of the motor: of a screw, a rack or a belt; the motor is revolute "
+        "then",
+        unit="m",
+        above=0,
+        negative="use sign = -1 to turn the load round",
+    )
+    sign: int = setting(
+        1, "-1 where motor and load count in opposite directions", only=(1, -1), negative="use gain to scale"
+    )
+    side: Side = setting("load", "on which the joint is identified and reported, and on which its parameters are given")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if (self.ratio is None) == (self.lead is None):
+            raise MethodError(
+                "A transmission has either a ratio (motor per load) or a lead (m per turn of the motor); received "
+                "ratio = "
+                f"{self.ratio} and lead = {self.lead}: give one of them."
+            )
+        if self.lead is not None and self.load == "revolute":
+            raise MethodError("A lead is of a load that is prismatic; of a revolute one give the ratio.")
+
+    @property
+    def motor(self) -> units.Kind:
+        """Kind of the motor's motion: with a lead it turns, else it moves as the load does."""
+        return self.load if self.lead is None else "revolute"
+
+    @property
+    def motor_per_load(self) -> float:
+        """The ratio r with its sign: rad per rad, m per m, or rad per m."""
+        return self.sign * (self.ratio if self.ratio is not None else 2 * math.pi / (self.lead or 1.0))
+
+    @property
+    def kind(self) -> units.Kind:
+        """Kind of motion of the side on which the joint is identified."""
+        return self.kind_of(self.side)
+
+    @property
+    def geared(self) -> bool:
+        """True if motor and load have the same kind of motion, but not the same amount."""
+        return self.motor == self.load and abs(self.motor_per_load) != 1.0
+
+    @property
+    def other(self) -> Side:
+        """The other side."""
+        return "motor" if self.side == "load" else "load"
+
+    def kind_of(self, side: Side) -> units.Kind:
+        """Return a side's kind of motion."""
+        return self.load if side == "load" else self.motor
+
+    def position(self, side: Side) -> float:
+        """Return the factor from a position of that side to the joint's side."""
+        return 1.0 / self.torque(side)
+
+    def torque(self, side: Side) -> float:
+        """Return the factor from a torque of that side to the joint's side: the inverse of a position's."""
+        if side == self.side:
+            return 1.0
+        return self.motor_per_load if side == "motor" else 1.0 / self.motor_per_load
+
+    def __str__(self) -> str:
+        """Return its description, in a sentence."""
+        size = f"{self.ratio:g}:1" if self.ratio is not None else f"{1e3 * (self.lead or 0.0):g} mm per turn"
+        turned = ", turned round" if self.sign < 0 else ""
+        return f"{size}{turned}, without loss (efficiency taken as 1); values are on the {self.side} side"
+
+
+def transmission_lines(transmission: Transmission | None) -> list[str]:
+    """Return the line of a report that says on which side its values are; none where there is only one."""
+    return [] if transmission is None else [f"transmission: {transmission}"]
+
+
+def usual_side(name: str) -> Side:
+    """Return the side a channel is of unless another is declared: a load encoder's is the load's."""
+    return "load" if name == "load_position" else "motor"

@@ -1,0 +1,180 @@
+"""[record], [drive], [[records]] and [together]: files, the columns of their channels, and the drive's own units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from jointid.common.settings import declare, documented, setting, settings_of
+from jointid.common.units import units_of
+from jointid.config.keys import Flag, Text, keys_from
+from jointid.config.table import Table, accept_by, refusal
+from jointid.records.clock import CLOCK_TOLERANCE
+from jointid.records.columns import Column
+from jointid.records.drives.drive import Drive
+from jointid.records.formats import Csv, format_of
+from jointid.records.record import Channel, Injection
+from jointid.records.resampling import Resampling
+
+OPTIONS = ("delimiter", "decimal", "header")
+"""The keys of [record] that are options of the format's reader."""
+
+Delimiter = Annotated[Text, accept_by(lambda mark: Csv(delimiter=mark))]
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The file of the record, and how it is read; see `jointid.records.reading`."""
+
+    file: str | None = setting(None, "path of the record, from the joint file's folder", accept=format_of)
+    time: str | None = setting(
+        None, "name of the time column; without it, and without a sample time, the column called t or time"
+    )
+    time_unit: str | None = setting(
+        None, "unit of the time column; without it the one in its name, as in Time [ms], or s", choices=units_of("time")
+    )
+    sample_time: float | None = setting(
+        None, "time between samples, where there is no time column; beside one the two must agree", unit="s", above=0
+    )
+    clock_tolerance: float = setting(
+        CLOCK_TOLERANCE, "largest jitter of the time stamps, as a share of the sample time", at_least=0
+    )
+    options: Mapping[str, Any] = field(default_factory=dict)  # of the format's reader
+    resample: Resampling | None = setting(
+        None,
+        "to which uniform clock all channels are brought, and how; without it a clock that is not uniform is refused",
+    )
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One of several records that are identified together."""
+
+    file: str = field(metadata=declare("path of the record, from the joint file's folder", accept=format_of))
+    added_inertia: float = setting(
+        0.0,
+        "what is known to have been added to the load, as it is there, beyond what is shared",
+        unit="kg or kg m2",
+        at_least=0,
+    )
+    own: tuple[str, ...] = setting(
+        (),
+        "names of parameters of this record's own, which the others do not share; the motor's state at the first "
+        "sample always is",
+    )
+    controller: Mapping[str, float] = field(
+        default_factory=dict,
+        metadata=declare("numbers of the controller that were others in this record, by the keys of [controller]"),
+    )
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class Together:
+    """How several records are identified together."""
+
+    free: tuple[str, ...] = setting((), "names of what surrounds the joint and is identified too")
+    weighting: Literal["spectrum", "level"] = setting(
+        "spectrum", "what of their record's residual the rows are weighed by"
+    )
+
+
+def _all_but(*kept: str) -> list[str]:
+    return [one.name for one in settings_of(Column) if one.name not in kept]
+
+
+_OF_ONE = ("tap", "at", "in_torque")  # settings of a column that one channel alone has
+
+
+@keys_from(Column, without=_OF_ONE, types={"column": (Text, None)})
+class ChannelTable(Table):
+    """[record.channels.reference] and its like: the column of one channel."""
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield a clock that is told twice."""
+        if self.time is not None and self.sample_time is not None:
+            yield "time", f' is "{self.time}" beside sample_time = {self.sample_time:g}; keep one of them.'
+
+
+@keys_from(Column, without=_all_but("tap"))
+class TorqueTable(ChannelTable):
+    """[record.channels.torque]."""
+
+
+@keys_from(Column, without=_all_but("at", "in_torque"))
+class InjectedTable(ChannelTable):
+    """[record.channels.injected]: a known signal added to the controller's output."""
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield that no such injection exists."""
+        yield from super().faults()
+        any_signal = Channel(np.zeros(1), "N", 1.0)
+        if refused := refusal(lambda: Injection(any_signal, self.build().at, self.in_torque)):
+            yield "in_torque", refused
+
+
+class ChannelsTable(Table):
+    """[record.channels]: where the record's channels are found."""
+
+    torque: TorqueTable | None = Field(None, description="motor torque or force")
+    reference: ChannelTable | None = Field(None, description="commanded position, motor side")
+    reference_velocity: ChannelTable | None = Field(None, description="commanded velocity")
+    motor_position: ChannelTable | None = Field(None, description="motor encoder")
+    load_position: ChannelTable | None = Field(None, description="load encoder")
+    injected: InjectedTable | None = Field(None, description="known signal added to the controller's output")
+
+
+@keys_from(Resampling)
+class ResampleTable(Table):
+    """record.resample: to which uniform clock all channels are brought, and how."""
+
+
+@keys_from(Source, types={"resample": (ResampleTable, None)})
+class RecordTable(Table):
+    """[record]: the file of the record, and how it is read."""
+
+    delimiter: Delimiter | None = Field(
+        None, description='character between the cells of a text file; " " is any run of blanks; without it found'
+    )
+    decimal: Literal[".", ","] | None = Field(None, description="decimal mark of a text file; without it found")
+    header: Flag | None = Field(
+        None, description="whether a line above the numbers of a text file names the columns; without it found"
+    )
+    channels: ChannelsTable = Field(default_factory=ChannelsTable, description="where the channels are found")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield that the file's format has no such option."""
+        if self.file is not None and (refused := refusal(partial(format_of, self.file, **self.options()))):
+            yield "file", refused
+
+    def options(self) -> dict[str, Any]:
+        """Return the options of the format's reader that are given."""
+        return {key: value for key, value in self.given().items() if key in OPTIONS}
+
+    def build(self) -> Source:
+        """Return the file of the record, and how it is read."""
+        options = self.options()
+        resample = None if self.resample is None else self.resample.build()
+        return Source(**self.given("channels", "resample", *options), resample=resample, options=options)
+
+
+@keys_from(Drive)
+class DriveTable(Table):
+    """[drive]: whose traces the record is made of, and the numbers behind the drive's own units."""
+
+
+@keys_from(Run)
+class RunTable(Table):
+    """[[records]]: one of several records that are identified together, and what is known to differ in it."""
+
+
+@keys_from(Together)
+class TogetherTable(Table):
+    """[together]: how several records are identified together."""

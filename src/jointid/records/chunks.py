@@ -1,0 +1,207 @@
+"""Read a record that may be longer than memory in chunks: each is a record with its place in the whole.
+
+Chunks begin a length apart, and each overlaps the next, so that a simulation or a filter can settle at both ends of a
+chunk and every sample still counts in one of them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from jointid.common.errors import RecordError
+from jointid.records.clock import is_same_rate
+from jointid.records.columns import Column
+from jointid.records.drives.drive import Drive
+from jointid.records.formats import Table, read_blocks
+from jointid.records.formats.table import join_tables
+from jointid.records.reading import RecordReader
+from jointid.records.record import Channel, Record
+
+_LOOK = 1000  # rows that tell the sample time
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chunk:
+    """A part of a long record.
+
+    Attributes:
+        number: of the chunk, from 0.
+        record: what it holds; its `begin` is where it stood, in seconds from the first sample of all.
+        last: True if no other follows.
+    """
+
+    number: int
+    record: Record
+    last: bool
+
+
+class LongRecord(Protocol):
+    """A source of a record that is read in chunks."""
+
+    @property
+    def name(self) -> str:
+        """Name of the record in reports."""
+        ...
+
+    @property
+    def sample_time(self) -> float:
+        """Of every channel, in seconds."""
+        ...
+
+    def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
+        """Yield one chunk after the other, or one in so many.
+
+        What is left at the end, and shorter than the overlap, is in the chunk before it, and is none of its own.
+
+        Args:
+            length: samples from the beginning of a chunk to that of the next.
+            overlap: samples that a chunk goes on beyond that, `length` at most.
+            every: of so many chunks the first is read.
+
+        Raises:
+            RecordError: the record cannot be read, or does not hold what it is declared to hold.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """A record in a file, read when it is asked for.
+
+    Attributes:
+        path: the file, of a format that has rows one after the other; MAT files of version 7 and ROS 2 bags have not.
+        columns, settings: see `jointid.records.reading`. All channels have one sample time.
+        options: of the format's reader.
+
+    Raises:
+        RecordError: a column has a sample time, an update time or a time column of its own, or is to be resampled.
+
+    Example:
+        >>> import jointid as ji
+        >>> day = ji.Log("day.csv", {"torque": "i_q", "reference": "pos_cmd"}, {"sample_time": 1e-3})
+        >>> day.name
+        'day'
+    """
+
+    path: str | os.PathLike[str]
+    columns: Mapping[str, str | Column] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.settings.get("resample") is not None:
+            raise RecordError(
+                "A record that is read in chunks is not resampled, because its chunks would not fit together; log it "
+                "at uniform instants, or leave resample out."
+            )
+        for name, column in self.columns.items():
+            if isinstance(column, Column) and (column.sample_time or column.update_time or column.time):
+                raise RecordError(
+                    f"A record that is read in chunks has one clock, and {name} has one of its own; log all "
+                    "channels at one rate."
+                )
+
+    @property
+    def name(self) -> str:
+        """The one that was given, or the file's without its suffix."""
+        return str(self.settings.get("name") or Path(self.path).stem)
+
+    @property
+    def sample_time(self) -> float:
+        """As the first rows have it."""
+        first = next(self._tables(_LOOK, 0, 1), None)
+        if first is None:
+            raise RecordError(f"{Path(self.path).name} holds no sample; log or copy it again.")
+        return _require_one_rate(self._reader.build_record(first[1], self.name))
+
+    def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
+        """Yield one chunk after the other, or one in so many; see `LongRecord`."""
+        reader, sample_time = self._reader, self.sample_time
+        for number, table, last in self._tables(length, overlap, every):
+            try:
+                record = _set_rate(reader.build_record(table, self.name), sample_time, number * length)
+            except RecordError as error:
+                raise RecordError(
+                    [f"{Path(self.path).name}, rows from {number * length + 1} on: {fault}" for fault in error.faults]
+                ) from None
+            yield Chunk(number, record, last)
+
+    @property
+    def _reader(self) -> RecordReader:
+        return RecordReader(self.columns, **{"drive": Drive(), **self.settings})
+
+    def _tables(self, length: int, overlap: int, every: int) -> Iterator[tuple[int, Table, bool]]:
+        """Yield the index and the numbers of one chunk in so many, and True with the last."""
+        held: tuple[int, Table] | None = None
+        for number, block in enumerate(read_blocks(self.path, length, **self.options)):
+            rest = number > 0 and block.rows < overlap
+            if held is not None:
+                yield held[0], join_tables([held[1], block.table(overlap)]) if overlap else held[1], rest
+            held = (number, block.table()) if number % every == 0 and not rest else None
+        if held is not None:
+            yield *held, True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InMemory:
+    """A record in memory, read in chunks.
+
+    Attributes:
+        record: all channels at one rate.
+    """
+
+    record: Record
+
+    @property
+    def name(self) -> str:
+        """Of the record."""
+        return self.record.name
+
+    @property
+    def sample_time(self) -> float:
+        """Of its channels."""
+        return _require_one_rate(self.record)
+
+    def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
+        """Yield one chunk after the other, or one in so many; see `LongRecord`."""
+        samples = min(len(channel) for _, channel in self.record.items())
+        firsts = range(0, max(samples - max(overlap, 1), 0) + 1, length)
+        for number, first in enumerate(firsts):
+            if number % every == 0:
+                part = _cut(self.record, first, min(first + length + overlap, samples))
+                yield Chunk(number, part, first == firsts[-1])
+
+
+def _require_one_rate(record: Record) -> float:
+    """Return the sample time of all channels of a record."""
+    times = {name: channel.sample_time for name, channel in record.items()}
+    first = next(iter(times.values()))
+    if not all(is_same_rate(time, first) for time in times.values()):
+        listed = ", ".join(f"{name} {time:g} s" for name, time in times.items())
+        raise RecordError(
+            f"A record that is read in chunks has one sample time ({listed}); log all channels at one rate."
+        )
+    return first
+
+
+def _set_rate(record: Record, sample_time: float, first: int) -> Record:
+    """Return a chunk of a record at the sample time of all of it, beginning with that sample."""
+    own = _require_one_rate(record)
+    if not is_same_rate(own, sample_time):
+        raise RecordError(f"the sample time is {own:g} s here and {sample_time:g} s at the beginning; cut it there.")
+    return _map_channels(record, lambda c: replace(c, sample_time=sample_time), first * sample_time)
+
+
+def _cut(record: Record, first: int, end: int) -> Record:
+    begin = record.begin + first * _require_one_rate(record)
+    return _map_channels(record, lambda c: replace(c, values=c.values[first:end]), begin)
+
+
+def _map_channels(record: Record, change: Callable[[Channel], Channel], begin: float) -> Record:
+    others = {name: change(channel) for name, channel in record.other_axes.items()}
+    changed = record.with_channels({name: change(channel) for name, channel in record.items()})
+    return replace(changed, other_axes=others, begin=begin)

@@ -1,0 +1,239 @@
+"""The clocks of a table: the time between samples, and how far stamps are from a uniform clock."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from jointid.common import units
+from jointid.common.arrays import FloatArray
+from jointid.common.text import counted
+from jointid.records.columns import Column, finite_faults, format_instant, period_faults, unit_fault, unit_in_name
+from jointid.records.formats import Table
+from jointid.records.record import Irregularity
+
+RATE_TOLERANCE = 1e-3
+"""Largest relative difference of two sample times that count as one.
+
+Clocks of drives and computers differ by 0.01 %; a wrong rate is wrong by far more.
+"""
+
+_TIME = re.compile(r"(?:t|time)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
+
+CLOCK_TOLERANCE = 0.05
+"""Largest jitter of a time stamp step, as a share of the sample time.
+
+A twentieth of a sample is well below the half sample by which a held and an averaged torque differ, and well
+above the jitter of good loggers (0.004 % in EMPS) and of stamps rounded to a microsecond at 10 kHz (1 %).
+"""
+
+JUMP = 0.5
+"""A step this far from the sample time, as a share of it, is a jump: samples are missing or doubled."""
+
+GAP = 1.75
+"""From so many sample times on a step leaves out samples: two stamps 30 % early and late are 1.6 apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """The time between samples [s] and the time stamps [s], as far as they are known, and their column."""
+
+    sample_time: float | None = None
+    stamps: FloatArray | None = None
+    column: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Clocks:
+    """The record's clock, and those of columns that have a time column of their own.
+
+    Attributes:
+        common: of all others.
+        own: by time column.
+        columns: name of a column -> that of its time column.
+    """
+
+    common: Clock
+    own: Mapping[str, Clock] = field(default_factory=dict)
+    columns: Mapping[str, str] = field(default_factory=dict)
+
+    def clock_of(self, column: Column) -> Clock:
+        """Return the clock of a channel's column; one with a sample time of its own needs no stamps."""
+        if column.sample_time is not None:
+            return Clock(column.sample_time)
+        time = column.time or self.columns.get(column.column)
+        return self.common if time is None else self.own.get(time, Clock())
+
+
+def find_clock(
+    table: Table, time: str | None, time_unit: str | None, sample_time: float | None, tolerance: float | None
+) -> tuple[Clock, list[str]]:
+    """Return a table's clock, from the stamps, from the sample time, or from both, and what is wrong with it.
+
+    Args:
+        table: whose samples they are.
+        time: name of the time column; None takes the only one that is called t or time.
+        time_unit: of it; None takes the one in its name, or else s.
+        sample_time: seconds, if it is given; without `time` it is all that counts.
+        tolerance: largest jitter, as a share of the sample time; None for stamps that are resampled.
+    """
+    wrong = period_faults("sample time", sample_time)
+    if wrong or (sample_time is not None and time is None):
+        return Clock(None if wrong else sample_time), wrong
+    column, wrong = _time_column(table, time)
+    if wrong:
+        return Clock(), wrong
+    known = units.units_of("time")
+    named = unit_in_name(column, known)
+    if time_unit is not None and named is not None and named != time_unit:
+        return Clock(), [
+            f'The time column "{column}" names its unit, and time_unit is "{time_unit}"; leave time_unit out, or '
+            "rename the column."
+        ]
+    unit = time_unit or named or units.spelled(table.units.get(column, "")) or "s"
+    if unit not in known:
+        return Clock(), [unit_fault(f'time (column "{column}")', unit, known)]
+    stamps = table.columns[column] * units.unit(unit).factor
+    wrong = clock_faults(stamps, tolerance, f'The time column "{column}"')
+    if wrong:
+        return Clock(), wrong
+    period = measure_irregularity(stamps).sample_time if tolerance is None else _period(stamps)
+    if sample_time is not None and not is_same_rate(sample_time, period):
+        wrong = [
+            f'The sample time is given as {sample_time:g} s, and column "{column}" has {period:g} s; '
+            "mend one, or leave sample_time or time out."
+        ]
+    return Clock(sample_time or period, stamps, column), wrong
+
+
+def is_same_rate(sample_time: float, other: float) -> bool:
+    """Return True if two sample times are equal within `RATE_TOLERANCE`."""
+    return abs(sample_time / other - 1) <= RATE_TOLERANCE
+
+
+def beginning_faults(clocks: Mapping[str, Clock], tolerance: float) -> list[str]:
+    """Return the fault of channels that begin at different instants, by their own stamps.
+
+    Args:
+        clocks: by channel.
+        tolerance: how far, as a share of the shorter sample time.
+    """
+    stamped = {name: clock for name, clock in clocks.items() if clock.stamps is not None and clock.sample_time}
+    firsts = {name: float(clock.stamps[0]) for name, clock in stamped.items() if clock.stamps is not None}
+    if not firsts:
+        return []
+    late, early = max(firsts, key=firsts.__getitem__), min(firsts, key=firsts.__getitem__)
+    apart, shortest = firsts[late] - firsts[early], min(clock.sample_time or 0.0 for clock in stamped.values())
+    if apart <= tolerance * shortest:
+        return []
+    return [
+        f"{late} begins {apart:g} s after {early}, by their own time columns; give resample, which takes what all "
+        "channels cover, or cut them to one beginning."
+    ]
+
+
+def _time_column(table: Table, time: str | None) -> tuple[str, list[str]]:
+    """Return the name of the time column, or the fault of one that is missing or in doubt."""
+    if time is not None:
+        if time in table.columns:
+            return time, []
+        return time, [f'{table.source} has no time column "{time}"; it has {table.list_columns(time)}.']
+    names = [name for name in table.columns if _TIME.fullmatch(name)]
+    if len(names) == 1:
+        return names[0], []
+    several = ", ".join(f'"{name}"' for name in names)
+    fact = f"more than one time column ({several})" if names else 'no column called "t" or "time"'
+    return "", [f"{table.source} has {fact}; give sample_time, or the name of the time column as time."]
+
+
+def _period(stamps: FloatArray) -> float:
+    """Return the time between samples [s] of stamps that have been checked."""
+    index, first = np.arange(stamps.size), float(stamps[1] - stamps[0])
+    if np.array_equal(stamps[0] + index * first, stamps):
+        return first  # stamps that were computed give their sample time back to the last bit
+    # The mean over the record is better than any one step; its thirteenth digit is rounding.
+    return float(f"{(stamps[-1] - stamps[0]) / index[-1]:.12g}")
+
+
+def measure_irregularity(stamps: FloatArray) -> Irregularity:
+    """Return how far stamps [s], shape (samples,), two or more and finite, are from a uniform clock.
+
+    A stamp that is repeated is no further sample, and one that runs backward is.
+    """
+    steps = np.diff(stamps)
+    forward = steps[steps > 0]
+    typical = float(np.median(forward)) if forward.size else 1.0
+    skipped = np.where(steps >= GAP * typical, np.maximum(np.round(steps / typical), 1), steps != 0)
+    number = np.concatenate([[0.0], np.cumsum(skipped)])
+    centred, times = number - number.mean(), stamps - stamps.mean()
+    period = float(centred @ times / (centred @ centred))
+    off = times - period * centred
+    return Irregularity(
+        sample_time=period,
+        largest=float(np.abs(off).max()),
+        rms=float(np.sqrt(np.mean(off**2))),
+        gaps=int(np.count_nonzero(skipped > 1)),
+        longest_gap=int(skipped.max()) - 1,
+        repeats=int(np.count_nonzero(steps == 0)),
+        backward=int(np.count_nonzero(steps < 0)),
+    )
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, name: str = "The time") -> list[str]:
+    """Return the faults of a clock: stamps that do not run forward, jumps, and jitter beyond a tolerance.
+
+    The sample time is the median step. A step that is more than half a sample time off is a jump (samples
+    left out, a repeated or a backward stamp); what is less is jitter, judged by its largest value as a share
+    of the sample time.
+
+    Args:
+        stamps: time stamps [s], shape (samples,).
+        tolerance: largest jitter, as a share of the sample time; None for stamps that are resampled, which may jump.
+        name: what the sentences call the clock.
+    """
+    if stamps.size < 2:
+        return [f"{name} has a single stamp, which tells no sample time; give sample_time."]
+    faults = finite_faults(name, stamps)
+    if faults:
+        return faults
+    steps = np.diff(stamps)
+    sample_time = float(np.median(steps))
+    if sample_time <= 0:
+        return [
+            f"{name} does not run forward (its median step is {sample_time:g} s); name another time "
+            "column, or give sample_time without time."
+        ]
+    if tolerance is None:
+        return []
+    error = np.abs(steps / sample_time - 1)
+    jumped = error > max(JUMP, tolerance)
+    if jumped.any():
+        first = int(np.argmax(jumped))
+        faults.append(
+            f"{name} jumps {counted(int(jumped.sum()), 'time')}: after sample {first}"
+            f"{format_instant(stamps, first)} it {_jump(float(steps[first]), sample_time)}; cut the record there, or "
+            "give sample_time without time if only the stamps are wrong."
+        )
+    jitter = np.where(jumped, 0.0, error)
+    if jitter.max() > tolerance:
+        first = int(np.argmax(jitter > tolerance))
+        faults.append(
+            f"{name} jitters by up to {jitter.max():.1%} of the sample time of {sample_time:g} s "
+            f"({np.sqrt(np.mean(jitter**2)):.1%} rms), first beyond {tolerance:.1%} after sample {first}"
+            f"{format_instant(stamps, first)}; give resample = {{ sample_time, method }}, or sample_time without time "
+            "if only the stamps jitter."
+        )
+    return faults
+
+
+def _jump(step: float, sample_time: float) -> str:
+    """Return what a step of the time that is no jitter does."""
+    if step == 0:
+        return "repeats its stamp"
+    lost = round(step / sample_time) - 1
+    late = f"leaves out {counted(lost, 'sample')}" if lost > 0 else "steps early"
+    return f"{'runs backward' if step < 0 else late} (a step of {step:g} s, expected {sample_time:g} s)"

@@ -1,0 +1,290 @@
+"""Inspect a file: size, unit, clock, range and a sparkline of every channel, in bounded memory."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from jointid.common import units
+from jointid.common.arrays import FloatArray
+from jointid.common.document import Block, Document, Documented, Listing, Paragraph, Table
+from jointid.common.text import counted, number, shown
+from jointid.records.columns import unit_in_name
+from jointid.records.formats import format_of, read_tables
+
+_ROWS = 65536  # that are in memory at once, where the format allows it
+_TIME = re.compile(r"(?:.*[/._ ])?(?:t|time|timestamp|stamp)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
+_LEVELS = "▁▂▃▄▅▆▇█"
+_SPARKLINE = 24  # characters
+_ROUNDING = 1e-3  # per cent of jitter; what is less is of the clock's digits
+_LONGEST = 60  # characters of a name in the table
+_STRETCHES = 1024  # that are kept at most, of equal length; a power of two
+
+
+@dataclass(frozen=True, slots=True)
+class InspectedChannel:
+    """One column of a file.
+
+    Attributes:
+        name: as the file has it.
+        unit: that the file or the name states, None without one; it need not be one that is known here.
+        outline: its numbers in short.
+        time: the column that is taken for its clock, None where none is recognised; of a clock its own name.
+        sample_time: mean time between its samples in seconds, None without a clock.
+        jitter: largest deviation of a step of the clock from that, as a share of it; None without a clock.
+    """
+
+    name: str
+    unit: str | None
+    outline: Outline
+    time: str | None = None
+    sample_time: float | None = None
+    jitter: float | None = None
+
+    @property
+    def is_time(self) -> bool:
+        """True if the channel is a clock itself."""
+        return self.time == self.name
+
+
+@dataclass(frozen=True, slots=True)
+class Inspection(Documented):
+    """Contents of a file.
+
+    Attributes:
+        file: its name.
+        format: what it is.
+        size: bytes; of a folder those of all its files.
+        channels: its columns.
+        scalars: its single numbers.
+        passed: what looks like a column and is not read, and why.
+    """
+
+    file: str
+    format: str
+    size: int
+    channels: tuple[InspectedChannel, ...]
+    scalars: Mapping[str, float]
+    passed: Mapping[str, str]
+
+    def document(self, *, details: bool = False) -> Document:
+        """Return the table of the channels, single numbers, what is not read, and the clocks; all of it always."""
+        del details
+        header = ("channel", "rows", "unit", "sample time", "min", "max", "NaN", "picture")
+        rows = tuple(map(_table_row, self.channels))
+        blocks: list[Block] = [Table(header, rows, words=(0, 2, 7))] if rows else []
+        if self.scalars:
+            numbers = ", ".join(f"{shown(n)} {v:.6g}" for n, v in self.scalars.items())
+            blocks.append(Paragraph(f"single numbers: {numbers}"))
+        if self.passed:
+            blocks.append(
+                Listing(tuple(f"not read: {shown(name)} ({shown(why)})" for name, why in self.passed.items()))
+            )
+        title = f"{shown(self.file)}: {self.format}, {self.size} bytes, {len(self.channels)} channels"
+        return Document(title, (*blocks, Listing(tuple(self.clocks()))))
+
+    def clocks(self) -> list[str]:
+        """Return a sentence on each clock."""
+        said = []
+        for clock in self.channels:
+            if clock.is_time and clock.sample_time is not None and clock.jitter is not None:
+                count = sum(channel.time == clock.name for channel in self.channels) - 1
+                said.append(
+                    f"{shown(clock.name)} is the time of {counted(count, 'channel')}: a sample every "
+                    f"{clock.sample_time:.6g} s, the steps within {max(100 * clock.jitter, _ROUNDING):.2g} % of that."
+                )
+        return said or ["No channel is recognised as time; give the joint file a sample_time, or the column's name."]
+
+
+def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
+    """Inspect a file of any format.
+
+    A clock is a column whose name ends in t, time, timestamp or stamp, whose unit is one of time, and whose numbers
+    only rise. A column belongs to the clock that its format gives it, or else to that of its length whose name has the
+    longest beginning, up to a "/" or ".", in common with it. Where the format allows it, the file is read in chunks,
+    and memory does not grow with it.
+
+    Args:
+        path: the file, or the folder of a ROS 2 bag.
+        options: of the format's reader; see `jointid.records.formats.Csv`.
+
+    Raises:
+        RecordError: there is no such file, or it cannot be read; the sentence says why.
+    """
+    path = Path(path)
+    outlining: dict[str, OutlineBuilder] = {}
+    stated, told = dict[str, str](), dict[str, str]()
+    scalars, passed = dict[str, float](), dict[str, str]()
+    for table in read_tables(path, _ROWS, **options):
+        for name, values in table.columns.items():
+            outlining.setdefault(name, OutlineBuilder()).take(values)
+        stated.update(table.units)
+        told.update(table.clocks)
+        scalars, passed = dict(table.scalars), dict(table.passed)
+    outlines = {name: made.build() for name, made in outlining.items()}
+    clocks = {name: o for name, o in outlines.items() if _is_clock(name, o, _unit(name, stated))}
+    channels = []
+    for name, outline in outlines.items():
+        channel = InspectedChannel(name, _unit(name, stated), outline)
+        clock = name if name in clocks else told.get(name) or _find_clock(name, outline, clocks)
+        if clock is not None and clock in clocks:
+            seconds = units.unit(units.spelled(_unit(clock, stated) or "s")).factor
+            step, jitter = clocks[clock].step, clocks[clock].jitter
+            channel = replace(channel, time=clock, sample_time=step * seconds, jitter=jitter)
+        channels.append(channel)
+    files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
+    size = sum(file.stat().st_size for file in files)
+    return Inspection(path.name, format_of(path).name, size, tuple(channels), scalars, passed)
+
+
+def _unit(name: str, stated: Mapping[str, str]) -> str | None:
+    return stated.get(name) or unit_in_name(name, units.units_of("time"))
+
+
+def _is_clock(name: str, outline: Outline, unit: str | None) -> bool:
+    of_time = unit is None or units.spelled(unit) in units.units_of("time")
+    return bool(_TIME.fullmatch(name)) and of_time and outline.rises and outline.rows > 1
+
+
+def _find_clock(name: str, outline: Outline, clocks: Mapping[str, Outline]) -> str | None:
+    """Return the clock of a column; None where there is none of its length that is nearest."""
+    alike = {clock: _count_shared_parts(name, clock) for clock, other in clocks.items() if other.rows == outline.rows}
+    best = [clock for clock, length in alike.items() if length == max(alike.values())]
+    return best[0] if len(best) == 1 else None
+
+
+def _count_shared_parts(name: str, clock: str) -> int:
+    """Return how many parts two paths have in common; a clock "name/time" has all of the name's."""
+    pairs = zip(re.split(r"[/.]", name), re.split(r"[/.]", clock), strict=False)
+    return next((i for i, (one, other) in enumerate(pairs) if one != other), len(re.split(r"[/.]", name)))
+
+
+def _table_row(channel: InspectedChannel) -> tuple[str, ...]:
+    outline = channel.outline
+    name = shown(channel.name)
+    return (
+        name if len(name) <= _LONGEST else f"{name[: _LONGEST - 3]}...",
+        str(outline.rows),
+        shown(channel.unit or "-"),
+        "-" if channel.sample_time is None else f"{channel.sample_time:.6g} s",
+        number(outline.minimum),
+        number(outline.maximum),
+        str(outline.missing),
+        "time" if channel.is_time else draw_sparkline(outline),
+    )
+
+
+def draw_sparkline(outline: Outline) -> str:
+    """Return a line of blocks: of each stretch of a channel the number that is farthest from the channel's middle."""
+    if outline.minimum is None or outline.maximum is None or not math.isfinite(outline.maximum - outline.minimum):
+        return ""
+    middle, span = (outline.minimum + outline.maximum) / 2, outline.maximum - outline.minimum
+    marks = []
+    for low, high in outline.stretches(_SPARKLINE):
+        if not math.isfinite(low):
+            marks.append(" ")
+            continue
+        far = high if high - middle >= middle - low else low
+        marks.append(_LEVELS[min(int((far - outline.minimum) / span * len(_LEVELS)), 7)] if span else _LEVELS[0])
+    return "".join(marks)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outline:
+    """A signal in short.
+
+    Attributes:
+        rows: how many numbers it has, NaN included.
+        missing: how many of them are NaN.
+        minimum, maximum: of the others; None where all are missing.
+        first, last: its ends.
+        rises: True if every number is larger than the one before.
+        step: mean difference between neighbours.
+        jitter: largest deviation of such a difference from the mean, as a share of it; NaN where the mean is 0.
+        low, high: smallest and largest of every stretch, shape (stretches,); NaN where all of it is missing.
+        length: numbers of a stretch; the last one may have fewer.
+    """
+
+    rows: int
+    missing: int
+    minimum: float | None
+    maximum: float | None
+    first: float
+    last: float
+    rises: bool
+    step: float
+    jitter: float
+    low: FloatArray
+    high: FloatArray
+    length: int
+
+    def stretches(self, count: int) -> list[tuple[float, float]]:
+        """Return the range of so many stretches, or of as many as there are."""
+        edges = np.linspace(0, self.low.size, min(count, self.low.size) + 1).astype(int)
+        return [
+            (float(np.fmin.reduce(self.low[start:end])), float(np.fmax.reduce(self.high[start:end])))
+            for start, end in pairwise(edges)
+        ]
+
+
+@dataclass(slots=True)
+class OutlineBuilder:
+    """Builder of an outline from a signal that comes part after part."""
+
+    rows: int = 0
+    missing: int = 0
+    rises: bool = True
+    first: float = math.nan
+    last: float = math.nan
+    steps: tuple[float, float] = (math.inf, -math.inf)
+    low: FloatArray = field(default_factory=lambda: np.full(_STRETCHES, np.nan))
+    high: FloatArray = field(default_factory=lambda: np.full(_STRETCHES, np.nan))
+    length: int = 1
+
+    def take(self, values: FloatArray) -> None:
+        """Add the next numbers, shape (samples,), one or more."""
+        if self.rows == 0:
+            self.first = float(values[0])
+        before = values[:1] if self.rows == 0 else np.array([self.last])
+        with np.errstate(invalid="ignore", over="ignore"):  # infinite numbers have no difference
+            steps = np.diff(np.concatenate([before, values])[1 if self.rows == 0 else 0 :])
+        if steps.size:
+            self.rises = self.rises and bool(np.all(steps > 0))
+            self.steps = (min(self.steps[0], float(steps.min())), max(self.steps[1], float(steps.max())))
+        self.missing += int(np.count_nonzero(np.isnan(values)))
+        while self.rows + values.size > _STRETCHES * self.length:
+            self._halve()
+        stretches = np.arange(self.rows // self.length, (self.rows + values.size - 1) // self.length + 1)
+        starts = np.maximum(stretches * self.length - self.rows, 0)
+        self.low[stretches] = np.fmin(self.low[stretches], np.fmin.reduceat(values, starts))
+        self.high[stretches] = np.fmax(self.high[stretches], np.fmax.reduceat(values, starts))
+        self.rows += values.size
+        self.last = float(values[-1])
+
+    def _halve(self) -> None:
+        """Make stretches twice as long."""
+        for kept, smaller in ((self.low, np.fmin), (self.high, np.fmax)):
+            pairs = smaller.reduce(kept.reshape(-1, 2), axis=1)
+            kept[:] = np.nan
+            kept[: pairs.size] = pairs
+        self.length *= 2
+
+    def build(self) -> Outline:
+        """Return the outline; one number or more must have been taken."""
+        used = math.ceil(self.rows / self.length)
+        low, high = self.low[:used].copy(), self.high[:used].copy()
+        there = self.missing < self.rows
+        step = (self.last - self.first) / (self.rows - 1) if self.rows > 1 else 0.0
+        jitter = max(self.steps[1] - step, step - self.steps[0]) / step if step else math.nan
+        minimum, maximum = (float(np.nanmin(low)), float(np.nanmax(high))) if there else (None, None)
+        return Outline(
+            self.rows, self.missing, minimum, maximum, self.first, self.last, self.rises, step, jitter, low, high,
+            self.length,
+        )  # fmt: skip

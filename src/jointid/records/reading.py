@@ -1,0 +1,397 @@
+"""Read a record from a file: its clock, its channels in SI, and every fault reported at once."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from jointid.common import units
+from jointid.common.errors import RecordError
+from jointid.common.transmission import Transmission
+from jointid.records.checks import scale_faults
+from jointid.records.clock import CLOCK_TOLERANCE, Clock, Clocks, beginning_faults, find_clock
+from jointid.records.columns import Column, finite_faults, known_units, unit_fault, unit_of_column
+from jointid.records.drives.drive import Drive
+from jointid.records.formats import Table, read_table
+from jointid.records.record import CHANNELS, Channel, Injection, Record, Tap, Timing, refer_channel
+from jointid.records.resampling import Resampling, Stamped, align_updates, resample_together
+from jointid.records.signals.encoder import unwrap, wrap_faults
+
+_MOVES = 0.01  # of this axis's travel: an axis that moves less is held
+_NUMBER = re.compile(r"\d+")
+
+
+def read(
+    path: str | os.PathLike[str],
+    columns: Mapping[str, str | Column] | None = None,
+    *,
+    drive: Drive | None = None,
+    time: str | None = None,
+    time_unit: str | None = None,
+    sample_time: float | None = None,
+    kind: str = "prismatic",
+    transmission: Transmission | None = None,
+    name: str | None = None,
+    clock_tolerance: float = CLOCK_TOLERANCE,
+    resample: Resampling | None = None,
+    **options: object,
+) -> Record:
+    """Read a record from a file; everything that is wrong with it is reported at once.
+
+    The time between samples is `sample_time`, or else that of the time column: the one that `time` names, or
+    else the one called t or time ("Time [ms]" is one). Where a channel has a rate of its own, columns end at
+    their last number; elsewhere a column that ends early is a fault. A clock that jitters is a fault unless `resample`
+    says what is to be done about it.
+
+    A unit that the file states for a column counts where neither `columns` nor the column's name states one.
+
+    Args:
+        path: the file; its suffix tells the format.
+        columns: channel -> its column, by name or as a `Column`; the channels are those of `CHANNELS`. With a profile
+            of the drive, those that are left out are found by its names.
+        drive: the numbers behind counts, shares of a rated torque and ampere, and the profile of its traces.
+        time: name of the time column.
+        time_unit: unit of the time column; None takes the one in its name, or else s.
+        sample_time: time between samples [s]; given together with `time`, the two must agree.
+        kind: "prismatic" (m, m/s, N unless a column says otherwise) or "revolute" (rad, rad/s, N m).
+        transmission: between motor and load; it then says both kinds, and every channel is referred to its `side`.
+        name: what reports call the record; None takes the file's name without its suffix.
+        clock_tolerance: largest jitter of the time stamps, as a share of the sample time.
+        resample: to which uniform clock all channels are brought, and how; every channel then needs stamps.
+        options: options of the format's reader; see `jointid.records.formats.Csv`.
+
+    Raises:
+        RecordError: the file cannot be read, or does not hold what it is declared to hold; `faults` has a
+            sentence for each missing column, wrong unit, gap, jump of the clock and impossible scale.
+    """
+    reader = RecordReader(
+        columns or {},
+        drive or Drive(),
+        time,
+        time_unit,
+        sample_time,
+        kind,
+        transmission,
+        name,
+        clock_tolerance,
+        resample,
+    )
+    return reader.build_record(read_table(path, **options), Path(path).stem)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordReader:
+    """Settings by which a table becomes a record; `read` explains each.
+
+    Raises:
+        RecordError: there is no channel of a name, or no such kind of joint.
+    """
+
+    columns: Mapping[str, str | Column]
+    drive: Drive
+    time: str | None = None
+    time_unit: str | None = None
+    sample_time: float | None = None
+    kind: str = "prismatic"
+    transmission: Transmission | None = None
+    name: str | None = None
+    clock_tolerance: float = CLOCK_TOLERANCE
+    resample: Resampling | None = None
+
+    def __post_init__(self) -> None:
+        unknown = [channel for channel in self.columns if channel not in CHANNELS]
+        if unknown:
+            raise RecordError(f"No channel is called {', '.join(unknown)}; there are {', '.join(CHANNELS)}.")
+        if self.kind not in units.POSITION_UNITS:
+            raise RecordError(f'A joint is "prismatic" or "revolute"; got {self.kind!r}.')
+
+    def build_record(self, table: Table, name: str) -> Record:
+        """Return the record that a table holds, under its own name or this one.
+
+        Raises:
+            RecordError: see `read`.
+        """
+        columns = self.columns
+        wanted = {n: Column(c) if isinstance(c := columns[n], str) else c for n in CHANNELS if n in columns}
+        if any(column.sample_time or column.time for column in wanted.values()):
+            table = _cut_tails(table)
+        source = _Columns(table, self.kind, self.transmission, self.drive, [])
+        found = source.apply_file_units(wanted, source.find_columns(source.apply_profile(wanted)))
+        clocks = self._clocks(table, found, source.faults)
+        read_in = {channel: source.build_channel(channel, found, clocks) for channel in found}
+        if self.resample is None:
+            source.faults.extend(
+                beginning_faults({n: clocks.clock_of(c) for n, c in found.items()}, self.clock_tolerance)
+            )
+        if source.faults:
+            raise RecordError(source.faults)
+        logged = {n: c for n, c in read_in.items() if c is not None}
+        others = source.find_other_positions(found, clocks)
+        done = None
+        if self.resample is None:
+            updates = {n: column.update_time for n, column in found.items()}
+            channels, begin = align_updates({**logged, **others}, updates)
+        else:
+            channels, begin, done = resample_together(_add_stamps(logged, others, found, clocks), self.resample)
+        apart = {n: channels.pop(n) for n in others}
+        record = replace(
+            _build_record(channels, found, self.name or name), other_axes=apart, begin=begin, resampled=done
+        )
+        faults = scale_faults(record)
+        if faults:
+            raise RecordError(faults)
+        return record
+
+    def _clocks(self, table: Table, found: Mapping[str, Column], faults: list[str]) -> Clocks:
+        """Return the clocks of the columns that were found; what is wrong with them goes to the faults."""
+        time = self.time
+        if time is None and self.sample_time is None and self.drive.traces is not None:
+            time = self.drive.traces.time_column(table.columns)
+        # A sample time that is given alone is all that counts, unless a channel names its own column.
+        told = {} if time is None and self.sample_time is not None else table.clocks
+        named = {c.time or told.get(c.column) for c in found.values() if c.sample_time is None}
+        tolerance = None if self.resample else self.clock_tolerance
+        common = Clock(self.sample_time)
+        if time is not None or None in named:
+            common, wrong = find_clock(table, time, self.time_unit, self.sample_time, tolerance)
+            faults.extend(wrong)
+        own = {}
+        for name in sorted(filter(None, named)):
+            own[name], wrong = find_clock(table, name, self.time_unit, None, tolerance)
+            faults.extend(wrong)
+        return Clocks(common, own, told)
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """The columns of a table that become channels; faults are collected, and reading goes on."""
+
+    table: Table
+    kind: str
+    transmission: Transmission | None
+    drive: Drive
+    faults: list[str]
+
+    def apply_profile(self, wanted: Mapping[str, Column]) -> Mapping[str, Column]:
+        """Return the columns with what the drive's profile knows; one that nothing names is a fault."""
+        profile = self.drive.traces
+        if profile is not None:
+            kinds = {channel: self.kind_of(channel, wanted.get(channel)) for channel in CHANNELS}
+            found, faults = profile.find_columns(wanted, self.table.columns, self.drive.axis, kinds, self.table.source)
+            self.faults.extend(faults)
+            self.faults.extend(self.undeclared_current_faults(wanted, found, f'profile "{profile.name}"'))
+            return found
+        unnamed = [channel for channel, column in wanted.items() if not column.column]
+        if unnamed:
+            self.faults.append(f"{' and '.join(unnamed)} has no column; name it, or give the drive a profile.")
+        return {channel: column for channel, column in wanted.items() if column.column}
+
+    def apply_file_units(self, wanted: Mapping[str, Column], found: Mapping[str, Column]) -> dict[str, Column]:
+        """Return the columns, in the units of the file where neither the joint file nor a name states one."""
+        made = dict(found)
+        for channel, column in found.items():
+            declared = replace(wanted.get(channel, column), column=column.column)
+            unit = units.spelled(self.table.units.get(column.column, ""))
+            known = known_units(channel, self.kind_of(channel, column))
+            if unit and declared.gain == 1 and declared.stated_unit(known) is None and unit != column.unit:
+                made[channel] = replace(column, unit=unit)
+                torque = {channel: made[channel]}
+                self.faults.extend(
+                    self.undeclared_current_faults(wanted, torque, "the file") if channel == "torque" else []
+                )
+        return made
+
+    def undeclared_current_faults(
+        self, wanted: Mapping[str, Column], found: Mapping[str, Column], said: str
+    ) -> list[str]:
+        """Return the fault of a current that nobody but the profile or the file takes for the torque.
+
+        Nobody asked for results in A.
+        """
+        torque = found.get("torque")
+        if torque is None or torque.unit != "A" or self.drive.torque_constant is not None:
+            return []
+        if "torque" in wanted and wanted["torque"].unit == "A":
+            return []
+        return [
+            f'torque (column "{torque.column}") is in A by {said}; give the drive\'s '
+            f'torque_constant, or unit = "A" with the column to identify per ampere.'
+        ]
+
+    def find_columns(self, wanted: Mapping[str, Column]) -> dict[str, Column]:
+        """Return the columns that are there; one that is not is a fault unless it is optional."""
+        missing = {n: column for n, column in wanted.items() if column.column not in self.table.columns}
+        needed = [f'"{column.column}" (for {n})' for n, column in missing.items() if not column.optional]
+        if needed:
+            listed = self.table.list_columns(" ".join(column.column for column in missing.values()))
+            why = "".join(
+                f" ({self.table.passed[column.column]})"
+                for column in missing.values()
+                if column.column in self.table.passed and not column.optional
+            )
+            self.faults.append(f"{self.table.source} has no column {' and no '.join(needed)}{why}; it has {listed}.")
+        return {n: column for n, column in wanted.items() if n not in missing}
+
+    def kind_of(self, channel: str, column: Column | None) -> str:
+        """Return how the side moves on which a channel is measured."""
+        if self.transmission is None:
+            return self.kind
+        return self.transmission.kind_of(self.drive.side(channel, column))
+
+    def resolve_unit(
+        self, what: str, name: str, known: tuple[str, ...], kind: str, *, of_load: bool
+    ) -> units.Unit | None:
+        """Return the unit of that name on a side that moves so; one that is not among `known` is a fault."""
+        if name in known:
+            try:
+                geared = self.transmission is not None and self.transmission.geared
+                return self.drive.resolve_unit(units.unit(name), kind, of_load=of_load, geared=geared)
+            except units.UnitError as error:
+                self.faults.append(f'{what} is in "{name}", {error}.')
+                return None
+        self.faults.append(unit_fault(what, name, known))
+        return None
+
+    def build_channel(self, name: str, found: Mapping[str, Column], clocks: Clocks) -> Channel | None:
+        """Return a channel in SI, None if its unit or its rate is at fault."""
+        column = found[name]
+        what, values = f'{name} (column "{column.column}")', self.table.columns[column.column]
+        clock = clocks.clock_of(column)
+        period, stamps = clock.sample_time, clock.stamps
+        if stamps is None:
+            stamps = None if period is None else Channel(values, "", period).time
+        elif stamps.size != values.size:
+            lengths = f"{values.size} samples, the time {stamps.size}"
+            self.faults.append(f"{what} has {lengths}; name columns of one length.")
+            stamps = None
+        faults = [*finite_faults(what, values, stamps), *column.misplaced_faults(name)]
+        if column.wrap is not None and not faults:
+            faults = wrap_faults(what, values, column.wrap)
+            values = unwrap(values, column.wrap)
+        self.faults.extend(faults)
+
+        gear, kind = self.transmission, self.kind_of(name, column)
+        if gear is None and column.side is not None:
+            self.faults.append(
+                f'{what} has side = "{column.side}", but no transmission is given; give it, or leave side out.'
+            )
+        stated = unit_of_column(name, found, kind)
+        unit = self.resolve_unit(what, stated, known_units(name, kind), kind, of_load=name == "load_position")
+        if unit is None or period is None:
+            return None
+        held = name in ("torque", "injected")
+        channel = Channel(
+            values * (column.sign * column.gain * unit.factor),
+            unit.si,
+            period,
+            column.timing or (Timing.HELD if held else Timing.SAMPLED),
+            f"{self.table.source}: {column.column}",
+        )
+        if gear is None:
+            return channel
+        return refer_channel(gear, name, channel, self.drive.side(name, column))
+
+    def find_other_positions(self, found: Mapping[str, Column], clocks: Clocks) -> dict[str, Channel]:
+        """Return the positions of other axes that moved, by their columns; one that cannot be read is left out."""
+        position = _own_position(found)
+        own = position and replace(self, faults=[]).build_channel(position, found, clocks)
+        made: dict[str, Channel] = {}
+        if not (position and own):
+            return made
+        # A profile knows the side of this axis's column, and nothing of the others'.
+        side = self.drive.side(position, found[position])
+        alike = replace(found[position], side=None if self.transmission is None else side)
+        for name in find_other_axes({channel: column.column for channel, column in found.items()}, self.table.columns):
+            apart = replace(self, faults=[])
+            other = apart.build_channel(position, {**found, position: replace(alike, column=name)}, clocks)
+            if other and not apart.faults and np.ptp(other.values) > _MOVES * np.ptp(own.values):
+                made[name] = other
+        return made
+
+
+def _cut_tails(table: Table) -> Table:
+    """Return the table with each column cut after its last number."""
+    cut = {}
+    for name, values in table.columns.items():
+        filled = np.flatnonzero(~np.isnan(values))
+        cut[name] = values[: filled[-1] + 1] if filled.size else values
+    return replace(table, columns=cut)
+
+
+def _add_stamps(
+    logged: Mapping[str, Channel], others: Mapping[str, Channel], found: Mapping[str, Column], clocks: Clocks
+) -> dict[str, Stamped]:
+    """Return the channels with their instants; raise what has none, or is thinned to its updates."""
+    faults = []
+    made = {}
+    position = _own_position(found)
+    for name, channel in {**logged, **others}.items():
+        column = found[name] if name in found else replace(found[position], column=name)
+        clock = clocks.clock_of(column)
+        if column.update_time is not None:
+            faults.append(f"{name} has an update_time, and is to be resampled; leave one of the two out.")
+        elif clock.stamps is None:
+            faults.append(f"{name} has no time stamps to be resampled by; name its time column, or leave resample out.")
+        else:
+            made[name] = Stamped(channel, clock.stamps, clock.column)
+    if faults:
+        raise RecordError(faults)
+    return made
+
+
+def _build_record(channels: Mapping[str, Channel], found: Mapping[str, Column], name: str) -> Record:
+    torque, injected = channels.get("torque"), channels.get("injected")
+    if torque is not None and injected is not None and torque.unit != injected.unit:
+        raise RecordError(
+            f"The torque is in {torque.unit}, the injected signal in {injected.unit}; give both in one unit."
+        )
+    return Record(
+        torque=torque,
+        tap=Tap.COMMAND if torque is None else found["torque"].tap or Tap.COMMAND,
+        reference=channels.get("reference"),
+        reference_velocity=channels.get("reference_velocity"),
+        motor_position=channels.get("motor_position"),
+        load_position=channels.get("load_position"),
+        injected=None if injected is None else Injection(injected, found["injected"].at, found["injected"].in_torque),
+        name=name,
+    )
+
+
+def _own_position(channels: Collection[str]) -> str:
+    """Return the channel that tells this axis from others, "" without one."""
+    return next((channel for channel in ("motor_position", "reference") if channel in channels), "")
+
+
+def find_other_axes(channels: Mapping[str, str], names: Collection[str]) -> tuple[str, ...]:
+    """Return the position columns of other axes, in the log's order.
+
+    An axis has its number in several names: `pos[2]` and `torque[2]` beside `pos[0]` and `torque[0]`. One name with a
+    number tells nothing: `data[0]` and `data[1]` may be anything.
+
+    Args:
+        channels: the column of each channel of this joint.
+        names: of all columns.
+    """
+    numbered = {channel: dict(_axis_numbers(column, names)) for channel, column in channels.items()}
+    position = _own_position(channels)
+    if not position:
+        return ()
+    for number, others in numbered[position].items():
+        alike = [channel for channel, found in numbered.items() if number in found]
+        if len({numbered[channel][number] for channel in alike}) > 1:
+            return tuple(name for name in names if name in others and name not in channels.values())
+    return ()
+
+
+def _axis_numbers(column: str, names: Collection[str]) -> Iterator[tuple[int, frozenset[str]]]:
+    """Yield each number in a column's name for which there are columns with another one, and those columns."""
+    for match in _NUMBER.finditer(column):
+        alike = re.compile(re.escape(column[: match.start()]) + r"\d+" + re.escape(column[match.end() :]))
+        others = frozenset(name for name in names if name != column and alike.fullmatch(name))
+        if others:
+            yield int(match[0]), others

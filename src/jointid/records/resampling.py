@@ -1,0 +1,296 @@
+"""Bring channels to one uniform clock where that is asked for, or to the rate at which they are refreshed.
+
+Resampling is right where the *samples* were taken at the stamps. Where only the stamps jitter, the samples are uniform
+already, and resampling would add the jitter to them: `sample_time` without a time column is right there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import RecordError
+from jointid.common.settings import check_settings, declare, documented, setting
+from jointid.records.clock import measure_irregularity
+from jointid.records.record import Channel, Irregularity, Resampled, Timing
+
+Interpolation: TypeAlias = Literal["hold", "linear", "cubic"]
+
+LOWER_RATE = 1.1
+"""Largest ratio of the new sample time to a channel's own: what aliases then was above 0.9 of its Nyquist
+frequency, where a joint leaves nothing."""
+
+_ONE_INSTANT = 1e-6  # of a sample time
+_LARGEST = 10**8  # samples of one channel
+
+_SAME = 1e-6  # of a sample
+_WHOLE = 1e-2  # how near to a whole number of samples counts as one
+_CHANGES = 20  # fewer changes than this do not show a rhythm
+_LONGEST = 10_000  # refreshes within which all channels must begin at one instant
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class Resampling:
+    """Rules by which channels are resampled to one uniform clock.
+
+    A lower rate is refused: it needs a filter against aliasing, and `Filtering` has the one that torque and model go
+    through alike. Nothing is extrapolated.
+
+    Raises:
+        RecordError: the sample time is not positive, there is no such method, or the gap is no whole number.
+
+    An averaged channel is taken as the mean over the new periods, of values that are each the mean over their own.
+
+    Example:
+        >>> import jointid as ji
+        >>> ji.Resampling(1e-3, "cubic").held
+        'hold'
+    """
+
+    sample_time: float = field(metadata=declare("time between samples of the record", unit="s", above=0))
+    method: Interpolation = field(
+        metadata=declare(
+            "how a sampled channel is taken between its samples: the last one, a straight line, or the cubic spline "
+            "through all of them, which is for positions"
+        )
+    )
+    held: Interpolation = setting(
+        "hold", "how a held channel is; what a controller holds is not interpolated unless it is asked for here"
+    )
+    longest_gap: int = setting(3, "samples that may be missing in a row; a longer gap is refused", at_least=0)
+
+    def __post_init__(self) -> None:
+        check_settings(self, RecordError)
+
+    def method_for(self, timing: Timing) -> str:
+        """Return how a channel of that timing is taken between its samples."""
+        if timing is Timing.AVERAGED:
+            return "mean"
+        return self.held if timing is Timing.HELD else self.method
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stamped:
+    """A channel as logged, at instants that need not be uniform.
+
+    Attributes:
+        channel: its sample time is what its clock has on average.
+        stamps: instants of the samples [s], shape (samples,).
+        clock: name of its time column.
+    """
+
+    channel: Channel
+    stamps: FloatArray
+    clock: str
+
+
+def resample_together(logged: Mapping[str, Stamped], how: Resampling) -> tuple[dict[str, Channel], float, Resampled]:
+    """Return the channels at the instants that all of them cover, where they begin, and how they were resampled.
+
+    The first instant is such that, where stamps only jitter about the new clock, every held value is taken once: at the
+    latest of its phases. They begin so many seconds after the first stamp of all.
+
+    Raises:
+        RecordError: a clock runs backward or leaves out too much, a rate would alias, or nothing is covered by all.
+    """
+    zero = min((one.stamps[0] for one in logged.values()), default=0.0)  # of seconds since 1970 a float keeps too few
+    logged = {name: replace(one, stamps=one.stamps - zero) for name, one in logged.items()}
+    clocks = {one.clock: measure_irregularity(one.stamps) for one in logged.values() if one.stamps.size > 1}
+    faults = [f for name, clock in clocks.items() for f in _clock_faults(name, clock, how)]
+    faults += [f for name, one in logged.items() for f in _rate_faults(name, one, clocks, how)]
+    if faults:
+        raise RecordError(faults)
+    ready = {name: _drop_repeats(one) for name, one in logged.items()}
+    repeats = [name for name, one in ready.items() if np.any(np.diff(one.stamps) <= 0)]
+    if repeats:
+        said = " and ".join(repeats)
+        raise RecordError(
+            f"{said} has several values at one stamp, of which none can be left out; give sample_time without time if "
+            "only the stamps are wrong."
+        )
+    T = how.sample_time
+    first = max(one.stamps[0] + (T if one.channel.timing is Timing.AVERAGED else 0.0) for one in ready.values())
+    last = min(one.stamps[-1] for one in ready.values())
+    held = [one for one in ready.values() if how.method_for(one.channel.timing) == "hold"]
+    begin = _find_beginning(first, held, T)
+    samples = math.floor((last - begin) / T * (1 + 1e-12) + _ONE_INSTANT) + 1
+    if not 2 <= samples <= _LARGEST:
+        raise RecordError(
+            f"The channels cover {max(last - begin, 0.0):g} s together, which is {max(samples, 0)} samples of {T:g} s; "
+            f"expected 2 to {_LARGEST}: correct the sample time, or the time columns."
+        )
+    grid = begin + np.arange(samples) * T
+    channels, methods = {}, {}
+    for name, one in ready.items():
+        methods[name] = how.method_for(one.channel.timing)
+        values = _interpolate(one, np.minimum(grid, one.stamps[-1]), methods[name], T)
+        held_on = one.channel.timing is not Timing.HELD or methods[name] == "hold"
+        timing = one.channel.timing if held_on else Timing.SAMPLED  # of what is interpolated nothing is held
+        channels[name] = replace(one.channel, values=values, sample_time=T, timing=timing)
+    done = Resampled(T, methods, how.longest_gap, clocks, {name: one.clock for name, one in logged.items()})
+    return channels, begin, done
+
+
+def _clock_faults(name: str, clock: Irregularity, how: Resampling) -> list[str]:
+    faults = []
+    if clock.backward:
+        faults.append(
+            f'The time column "{name}" runs backward {clock.backward} time{"s" if clock.backward > 1 else ""}, so that '
+            "the order of its samples is in doubt; cut the record there, or give sample_time without time if only the "
+            "stamps are wrong."
+        )
+    if clock.longest_gap > how.longest_gap:
+        faults.append(
+            f'The time column "{name}" leaves out {clock.longest_gap} samples in a row (at most {how.longest_gap} are '
+            f"bridged); cut the record there, or set longest_gap = {clock.longest_gap}."
+        )
+    return faults
+
+
+def _rate_faults(name: str, one: Stamped, clocks: Mapping[str, Irregularity], how: Resampling) -> list[str]:
+    if one.clock not in clocks:
+        return [f"{name} has a single sample, between which and others nothing can be taken; log more of it."]
+    own = clocks[one.clock].sample_time
+    if one.channel.timing is Timing.AVERAGED or how.sample_time <= LOWER_RATE * own or own <= 0:
+        return []
+    return [
+        f"{name} has a sample every {own:g} s, and resampled to {how.sample_time:g} s what is fast in it would alias; "
+        f"give a sample time of at most {own:g} s: [filtering] then filters and decimates torque and model alike."
+    ]
+
+
+def _drop_repeats(one: Stamped) -> Stamped:
+    """Return a channel without the samples that were logged twice, stamp and value."""
+    again = (np.diff(one.stamps) == 0) & (np.diff(one.channel.values) == 0)
+    if not again.any():
+        return one
+    kept = np.concatenate([[True], ~again])
+    return replace(one, channel=replace(one.channel, values=one.channel.values[kept]), stamps=one.stamps[kept])
+
+
+def _find_beginning(first: float, held: list[Stamped], T: float) -> float:
+    """Return the first instant from `first` on, at the phase of the latest stamps of what is held.
+
+    Stamps that jitter about a clock of period T fill an arc of the circle t mod T; an instant at its end has each
+    sample behind it, and none of the next.
+    """
+    if not held:
+        return first
+    phases = np.unique(np.concatenate([(one.stamps - first) % T for one in held]))
+    wide = np.diff(phases, append=phases[0] + T)
+    phase = float(phases[np.argmax(wide)])
+    return first + (phase if T - phase > _ONE_INSTANT * T else 0.0)
+
+
+def _interpolate(one: Stamped, grid: FloatArray, method: str, T: float) -> FloatArray:
+    """Return the values of a channel at the instants of the grid, which its stamps cover."""
+    stamps, values = one.stamps, one.channel.values
+    if method == "hold":
+        behind = np.searchsorted(stamps, grid + _ONE_INSTANT * T, side="right") - 1
+        return np.asarray(values[behind])
+    if method == "linear":
+        return np.asarray(np.interp(grid, stamps, values))
+    if method == "cubic":
+        from scipy.interpolate import CubicSpline
+
+        return np.asarray(CubicSpline(stamps, values)(grid))
+    sums = np.concatenate([[0.0], np.cumsum(values[1:] * np.diff(stamps))])
+    return np.asarray((np.interp(grid, stamps, sums) - np.interp(grid - T, stamps, sums)) / T)
+
+
+@dataclass(frozen=True, slots=True)
+class _Rhythm:
+    """The samples at which a channel is new: phase, phase + every, ..."""
+
+    channel: Channel
+    every: int = 1
+    phase: int = 0
+
+    def begins(self, time: float) -> int | None:
+        """Return the sample at that time [s], if it is a new one."""
+        samples = time / self.channel.sample_time
+        sample = round(samples)
+        new = abs(samples - sample) < _SAME * max(sample, 1) and (sample - self.phase) % self.every == 0
+        return sample if new else None
+
+    def thin(self, first: int) -> Channel:
+        """Return the channel at its own rate, from a sample on that is new."""
+        one = self.channel
+        return replace(one, values=one.values[first :: self.every], sample_time=one.sample_time * self.every)
+
+
+def align_updates(
+    logged: Mapping[str, Channel], update_times: Mapping[str, float | None]
+) -> tuple[dict[str, Channel], float]:
+    """Return the channels, each at its own update rate from the first instant on at which all are new; that instant.
+
+    Args:
+        logged: the channels as logged, by name.
+        update_times: time between updates [s], by channel; None, or none, where every sample is new.
+
+    Raises:
+        RecordError: a channel does not change at the rate that is declared, or no instant is new to all.
+    """
+    rhythms, faults = {}, list[str]()
+    for name, channel in logged.items():
+        rhythms[name] = _Rhythm(channel)
+        update_time = update_times.get(name)
+        if update_time is not None:
+            rhythms[name], fault = _find_rhythm(f"{name} ({channel.source})", channel, update_time)
+            faults += [fault] if fault else []
+    if faults:
+        raise RecordError(faults)
+    if all(rhythm.every == 1 for rhythm in rhythms.values()):
+        return dict(logged), 0.0
+    slowest = max(rhythms.values(), key=lambda rhythm: rhythm.every * rhythm.channel.sample_time)
+    for count in range(_LONGEST):
+        time = (slowest.phase + count * slowest.every) * slowest.channel.sample_time
+        first = {name: rhythm.begins(time) for name, rhythm in rhythms.items()}
+        if all(sample is not None for sample in first.values()):
+            return {name: rhythm.thin(first[name] or 0) for name, rhythm in rhythms.items()}, time
+        if time > min(channel.duration for channel in logged.values()):
+            break
+    slow = ", ".join(f"{n} every {r.every} samples from sample {r.phase} on" for n, r in rhythms.items() if r.every > 1)
+    raise RecordError(f"The channels are never refreshed at one instant ({slow}); leave one of them out.")
+
+
+def _find_rhythm(what: str, channel: Channel, update_time: float) -> tuple[_Rhythm, str]:
+    """Return the rhythm of a channel that is refreshed so often [s], and the fault of one that is not; "" for none."""
+    period = channel.sample_time
+    ratio = update_time / period
+    every = round(min(ratio, 1e9))
+    if every < 1 or abs(ratio / every - 1) > _WHOLE:
+        return _Rhythm(channel), (
+            f"{what} has an update time of {update_time:g} s, which is {ratio:.4g} of its samples of {period:g} s; "
+            "expected a whole number of them: correct one of the two."
+        )
+    changes = np.flatnonzero(np.diff(channel.values)) + 1
+    if changes.size == 0:
+        return _Rhythm(channel, every), ""
+    phase = int(np.argmax(np.bincount(changes % every, minlength=every)))
+    wrong = changes[changes % every != phase]
+    longer = update_interval(channel.values)
+    fault = ""
+    if wrong.size:
+        fault = (
+            f"{what} is said to be refreshed every {every} samples, but {wrong.size} of its {changes.size} changes "
+            f"come between, the first at sample {wrong[0]}; correct update_time, or leave it out."
+        )
+    elif longer > every:
+        fault = (
+            f"{what} is said to be refreshed every {every} samples, but changes only every {longer}; set update_time = "
+            f"{longer * period:g}."
+        )
+    return _Rhythm(channel, every, phase), fault
+
+
+def update_interval(values: FloatArray) -> int:
+    """Return the number of samples after which, and only then, a signal (samples,) changes; 1 if no such number."""
+    changes = np.flatnonzero(np.diff(values))
+    return int(np.gcd.reduce(np.diff(changes))) if changes.size >= _CHANGES else 1
