@@ -21,7 +21,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.text import aligned
-from jointid.diagnostics.minimum_detectable_change import compute_minimum_detectable_change
+from jointid.diagnostics.changes import compute_minimum_detectable_change
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM, refined_least_squares
 from jointid.estimation.problems.closed_loop import torque_problem

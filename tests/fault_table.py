@@ -6,7 +6,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from jointid.diagnostics.misspecification_tests import LoopTests, find_faults
+from jointid.diagnostics.check_loop import LoopTests, find_faults
 from tests.faults import FAULTS, PAIRS, Loop, Noise, on, problem, setting, solved
 
 LEVEL = 0.05

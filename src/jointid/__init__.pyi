@@ -4,12 +4,11 @@ from .common.errors import ExtraError, JointFileError, JointidError, MethodError
 from .common.transmission import Transmission
 from .config import JointFile, load
 from .controller_id.learn import learn_loop
+from .diagnostics.changes import compare_estimates
 from .diagnostics.check_loop import check_loop
-from .diagnostics.compare_estimates import compare_estimates
-from .diagnostics.experiment_design import advise
+from .diagnostics.experiment_design import advise, design_stiffness_test
 from .diagnostics.intervals import intervals
 from .diagnostics.method_comparison import compare_methods
-from .diagnostics.stiffness_test_design import design_stiffness_test
 from .diagnostics.validation import Validation, validate
 from .estimation.identify import identify
 from .estimation.methods.didim import DIDIM

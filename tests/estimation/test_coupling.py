@@ -13,7 +13,7 @@ from jointid.estimation.methods.cross_axis import coupling_warnings
 from jointid.records.drives.drive import Drive
 from jointid.records.formats import Table, write_table
 from jointid.records.reading import find_other_axes, read
-from jointid.uncertainty.coupling import coupling
+from jointid.uncertainty.residual_tests import coupling
 
 T = 1e-3
 TIME = np.arange(20_000) * T

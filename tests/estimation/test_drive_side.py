@@ -23,8 +23,7 @@ from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
 from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
 from jointid.solvers.solve import Solution, solve
-from jointid.uncertainty.bands import band_deviations
-from jointid.uncertainty.covariance import sandwich
+from jointid.uncertainty.covariance import band_deviations, sandwich
 
 JOINT = ji.FlexibleJoint()
 PHYSICAL = ("motor_inertia", "stiffness", "load_inertia")

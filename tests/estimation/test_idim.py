@@ -20,7 +20,7 @@ from jointid.records.record import Record
 from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
-from jointid.uncertainty.endogeneity_test import durbin_wu_hausman
+from jointid.uncertainty.model_tests import durbin_wu_hausman
 from tests.estimation.conftest import CONTROLLER
 
 SEEDS = range(1, 11)

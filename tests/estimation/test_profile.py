@@ -13,9 +13,9 @@ from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.parameters import Parameter, Quantity
 from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering
-from jointid.uncertainty.combination import ByCompliance, Combination, single
 from jointid.uncertainty.covariance import larger, sandwich, stationary, white
-from jointid.uncertainty.profile import Profiling, profile
+from jointid.uncertainty.identifiability import Combination, single
+from jointid.uncertainty.profile import ByCompliance, Profiling, profile
 from tests.estimation.linear import Toy, linear, parameters, solved
 
 ROWS = 60
@@ -211,14 +211,6 @@ def test_a_stiffness_that_is_not_seen_has_a_lower_bound_only() -> None:
     assert found.interval[1] is not None
     assert 0.005 < found.interval[1] < 0.08
     assert found.reached[0] <= 1e-5
-
-
-def test_a_compliance_takes_the_place_of_one_stiffness() -> None:
-    A, y = line()
-    with pytest.raises(MethodError, match="received 0 stiffnesses"):
-        ByCompliance(linear(parameters("a", "b", "c"), A, y), 1e-9)
-    with pytest.raises(MethodError, match="and -1"):
-        ByCompliance(spring(1.0, 0.1), -1.0)
 
 
 @pytest.mark.slow

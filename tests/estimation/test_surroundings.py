@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.diagnostics.misspecification_tests import find_faults
+from jointid.diagnostics.check_loop import find_faults
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM, refined_least_squares

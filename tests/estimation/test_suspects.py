@@ -10,11 +10,8 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.diagnostics.check_loop import check_loop
-from jointid.diagnostics.fault_signatures import compute_signatures
-from jointid.diagnostics.loop_check import FaultTest, Finding, LoopCheck, ParameterShift
-from jointid.diagnostics.misspecification_tests import LoopTests, find_faults
-from jointid.diagnostics.scores import fit_whitener
+from jointid.diagnostics.check_loop import Finding, LoopCheck, LoopTests, ParameterShift, check_loop, find_faults
+from jointid.diagnostics.fault_tests import FaultTest, compute_signatures, fit_whitener
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM

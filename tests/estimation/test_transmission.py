@@ -35,8 +35,7 @@ from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.open_loop import OpenLoop
 from jointid.simulation.synthesis import simulated_record
-from jointid.uncertainty.combination import Combination
-from jointid.uncertainty.identifiability import Known
+from jointid.uncertainty.identifiability import Combination, Known
 from jointid.uncertainty.verdict import StiffnessBound
 from tests.geared import FLEXIBLE, RATE, RIGID, SCREW
 from tests.geared import LAW as UNFILTERED

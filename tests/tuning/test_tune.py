@@ -12,7 +12,7 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.common.messages import Message
 from jointid.common.transmission import Transmission
-from jointid.diagnostics.minimum_detectable_change import compute_minimum_detectable_change
+from jointid.diagnostics.changes import compute_minimum_detectable_change
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM

@@ -3,44 +3,72 @@
 `advise` takes an estimate and its record. Covariances are predicted from exact sensitivities at the estimate, and
 begin at those that were reported: what is predicted is how much they change.
 
-- A sensor adds its information to the torque's (`sensor_information`).
+- A sensor adds its information to the torque's (`other_experiments`).
 - A motion is simulated at the estimate and gives other sensitivities J. The residual is taken to keep the spectrum it
   has in the record, and the covariance of least squares under it (`uncertainty.covariance.stationary`) is set against
   the same for the record's own motion. A loop that sees the same disturbance does keep it; friction that repeats with
   the motion would change.
+
+`design_stiffness_test` looks for a test that identifies a stiffness which a record does not show. The record gives a
+lower bound on the stiffness for each load share of the inertia. From the softest joint allowed at a share to stiffer
+ones, the relative standard deviation of the compliance is predicted, with all other parameters free too: with pulses
+added to the record's own motion, and with a load encoder beside the torque. A test identifies a mode when that
+deviation is at most a quarter, so that the 2-sigma interval ends at half of the value. The result is the highest such
+mode.
+
+Only the change of the deviation by a test is predicted, not the deviation itself. The bound is where the record's own
+motion just excludes a compliance, at 1.645 deviations. On a real axis that is far above the effect of noise with the
+spectrum of the residual, because most of a real residual is model error. So all deviations of the torque are enlarged
+until the record's own motion gives 1 / 1.645 at the bound. The joint is lightly damped, and its friction is halved
+between its sides as in (13).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-
-import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph, Table, common_facts
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.text import number
-from jointid.common.transmission import Transmission
-from jointid.diagnostics.sensor_information import (
+from jointid.common.transmission import Transmission, transmission_lines
+from jointid.diagnostics.intervals import rebuild_problem
+from jointid.diagnostics.other_experiments import (
     Noise,
     add_information,
-    assume_encoder_step,
+    add_pulses,
+    choose_encoder_steps,
+    choose_pulse,
     compute_encoder_information,
+    double_acceleration,
+    find_noise_source,
 )
-from jointid.diagnostics.variations import Variation, add_pulses, choose_pulse, double_acceleration
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITIAL_TORQUE
-from jointid.estimation.result.estimate import Estimate, fingerprint
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.problems.nuisance_parameters import INITIAL
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.search.flexible_search import FASTEST, pseudo_regular
+from jointid.models.joints import acts_on_whole
 from jointid.models.parameters import POSITION_UNIT
-from jointid.records.record import Record, Tap
-from jointid.records.signals.encoder import find_encoder_step
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome
 from jointid.uncertainty.covariance import covariance_of, stationary
+from jointid.uncertainty.verdict import StiffnessBound
+
+SHARES = (0.1, 0.33)
+"""Load shares of the total inertia for which tests are predicted."""
+
+DETECTED = 0.25
+"""Largest relative deviation of an identified compliance: its 2-sigma interval ends at half its value."""
 
 _WORTH = 0.8  # of a deviation: a smaller gain is not worth a sentence
+_EXCLUDED = 1 / 1.645  # relative deviation of a compliance that a 95 % bound just excludes
+_BAND = 0.15  # of the sampling frequency: up to where the bounds were searched
+_STEP = 1.1  # from one mode that is tried to the next
+_BISECTIONS = 3  # of the last step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,15 +109,6 @@ class Advice(Documented):
     tests: tuple[Prediction, ...]
     transmission: Transmission | None = None
 
-    def ratio(self, change: str, name: str) -> float:
-        """Return the predicted deviation of a parameter under a change, over the reported one.
-
-        Raises:
-            KeyError: there is no such change, or parameter.
-        """
-        found = {one.name: one for one in (*self.sensors, *self.tests)}[change]
-        return found.std[name] / self.std[name]
-
     @property
     def sentences(self) -> tuple[str, ...]:
         """The interval that each change narrows most, a sentence each."""
@@ -119,14 +138,13 @@ class Advice(Documented):
         blocks += [Facts(facts)] if facts else []
         for kind, group in (("torque and", self.sensors), ("torque from", self.tests)):
             header = ("symbol", "reported", *(f"{kind} {one.name}" for one in group), "unit")
-            rows = tuple(self._row(name, group) for name in self.std)
-            blocks.append(Table(header, rows, words=(0, len(header) - 1)))
+            rows = []
+            for name, std in self.std.items():
+                stds = (number(2 * one.std[name] if one.std else None, 2) for one in group)
+                rows.append((self.symbols[name], number(2 * std, 2), *stds, self.units[name]))
+            blocks.append(Table(header, tuple(rows), words=(0, len(header) - 1)))
         title = f"Predicted 2-sigma intervals of {self.record} with other sensors or motions"
         return Document(title, (*blocks, Listing(self.sentences)))
-
-    def _row(self, name: str, group: tuple[Prediction, ...]) -> tuple[str, ...]:
-        stds = (number(2 * one.std[name] if one.std else None, 2) for one in group)
-        return self.symbols[name], number(2 * self.std[name], 2), *stds, self.units[name]
 
 
 def advise(
@@ -147,7 +165,7 @@ def advise(
             those of the record, or a millionth of the commanded travel where it has none.
         noise: where the torque's residual comes from, "loop" or "log"; None: by the record's tap, "log" for a measured
             torque.
-        pulse: height (N or N m) and width (s) of the pulses that are tried; None: see `variations.pulse_of`.
+        pulse: height (N or N m) and width (s) of the pulses that are tried; None: see `choose_pulse`.
         progress: called with each step.
 
     Raises:
@@ -161,27 +179,53 @@ def advise(
             "design_stiffness_test predicts which test would identify it."
         )
     noise = noise or find_noise_source(record)
-    scale = np.array([p.stderr or 0.0 for p in estimate.params if p.free])
-    known = estimate.params.correlation * np.outer(scale, scale)
-    progress("simulating the loop for its positions")
-    sensors = _predict_sensors(problem, x, noise, choose_encoder_steps(record, encoder_step), known)
-    progress("simulating other motions")
-    height, width = pulse or choose_pulse(problem, problem.values(x))
-    tests = _predict_motions(
-        problem, x, scale, (add_pulses(problem, height, width), double_acceleration(problem, record))
-    )
     own = problem.free_joint
     names = [p.name for p in own]
+    known = estimate.params.covariance
+    reported = {p.name: p.stderr or 0.0 for p in estimate.params if p.name in names}
+    progress("simulating the loop for its positions")
+    sensors = []
+    for name, description, information in _list_encoders(problem, x, noise, choose_encoder_steps(record, encoder_step)):
+        std = covariance_of(add_information(known, information), 0).std
+        sensors.append(Prediction(name, description, dict(zip(names, map(float, std), strict=False))))
+    progress("simulating other motions")
+    height, width = pulse or choose_pulse(problem, problem.values(x))
+    error, J = problem.linearised(x)
+    before = stationary(J, J, error).std
+    tests = []
+    for motion in (add_pulses(problem, height, width), double_acceleration(problem, record)):
+        changed = replace(problem, experiment=motion.experiment, measured=problem.measured[: motion.experiment.samples])
+        response, columns = changed.sensitivities(x)
+        predicted: dict[str, float] = {}
+        if response.outcome is Outcome.FINISHED:
+            J = changed.filtered(columns)
+            after = stationary(J, J, error[: len(J)]).std * math.sqrt(len(J) / error.size)
+            changes = dict(zip(names, map(float, after / before), strict=False))
+            predicted = {name: std * changes[name] for name, std in reported.items()}
+        tests.append(Prediction(motion.name, motion.description, predicted))
     return Advice(
         estimate.data.record,
         noise,
         {p.name: p.symbol for p in own},
         {p.name: problem.units[p.name] for p in own},
-        dict(zip(names, map(float, scale), strict=False)),
-        sensors,
-        tests,
+        reported,
+        tuple(sensors),
+        tuple(tests),
         estimate.settings.joint.transmission,
     )
+
+
+def _list_encoders(
+    problem: ClosedLoopProblem, x: FloatArray, noise: Noise, step: tuple[float, float]
+) -> list[tuple[str, str, FloatArray]]:
+    """Return name, description and information of a motor encoder, a load encoder and both."""
+    motor, load = compute_encoder_information(problem, x, noise, *step)
+    unit = POSITION_UNIT[problem.joint.kind]
+    found = [("motor encoder", f"steps of {step[0]:.2g} {unit}", motor)]
+    if load is not None:
+        found.append(("load encoder", f"steps of {step[1]:.2g} {unit}", load))
+        found.append(("both", f"steps of {step[0]:.2g} and {step[1]:.2g} {unit}", motor + load))
+    return found
 
 
 def rebuild_declared_problem(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, FloatArray]:
@@ -192,82 +236,169 @@ def rebuild_declared_problem(estimate: Estimate, record: Record) -> tuple[Closed
     """
     if estimate.settings.loop is None:
         raise MethodError("A prediction needs an estimate by DIDIM, which simulates its loop; this one is by IDIM.")
-    assert record.torque is not None
-    if fingerprint(record.torque.values) != estimate.data.fingerprint:
-        raise MethodError(
-            f"The estimate is of {estimate.data.record}, and {record.name} holds another torque; "
-            "give the record it is of."
-        )
+    another = (
+        f"The estimate is of {estimate.data.record}, and {record.name} holds another torque; give the record it is of."
+    )
+    problem, x = rebuild_problem(estimate, record, another)
     freed = [p.name for p in estimate.params if p.free and not p.of_joint]
-    of_start = {p.name: p for p in (*INITIAL_STATE, INITIAL_TORQUE)}
-    if any(name not in of_start for name in freed):
+    if any(name not in INITIAL for name in freed):
         raise MethodError(
             f"A prediction takes the loop as declared, and here {', '.join(freed)} was free; identify with those fixed."
         )
-    found = {p.name: p for p in estimate.params}
-    parameters = tuple(
-        p if found[p.name].free else p.fixed(found[p.name].value or 0.0)
-        for p in (*estimate.settings.joint.parameters, *(of_start[name] for name in found if name in of_start))
-    )
-    own = len(estimate.settings.joint.parameters)
-    problem = torque_problem(
-        record, estimate.settings.loop, estimate.settings.filtering, parameters[:own], parameters[own:]
-    )
-    return problem, problem.vector({name: p.value or 0.0 for name, p in found.items()})
+    return problem, x
 
 
-def find_noise_source(record: Record) -> Noise:
-    """Return the source of the torque residual implied by the tap of the record."""
-    return "log" if record.tap is Tap.MEASURED else "loop"
+@dataclass(frozen=True, slots=True)
+class DetectableMode:
+    """Highest mode that one test identifies at one load share.
+
+    Attributes:
+        share: of the load in the inertia.
+        softest: free-free, Hz, of the softest joint the record allows.
+        deviation: relative, of that joint's compliance.
+        mode: highest identified, Hz, free-free; None where not even the softest is.
+    """
+
+    share: float
+    softest: float
+    deviation: float
+    mode: float | None
 
 
-def choose_encoder_steps(record: Record, given: float | None) -> tuple[float, float]:
-    """Return the encoder steps of motor and load: as given, else those of the record, else the assumed ones."""
-    if given is not None:
-        if not (math.isfinite(given) and given > 0):
-            raise MethodError(f"The step of an encoder is a positive number; received {given}.")
-        return given, given
-    assert record.reference is not None
-    motor = find_encoder_step(record.motor_position) or assume_encoder_step(record.reference.values)
-    return motor, find_encoder_step(record.load_position) or motor
+@dataclass(frozen=True, slots=True, eq=False)
+class StiffnessTestDesign:
+    """Tests that would identify a stiffness which a record does not show.
+
+    Attributes:
+        record: its name.
+        pulses: result with pulses, by load share. height: of the pulses, N or N m. width: s.
+        encoder: result with a load encoder, likewise. step: of the encoder, m or rad.
+        unit, position_unit: of torque and position.
+        transmission: on whose `side` all numbers are.
+    """
+
+    record: str
+    pulses: tuple[DetectableMode, ...]
+    encoder: tuple[DetectableMode, ...]
+    height: float
+    width: float
+    step: float
+    unit: str
+    position_unit: str
+    transmission: Transmission | None = None
+
+    def __str__(self) -> str:
+        """Return a line for each test, and one on the modes that the record itself excludes."""
+        known = " and ".join(f"{one.softest:.0f} Hz at a load share of {one.share:g}" for one in self.pulses)
+        if not known:
+            return "This record gives no bound on the stiffness, so no test can be predicted from it."
+        pulses = f"pulses of {self.height:.0f} {self.unit} and {1e3 * self.width:.3g} ms added to this motion"
+        encoder = f"a load encoder of steps of {number(self.step, 2)} {self.position_unit}"
+        tests = (_describe_test(pulses, self.pulses), _describe_test(encoder, self.encoder))
+        excluded = f"This record excludes a mode below {known};"
+        return "\n".join([*transmission_lines(self.transmission), excluded, f"{tests[0]};", f"{tests[1]}."])
 
 
-def _predict_sensors(
-    problem: ClosedLoopProblem, x: FloatArray, noise: Noise, step: tuple[float, float], known: FloatArray
-) -> tuple[Prediction, ...]:
-    """Return the predictions for a motor encoder, a load encoder and both."""
-    added = compute_encoder_information(problem, x, noise, *step)
-    unit = POSITION_UNIT[problem.loop.joint.kind]
-    motor = ("motor encoder", f"steps of {step[0]:.2g} {unit}", added.motor)
-    sets = [motor]
-    if added.load is not None:
-        sets.append(("load encoder", f"steps of {step[1]:.2g} {unit}", added.load))
-        sets.append(("both", f"steps of {step[0]:.2g} and {step[1]:.2g} {unit}", added.motor + added.load))
-    names = [p.name for p in problem.free_joint]
-
-    def predict(information: FloatArray) -> dict[str, float]:
-        std = covariance_of(add_information(known, information), 0).std
-        return dict(zip(names, map(float, std), strict=False))
-
-    return tuple(Prediction(name, said, predict(information)) for name, said, information in sets)
+def _describe_test(name: str, modes: tuple[DetectableMode, ...]) -> str:
+    identified = [one for one in modes if one.mode is not None]
+    if identified:
+        highest = " and ".join(f"below {one.mode:.0f} Hz at a load share of {one.share:g}" for one in identified)
+        return f"{name} would identify one {highest}"
+    excess = min(one.deviation for one in modes) / DETECTED
+    if math.isinf(excess):
+        return f"{name} would identify none, because such a loop cannot be simulated"
+    return f"{name} would not identify even the softest: its deviation is {excess:.1f} times too large"
 
 
-def _predict_motions(
-    problem: ClosedLoopProblem, x: FloatArray, scale: FloatArray, variations: tuple[Variation, ...]
-) -> tuple[Prediction, ...]:
-    """Return the predictions for other motions, of the record's duration."""
-    error, J = problem.linearised(x)
-    own = stationary(J, J, error).std
-    names = [p.name for p in problem.free_joint]
+def design_stiffness_test(
+    estimate: Estimate,
+    record: Record,
+    *,
+    pulse: tuple[float, float] | None = None,
+    encoder_step: float | None = None,
+    noise: Noise | None = None,
+    progress: Progress = silent,
+) -> StiffnessTestDesign:
+    """Predict the modes that pulses or a load encoder would identify where a record does not (see the module).
 
-    def predict(variation: Variation) -> dict[str, float]:
-        changed = replace(problem, experiment=variation.experiment, measured=problem.measured[: variation.samples])
-        response, columns = changed.sensitivities(x)
+    Args:
+        estimate: by DIDIM of a flexible joint, its stiffness not identifiable.
+        record: that it was identified from.
+        pulse: height (N or N m) and width (s); None: five times the Coulomb friction, and 1.2 over the cut-off.
+        encoder_step: of the load encoder, m or rad; None: that of the record's encoder, or a millionth of the travel.
+        noise: where the torque's residual comes from; see `advise`.
+        progress: called with the load shares.
+
+    Raises:
+        MethodError: the stiffness is identifiable, or the estimate is not of this record.
+    """
+    if not estimate.checks.bounds:
+        raise MethodError(
+            "This estimate identifies its stiffness, so no test for it is needed; advise predicts what narrows its "
+            "interval."
+        )
+    problem, _ = rebuild_declared_problem(estimate, record)
+    parted = ("motor_", "load_", "stiffness", "damping")  # free, even those that were kept fixed
+    problem = problem.changed({p.name: replace(p, free=True) for p in problem.parameters if p.name.startswith(parted)})
+    sample_time, cutoff = problem.experiment.sample_time, problem.filtering.cutoff
+    assert cutoff is not None
+    band = Filtering(cutoff=max(_BAND / sample_time, cutoff)).resolved(sample_time, "flexible")
+    wide = replace(problem, filtering=band)
+    error = wide.filtered(estimate.fit.measured - estimate.fit.predicted)
+    assert estimate.checks.known is not None
+    rigid = {p.name: p.value or 0.0 for p in estimate.params if acts_on_whole(p.name) or not p.of_joint}
+    rigid = {one.combination.quantity: one.value for one in estimate.checks.known.physical} | rigid
+    height, width = pulse or choose_pulse(problem, rigid)
+    rung = replace(wide, experiment=add_pulses(problem, height, width).experiment)
+    step = choose_encoder_steps(record, encoder_step)[1]
+
+    def deviation(by: ClosedLoopProblem, values: Mapping[str, float], doubt: float, encoder: bool) -> float:
+        x = by.vector(values)
+        response, columns = by.sensitivities(x)
         if response.outcome is not Outcome.FINISHED:
-            return {}
-        J = changed.filtered(columns)
-        left = error[: len(J)]
-        std = stationary(J, J, left).std * math.sqrt(len(J) / error.size)
-        return dict(zip(names, map(float, scale * std / own), strict=False))
+            return math.inf
+        J = by.filtered(columns)
+        known = doubt**2 * stationary(J, J, error).matrix
+        if encoder:
+            _, load = compute_encoder_information(by, x, noise or find_noise_source(record), step, step)
+            assert load is not None
+            known = add_information(known, load)
+        at = [p.name for p in by.free].index("stiffness")
+        return math.sqrt(max(float(known[at, at]), 0.0)) / values["stiffness"]
 
-    return tuple(Prediction(one.name, one.description, predict(one)) for one in variations)
+    def predict_mode(by: ClosedLoopProblem, bound: StiffnessBound, encoder: bool) -> DetectableMode:
+        assert bound.frequency is not None
+        progress(f"predicting the highest identified mode at a load share of {bound.share:g}")
+        softest = pseudo_regular(rigid, bound.frequency, bound.share)
+        doubt = max(_EXCLUDED / deviation(wide, softest, 1.0, False), 1.0)
+
+        def deviation_at(mode: float) -> float:
+            return deviation(by, pseudo_regular(rigid, mode, bound.share), doubt, encoder)
+
+        return _find_highest_mode(bound.share, bound.frequency, deviation_at, FASTEST / sample_time)
+
+    bounds = [bound for bound in estimate.checks.bounds if bound.share in SHARES and bound.frequency is not None]
+    return StiffnessTestDesign(
+        estimate.data.record,
+        tuple(predict_mode(rung, bound, False) for bound in bounds),
+        tuple(predict_mode(wide, bound, True) for bound in bounds),
+        height, width, step, problem.torque_unit, POSITION_UNIT[problem.joint.kind], problem.joint.transmission,
+    )  # fmt: skip
+
+
+def _find_highest_mode(
+    share: float, softest: float, deviation: Callable[[float], float], fastest: float
+) -> DetectableMode:
+    """Return the highest mode a test identifies: in steps from the softest joint allowed, the last one bisected."""
+    first = now = deviation(softest)
+    mode, tried = None, softest
+    while now <= DETECTED:
+        mode = tried
+        if tried == fastest:
+            return DetectableMode(share, softest, first, mode)
+        tried = min(tried * _STEP, fastest)
+        now = deviation(tried)
+    for _ in range(_BISECTIONS if mode else 0):
+        middle = 0.5 * ((mode or softest) + tried)
+        mode, tried = (middle, tried) if deviation(middle) <= DETECTED else (mode, middle)
+    return DetectableMode(share, softest, first, mode)

@@ -8,9 +8,7 @@ the residual. Both start from an estimate and its record.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import dataclass
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, common_facts
@@ -22,13 +20,10 @@ from jointid.estimation.problems.nuisance_parameters import surrounding
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.records.record import Record
 from jointid.simulation.loop_input import ClosedLoop
-from jointid.uncertainty.bootstrap import Bootstrap, Bootstrapping, cell_bootstrap, refitted, time_bootstrap
-from jointid.uncertainty.combination import ByCompliance, Combination
-from jointid.uncertainty.covariance import Covariance, covariance_of
+from jointid.uncertainty.bootstrap import Bootstrap, Bootstrapping, bootstrap_estimate
+from jointid.uncertainty.identifiability import Combination
 from jointid.uncertainty.position_dependent_error import uncertainty
-from jointid.uncertainty.profile import Profile, Profiling, profile
-
-_LEAST = 1e-4  # of the compliance: a smaller one is negligible
+from jointid.uncertainty.profile import Profile, Profiling, profile, profile_compliance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +81,17 @@ def intervals(
         MethodError: the estimate is not by DIDIM or lacks a parameter, a quantity is unknown, or the record is
             another one.
     """
-    problem, x = rebuild_problem(estimate, record)
+    # An estimate that lacks a value refuses to be `identified`.
+    if estimate.settings.method != "didim" or estimate.identified.loop is None:
+        raise MethodError(
+            f"Profiles and bootstraps are of DIDIM, whose criterion can be followed; this estimate is by "
+            f"{estimate.settings.method.upper()}: identify with the controller known."
+        )
+    record.require(("torque",), "A profile")
+    other = (
+        f"This record is not the one the estimate came from ({estimate.data.record}); give that one, or identify this."
+    )
+    problem, x = rebuild_problem(estimate, record, other)
     residual, J = problem.linearised(x)
     names = [p.name for p in problem.free]
     where = problem.cells(problem.simulate(x))
@@ -94,14 +99,44 @@ def intervals(
     profiles = []
     for quantity in quantities:
         progress(f"profiling {quantity}")
-        profiles.append(_profile_quantity(problem, x, spread, quantity, profiling))
-    if not bootstrap:
-        return Intervals(tuple(profiles), None, None, estimate.settings.joint.transmission)
-    progress("bootstrapping over time and over position")
-    again = refitted(problem, x) if refit else None
-    over_time = time_bootstrap(problem.free, x, residual, J, bootstrapping, again)
-    over_place = cell_bootstrap(problem.free, x, residual, J, where.stretch, bootstrapping, again)
+        if quantity != "compliance":
+            profiles.append(profile(problem, x, _parse_combination(problem, quantity), spread, profiling))
+        elif "stiffness" in names:
+            profiles.append(profile_compliance(problem, x, spread, problem.joint.unit, profiling))
+        else:
+            raise MethodError("A compliance is that of a flexible joint whose stiffness is free; this joint has none.")
+    over_time = over_place = None
+    if bootstrap:
+        progress("bootstrapping over time and over position")
+        fitted = problem if refit else None
+        over_time, over_place = (
+            bootstrap_estimate(problem.free, x, residual, J, labels, bootstrapping, fitted)
+            for labels in (None, where.stretch)
+        )
     return Intervals(tuple(profiles), over_time, over_place, estimate.settings.joint.transmission)
+
+
+def rebuild_problem(estimate: Estimate, record: Record, another: str) -> tuple[ClosedLoopProblem, FloatArray]:
+    """Return the closed-loop problem that an estimate solved, and its free parameters, 0 for those not identifiable.
+
+    Args:
+        estimate: of a simulated loop.
+        record: it came from.
+        another: said where the record is another one.
+
+    Raises:
+        MethodError: the record is another one.
+    """
+    assert estimate.settings.loop is not None
+    if record.torque is not None and fingerprint(record.torque.values) != estimate.data.fingerprint:
+        raise MethodError(another)
+    values = {p.name: p.value or 0.0 for p in estimate.params}
+    problem = torque_problem(
+        record, estimate.settings.loop, estimate.settings.filtering, estimate.settings.joint.parameters
+    )
+    problem = problem.freeing(*(name for name in values if name not in problem.units))
+    problem = problem.keeping({p.name: values[p.name] for p in estimate.params if not p.free})
+    return problem, problem.vector(values)
 
 
 def require_quantities(quantities: Sequence[str], loop: ClosedLoop) -> None:
@@ -121,55 +156,6 @@ def require_quantities(quantities: Sequence[str], loop: ClosedLoop) -> None:
                     surrounding(name, loop.controller)
                 except MethodError:
                     raise MethodError(_explain_unknown(quantity, known)) from None
-
-
-def rebuild_problem(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, FloatArray]:
-    """Return the problem an estimate by DIDIM solved, and its free parameters.
-
-    Raises:
-        MethodError: see `intervals`.
-    """
-    if estimate.settings.loop is None or estimate.settings.method != "didim":
-        raise MethodError(
-            f"Profiles and bootstraps are of DIDIM, whose criterion can be followed; this estimate is by "
-            f"{estimate.settings.method.upper()}: identify with the controller known."
-        )
-    values = estimate.identified.values | {p.name: p.value or 0.0 for p in estimate.params if not p.of_joint}
-    record.require(("torque",), "A profile")
-    assert record.torque is not None
-    if fingerprint(record.torque.values) != estimate.data.fingerprint:
-        raise MethodError(
-            f"This record is not the one the estimate came from ({estimate.data.record}); give that one, "
-            "or identify this."
-        )
-    free = {p.name for p in estimate.params if p.free}
-    problem = torque_problem(
-        record, estimate.settings.loop, estimate.settings.filtering, estimate.settings.loop.joint.parameters
-    )
-    more = [p.name for p in estimate.params if not p.of_joint and p.name not in problem.units]
-    problem = problem.freeing(*more) if more else problem
-    kept = tuple(p if p.name in free else p.fixed(values[p.name]) for p in problem.parameters)
-    problem = replace(problem, parameters=kept)
-    return problem, problem.vector(values)
-
-
-def _profile_quantity(
-    problem: ClosedLoopProblem, x: FloatArray, spread: Covariance, quantity: str, settings: Profiling | None
-) -> Profile:
-    if quantity != "compliance":
-        return profile(problem, x, _parse_combination(problem, quantity), spread, settings)
-    names = [p.name for p in problem.free]
-    if "stiffness" not in names:
-        raise MethodError("A compliance is that of a flexible joint whose stiffness is free; this joint has none.")
-    at = names.index("stiffness")
-    by = ByCompliance(problem, _LEAST / float(x[at]))
-    turn = np.eye(x.size)
-    turn[at, at] = -1.0 / float(x[at]) ** 2  # of 1/K by K
-    turned = covariance_of(turn @ spread.matrix @ turn.T, spread.bandwidth)
-    exchanged = x.copy()
-    exchanged[at] = 1.0 / x[at]
-    wanted = Combination("compliance", "1/K12", problem.loop.joint.unit(by.free[at]), {"compliance": 1.0})
-    return profile(by, exchanged, wanted, turned, settings)
 
 
 def _parse_combination(problem: ClosedLoopProblem, quantity: str) -> Combination:
@@ -194,7 +180,6 @@ def _parse_weights(quantity: str) -> dict[str, float]:
 
 
 def _explain_unknown(quantity: str, names: Collection[str]) -> str:
-    """Return the message for a text that is no quantity of an estimate with these parameters."""
     compliance = ", or compliance" if "stiffness" in names else ""
     return (
         f'"{quantity}" is no quantity of this estimate; name a free parameter ({", ".join(names)}), or a sum or '

@@ -84,8 +84,21 @@ class MethodComparison(Documented):
         agreed = ["no two methods differ by more than their intervals allow"] if len(found) > 1 else []
         listing = Listing((*lines, *(self.disagreements or agreed)))
         blocks: list[Block] = [Facts(facts)] if facts else []
-        blocks += [_make_table(self)] if found else []
+        blocks += [self._table()] if found else []
         return Document(title, (*blocks, listing))
+
+    def _table(self) -> Table:
+        found, rows = self.estimates, []
+        symbols = {p.name: (p.symbol, p.unit) for e in found.values() for p in e.params if p.of_joint}
+        for name, (symbol, unit) in symbols.items():
+            lines = (next((p for p in e.params if p.name == name), None) for e in found.values())
+            rows.append((symbol, unit, *map(_format_interval, lines)))
+        fits = [estimate.fit for estimate in found.values()]
+        rows.append(("torque error, raw", "%", *(f"{100 * fit.relative_error:.2f}" for fit in fits)))
+        rows.append(("filtered", "%", *(f"{100 * fit.filtered_error:.2f}" for fit in fits)))
+        rows.append(("simulations", "", *(str(fit.simulations) for fit in fits)))
+        rows.append(("time", "s", *(f"{method.seconds:.1f}" for method in self.methods if method.estimate is not None)))
+        return Table(("", "unit", *found), tuple(rows), words=(0, 1))
 
 
 def compare_methods(
@@ -125,7 +138,8 @@ def compare_methods(
             estimate, refusal = None, str(error)
         tried.append(MethodResult(name, estimate, refusal, time.perf_counter() - began))
     joint = model.joint if isinstance(model, ClosedLoop) else model
-    return MethodComparison(record.name, joint.model, tuple(tried), _describe_disagreements(tried))
+    found = MethodComparison(record.name, joint.model, tuple(tried), ())
+    return replace(found, disagreements=_describe_disagreements(found.estimates))
 
 
 def _list_methods(
@@ -133,8 +147,12 @@ def _list_methods(
 ) -> Iterator[tuple[str, ClosedLoop | Joint, Method]]:
     """Yield the name of each method, the model with its friction law, and the method."""
     joint = model.joint if isinstance(model, ClosedLoop) else model
-    runs = [made.compared(joint.model) for made in methods() if joint.model in made.models]
-    runs = [tuple((label, _chosen(method, didim)) for label, method in each) for each in runs if each]
+    made = [one.compared(joint.model) for one in methods() if joint.model in one.models]
+    runs = [
+        [(label, didim if didim is not None and didim.name == method.name else method) for label, method in each]
+        for each in made
+        if each
+    ]
     for label, method in chain.from_iterable(runs):
         yield label, model, method
     if joint.gravity is not None and joint.gravity.load == "constant":  # not identifiable beside the other law
@@ -146,18 +164,12 @@ def _list_methods(
         yield f"{label} {other.name}", variant, method
 
 
-def _chosen(method: Method, given: Method | None) -> Method:
-    """Return the settings that are given instead of a method's own, if they are of it."""
-    return given if given is not None and given.name == method.name else method
-
-
-def _describe_disagreements(tried: list[MethodResult]) -> tuple[str, ...]:
+def _describe_disagreements(found: Mapping[str, Estimate]) -> tuple[str, ...]:
     """Return a sentence on the worst pair of methods for each parameter on which two differ significantly.
 
     All use the same record, so their errors are correlated, and two valid methods differ by more far less often than
     once in twenty.
     """
-    found = {method.name: method.estimate for method in tried if method.estimate is not None}
     names = dict.fromkeys(p.name for estimate in found.values() for p in estimate.params if p.of_joint)
     sentences = []
     for name in names:
@@ -170,10 +182,9 @@ def _describe_disagreements(tried: list[MethodResult]) -> tuple[str, ...]:
         pairs = [(_measure_gap(rows[one], rows[two]), one, two) for one, two in combinations(rows, 2)]
         worst, one, two = max(pairs, default=(0.0, "", ""))
         if worst > 1.0:
-            first, second = rows[one], rows[two]
             sentences.append(
                 f"{one} and {two} disagree on {name.replace('_', ' ')} beyond their intervals: "
-                f"{_format_interval(first)} and {_format_interval(second)} {first.unit}"
+                f"{_format_interval(rows[one])} and {_format_interval(rows[two])} {rows[one].unit}"
             )
     return tuple(sentences)
 
@@ -192,21 +203,3 @@ def _format_interval(p: EstimatedParameter | None) -> str:
     if p.value is None:
         return "not identifiable"
     return number(p.value) + (f" +- {number(2 * p.stderr, 2)}" if p.stderr is not None else "" if p.free else " fixed")
-
-
-def _make_table(comparison: MethodComparison) -> Table:
-    found = comparison.estimates
-    seconds = {method.name: method.seconds for method in comparison.methods}
-    symbols: dict[str, tuple[str, str]] = {}
-    for estimate in found.values():
-        symbols |= {p.name: (p.symbol, p.unit) for p in estimate.params if p.of_joint}
-    rows = []
-    for name, (symbol, unit) in symbols.items():
-        lines = [next((p for p in e.params if p.name == name), None) for e in found.values()]
-        rows.append((symbol, unit, *map(_format_interval, lines)))
-    of_each = found.values()
-    rows.append(("torque error, raw", "%", *(f"{100 * e.fit.relative_error:.2f}" for e in of_each)))
-    rows.append(("filtered", "%", *(f"{100 * e.fit.filtered_error:.2f}" for e in of_each)))
-    rows.append(("simulations", "", *(str(e.fit.simulations) for e in of_each)))
-    rows.append(("time", "s", *(f"{seconds[name]:.1f}" for name in found)))
-    return Table(("", "unit", *found), tuple(rows), words=(0, 1))

@@ -1,36 +1,98 @@
 """Collect the results that a report on one estimate presents; a report computes nothing itself.
 
 A part that does not exist for an estimate (profiles without a simulated loop, a response without a stiffness) is left
-out, with the reason.
+out, with the reason. Two parts are computed here: the spectra of the torque, measured, predicted and their difference;
+and the frequency response of the joint, from the motor's torque to the velocities of its two sides. That is of the
+linear part (`models.linear`), moving forwards; its band is that of the estimate's covariance to first order, of the
+logarithm of the response, so that it never passes 0.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, TypeVar
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointidError
+from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.progress import Progress, silent
-from jointid.diagnostics.check_loop import add_loop_check
+from jointid.diagnostics.check_loop import LoopCheck, add_loop_check
+from jointid.diagnostics.experiment_design import StiffnessTestDesign, design_stiffness_test
 from jointid.diagnostics.intervals import intervals
-from jointid.diagnostics.loop_check import LoopCheck
-from jointid.diagnostics.response import FrequencyResponse, compute_response
-from jointid.diagnostics.spectra import Spectra, estimate_spectra
-from jointid.diagnostics.stiffness_test_design import StiffnessTestDesign, design_stiffness_test
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.joints import Motion
-from jointid.records.record import Channel, Record
+from jointid.models.joints import Motion, frequencies
+from jointid.models.linear import OUTPUTS, ComplexArray, frequency_response
+from jointid.models.parameters import POSITION_UNIT
+from jointid.records.record import Record
 from jointid.records.signals.filtering import differentiate, lowpass
 from jointid.uncertainty.profile import Profile
 from jointid.uncertainty.verdict import Subject
 
 MotionSource: TypeAlias = Literal["simulated", "measured", "commanded"]
 _Part = TypeVar("_Part")
+
+_PARTS = 8  # of the record, each as long as a window of the spectra; windows overlap by half
+_LONGEST = 8192  # samples of a window: a finer resolution adds nothing for a joint
+_SHORTEST = 64
+_LINES = 400  # of the response
+_LOWEST = 0.1  # Hz
+_ABOVE = 3.0  # times the fastest of the three frequencies, at least
+_STEP = 1e-6  # of a parameter, or of its deviation where it is 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spectra:
+    """One-sided amplitude spectral densities, averaged over windows (Welch 1967).
+
+    Attributes:
+        frequency: (lines,) Hz, 0 left out.
+        measured, predicted, error: (lines,) in the signal's unit per square root of Hz.
+        resolution: Hz between two lines.
+    """
+
+    frequency: FloatArray
+    measured: FloatArray
+    predicted: FloatArray
+    error: FloatArray
+    resolution: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """One response with its band.
+
+    Attributes:
+        side: "motor" or "load".
+        magnitude: (lines,) of the velocity per torque.
+        low, high: (lines,) 2 standard deviations about it.
+        phase: (lines,) degrees.
+    """
+
+    side: str
+    magnitude: FloatArray
+    low: FloatArray
+    high: FloatArray
+    phase: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrequencyResponse:
+    """Frequency response of an identified joint.
+
+    Attributes:
+        frequency: (lines,) Hz.
+        curves: of the motor, and for a flexible joint of the load.
+        unit: of the magnitude.
+        modes: Hz by name, of a flexible joint; see `model.joints.frequencies`.
+    """
+
+    frequency: FloatArray
+    curves: tuple[Curve, ...]
+    unit: str
+    modes: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,11 +178,18 @@ def collect_report_data(
         estimate, check = add_loop_check(estimate.amended(checks={"verdicts": tuple(others)}), record)
     validation = attempt("validation", "simulating the direct test", lambda: validate(estimate, record))
     motion, motion_source = _find_motion(estimate, record, validation)
-    found = compute_spectra(estimate)
+    inside = slice(estimate.fit.borders[0], estimate.fit.measured.size - estimate.fit.borders[1])
+    measured, predicted = estimate.fit.measured[inside], estimate.fit.predicted[inside]
+    try:
+        spectra = estimate_spectra(measured, predicted, estimate.data.sample_time)
+    except RecordError:
+        spectra = None
     response = attempt("response", "computing the frequency response", lambda: compute_response(estimate))
-    wanted = _list_profiles(estimate) if profiles is None else tuple(profiles)
+    if profiles is None:
+        free = tuple(p.name for p in estimate.params if p.of_joint and p.free)
+        profiles = (*free, "compliance") if "stiffness" in free else free
     followed = attempt(
-        "profiles", "profiling the criterion", lambda: intervals(estimate, record, wanted, progress=progress)
+        "profiles", "profiling the criterion", lambda: intervals(estimate, record, profiles, progress=progress)
     )
     stiffness_test = None
     if estimate.checks.bounds:
@@ -131,38 +200,20 @@ def collect_report_data(
         )
     return ReportData(
         estimate=estimate,
-        channels=tuple(map(_summarise_channel, *zip(*record.items(), strict=True))),
+        channels=tuple(
+            ChannelSummary(name, c.unit, c.sample_time, len(c), c.timing.value, c.source) for name, c in record.items()
+        ),
         motion=motion,
         motion_source=motion_source,
         validation=validation,
         loop=check,
-        spectra=found,
+        spectra=spectra,
         response=response,
         profiles=() if followed is None else followed.profiles,
         stiffness_test=stiffness_test,
         checks=tuple(checks),
         absent=absent,
     )
-
-
-def compute_spectra(estimate: Estimate) -> Spectra | None:
-    """Return the spectra of an estimate's signals, the borders left out; None where they are too short."""
-    inside = slice(estimate.fit.borders[0], estimate.fit.measured.size - estimate.fit.borders[1])
-    try:
-        return estimate_spectra(
-            estimate.fit.measured[inside], estimate.fit.predicted[inside], estimate.data.sample_time
-        )
-    except JointidError:
-        return None
-
-
-def _list_profiles(estimate: Estimate) -> tuple[str, ...]:
-    free = tuple(p.name for p in estimate.params if p.of_joint and p.free)
-    return (*free, "compliance") if "stiffness" in free else free
-
-
-def _summarise_channel(name: str, channel: Channel) -> ChannelSummary:
-    return ChannelSummary(name, channel.unit, channel.sample_time, len(channel), channel.timing.value, channel.source)
 
 
 def _find_motion(
@@ -177,16 +228,83 @@ def _find_motion(
     channel = record.motor_position or record.reference
     if channel is None:
         return None, "measured"
-    return _differentiate_position(
-        channel, estimate, size
-    ), "measured" if record.motor_position is not None else "commanded"
-
-
-def _differentiate_position(channel: Channel, estimate: Estimate, size: int) -> Motion:
-    """Return the motion of a logged position at the samples of the torque."""
     period, cutoff = estimate.data.sample_time, estimate.settings.filtering.position_cutoff
     position: FloatArray = np.interp(period * np.arange(size), channel.time, channel.values)
     if cutoff is not None and cutoff < 0.5 / period:
         position = lowpass(position, cutoff, period)
     velocity = differentiate(position, period)
-    return Motion(position, velocity, differentiate(velocity, period))
+    found = Motion(position, velocity, differentiate(velocity, period))
+    return found, "measured" if record.motor_position is not None else "commanded"
+
+
+def estimate_spectra(measured: FloatArray, predicted: FloatArray, sample_time: float) -> Spectra:
+    """Return the spectra of a measured and a predicted signal, and of their difference.
+
+    Args:
+        measured: (samples,).
+        predicted: (samples,) at the same instants.
+        sample_time: seconds.
+
+    Raises:
+        RecordError: the signals are too short for a spectrum, or are not of one length.
+    """
+    from scipy.signal import welch
+
+    if measured.shape != predicted.shape or measured.size < 2 * _SHORTEST:
+        raise RecordError(
+            f"Spectra need two signals of one length, {2 * _SHORTEST} samples or more; received {measured.size} and "
+            f"{predicted.size}: use a longer record."
+        )
+    wanted = min(max(measured.size // _PARTS, _SHORTEST), _LONGEST)
+    window = 1 << (wanted.bit_length() - 1)
+    densities = []
+    for signal in (measured, predicted, measured - predicted):
+        frequency, power = welch(signal, 1.0 / sample_time, nperseg=window, detrend="constant")
+        densities.append(np.sqrt(power[1:]))
+    measured_, predicted_, error = densities
+    return Spectra(frequency[1:], measured_, predicted_, error, float(frequency[1]))
+
+
+def compute_response(estimate: Estimate) -> FrequencyResponse:
+    """Return the frequency response of an estimate, with the band of its covariance.
+
+    Raises:
+        MethodError: a parameter of the joint is not identifiable.
+    """
+    joint, values = estimate.settings.joint, estimate.values
+    missing = [p.symbol for p in joint.parameters if p.name not in values]
+    if missing:
+        raise MethodError(f"A frequency response needs every parameter, and {', '.join(missing)} is not identifiable.")
+    flexible = joint.model == "flexible"
+    modes = frequencies(values) if flexible and values["stiffness"] > 0 else {}
+    highest = max(0.5 / estimate.data.sample_time, _ABOVE * max(modes.values(), default=0.0))
+    grid = np.geomspace(_LOWEST, highest, _LINES)
+    frequency = np.unique(np.concatenate([grid, [f for f in modes.values() if f > _LOWEST]]))
+    free = [p for p in estimate.params if p.free and p.of_joint and p.stderr is not None and p.name in values]
+    chosen = [estimate.params.names.index(p.name) for p in free]
+    std = np.array([p.stderr for p in free], dtype=np.float64)
+    known = max(chosen, default=0) < len(estimate.params.correlation)
+    correlation = estimate.params.correlation[np.ix_(chosen, chosen)] if known else np.eye(len(free))
+    covariance = np.outer(std, std) * correlation
+    outputs = OUTPUTS[1 : len(OUTPUTS) if flexible else 2 : 2]  # the velocities of the motor and of a flexible load
+
+    def respond(values: Mapping[str, float]) -> list[ComplexArray]:
+        return [frequency_response(joint, values, frequency, output) for output in outputs]
+
+    at = respond(values)
+    slopes = []
+    for p in free:
+        step = _STEP * (abs(p.value or 0.0) or p.stderr or 1.0)
+        moved = respond(values | {p.name: values[p.name] + step})
+        slopes.append([np.log(after / before).real / step for after, before in zip(moved, at, strict=True)])
+    curves = []
+    for i, (side, H) in enumerate(zip(("motor", "load"), at, strict=False)):
+        J = np.array([slope[i] for slope in slopes]).reshape(len(free), frequency.size)
+        spread = np.sqrt(np.maximum(np.einsum("pf,pq,qf->f", J, covariance, J), 0.0))
+        size, factor = np.abs(H), np.exp(np.minimum(2 * spread, 50.0))
+        curves.append(Curve(side, size, size / factor, size * factor, np.degrees(np.unwrap(np.angle(H)))))
+    torque_unit = estimate.data.torque_unit
+    if " " in torque_unit:
+        torque_unit = f"({torque_unit})"
+    unit = f"({POSITION_UNIT[joint.kind]}/s)/{torque_unit}"
+    return FrequencyResponse(frequency, tuple(curves), unit, modes)

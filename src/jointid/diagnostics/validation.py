@@ -6,8 +6,8 @@ measured one, ``||Y - Ys|| / ||Y||``. Only the motor's state at the first sample
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -26,7 +26,7 @@ from jointid.estimation.result.estimate import (
     law_fingerprint,
     relative_error,
 )
-from jointid.estimation.search.starts import initial_state, reconstructed_position
+from jointid.estimation.search.starts import fit_initial_state
 from jointid.models.disturbances import effect_parameters
 from jointid.models.joints import Motion
 from jointid.models.parameters import POSITION_UNIT
@@ -34,11 +34,8 @@ from jointid.records.checks import check_record
 from jointid.records.record import Record, Resampled
 from jointid.simulation.closed_loop import Initial, Simulation, require_finished
 from jointid.simulation.loop_input import ClosedLoop, prepare
-from jointid.solvers.gauss_newton import GaussNewton
-from jointid.solvers.solve import solve
 
 _LAGS = 40  # of the residual's autocorrelation
-_STEPS = 6  # enough for two parameters that act almost linearly on the torque
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,16 +142,9 @@ def validate(estimate: Estimate | IdentifiedJoint, record: Record) -> Validation
             "A validation simulates the closed loop of a DIDIM estimate or evaluates the inverse model of an IDIM one; "
             f'this estimate is of the method "{identified.method}": identify the other record too, and compare values.'
         )
-    return (
-        _validate_inverse_model(identified, record)
-        if identified.loop is None
-        else _validate_simulation(identified, record)
-    )
-
-
-def _name_test(identified: IdentifiedJoint, record: Record) -> Literal["direct", "cross"]:
-    assert record.torque is not None
-    return "direct" if fingerprint(record.torque.values) == identified.fingerprint else "cross"
+    if identified.loop is None:
+        return _validate_inverse_model(identified, record)
+    return _validate_simulation(identified, identified.loop, record)
 
 
 def _validate_inverse_model(identified: IdentifiedJoint, record: Record) -> Validation:
@@ -162,103 +152,87 @@ def _validate_inverse_model(identified: IdentifiedJoint, record: Record) -> Vali
     joint, filtering, sample_time = identified.joint, identified.filtering, record.torque.sample_time
     model = motion_of(record, identified.delay, filtering, joint, identified.effects)
     values = np.array([identified.values[p.name] for p in (*joint.parameters, *effect_parameters(identified.effects))])
-    measured, predicted = model.torque[0], model.columns[0] @ values
     error, _ = model.decimated(filtering, sample_time, values)
     whole, _ = model.decimated(filtering, sample_time, np.zeros_like(values))
-    return Validation(
-        test=_name_test(identified, record),
-        method=identified.method,
-        record=record.name,
-        identified_from=identified.record,
-        resampled=record.resampled,
-        channels=(*idim_channels(joint.model), *(("injected",) if record.injected is not None else ())),
-        sample_time=sample_time,
-        torque_unit=record.torque.unit,
-        position_unit=POSITION_UNIT[identified.joint.kind],
-        measured=measured,
-        predicted=predicted,
-        borders=filtering.borders,
-        relative_error=relative_error(measured, predicted, filtering.borders),
-        filtered_error=float(np.linalg.norm(error) / np.linalg.norm(whole)),
-        tracking_error=None,
-        initial=None,
-        simulations=0,
-        autocorrelation=autocorrelate(error[: error.size // len(model.torque)]),
-        rows=error.size // len(model.torque),
-        motor=model.motor,
-        transmission=identified.joint.transmission,
-    )
+    return _describe(
+        identified, record, idim_channels(joint.model), model.torque[0], model.columns[0] @ values, model.motor, error,
+        whole, len(model.torque),
+    )  # fmt: skip
 
 
-def _validate_simulation(identified: IdentifiedJoint, record: Record) -> Validation:
-    assert identified.loop is not None
+def _validate_simulation(identified: IdentifiedJoint, loop: ClosedLoop, record: Record) -> Validation:
     assert record.torque is not None
-    loop, filtering = identified.loop, identified.filtering
     record.require(loop.channels, "Validation of a DIDIM estimate")
     fixed = tuple(p.fixed(identified.values[p.name]) for p in loop.joint.parameters)
     experiment = prepare(loop, record)
     measured = record.torque.values[: experiment.samples]
     around = with_torque(INITIAL_STATE, experiment, measured)
-    problem = ClosedLoopProblem((*fixed, *around), measured, filtering, loop, experiment)
-    x, runs = _fit_initial_state(problem)
+    problem = ClosedLoopProblem((*fixed, *around), measured, identified.filtering, loop, experiment)
+    x, runs = fit_initial_state(problem)
     run = require_finished(problem.simulate(x))
     error = problem.filtered(np.column_stack([measured - run.torque, measured]))
+    motor = Motion(run.motor_position, run.motor_velocity, run.motor.acceleration)
+    other_law = (
+        "the controller is not the one the joint was identified under; that is right only if its gains were changed"
+    )
+    return replace(
+        _describe(identified, record, loop.channels, measured, run.torque, motor, error[:, 0], error[:, 1]),
+        tracking_error=_compare_tracking(record, run, identified.filtering.borders),
+        initial=initial_of(problem.values(x)),
+        simulations=runs + 1,
+        warnings=() if identified.controller in ("", law_fingerprint(loop)) else (other_law,),
+    )
+
+
+def _describe(
+    identified: IdentifiedJoint,
+    record: Record,
+    channels: Sequence[str],
+    measured: FloatArray,
+    predicted: FloatArray,
+    motor: Motion,
+    error: FloatArray,
+    whole: FloatArray,
+    equations: int = 1,
+) -> Validation:
+    """Return the comparison of two raw torques.
+
+    `error` and `whole` are their difference and the measured one, filtered, (rows,) of so many equations one after the
+    other.
+    """
+    assert record.torque is not None
+    borders, rows = identified.filtering.borders, error.size // equations
     return Validation(
-        test=_name_test(identified, record),
+        test="direct" if fingerprint(record.torque.values) == identified.fingerprint else "cross",
         method=identified.method,
         record=record.name,
         identified_from=identified.record,
         resampled=record.resampled,
-        channels=(*loop.channels, *(("injected",) if record.injected is not None else ())),
-        sample_time=experiment.sample_time,
+        channels=(*channels, *(("injected",) if record.injected is not None else ())),
+        sample_time=record.torque.sample_time,
         torque_unit=record.torque.unit,
         position_unit=POSITION_UNIT[identified.joint.kind],
         measured=measured,
-        predicted=run.torque,
-        borders=filtering.borders,
-        relative_error=relative_error(measured, run.torque, filtering.borders),
-        filtered_error=float(np.linalg.norm(error[:, 0]) / np.linalg.norm(error[:, 1])),
-        tracking_error=_compare_tracking(record, run, filtering.borders),
-        initial=initial_of(problem.values(x)),
-        simulations=runs + 1,
-        autocorrelation=autocorrelate(error[:, 0]),
-        rows=len(error),
-        motor=Motion(run.motor_position, run.motor_velocity, run.motor.acceleration),
+        predicted=predicted,
+        borders=borders,
+        relative_error=relative_error(measured, predicted, borders),
+        filtered_error=float(np.linalg.norm(error) / np.linalg.norm(whole)),
+        tracking_error=None,
+        initial=None,
+        simulations=0,
+        autocorrelation=_autocorrelate(error[:rows]),
+        rows=rows,
+        motor=motor,
         transmission=identified.joint.transmission,
-        warnings=_list_warnings(identified, loop),
     )
 
 
-def autocorrelate(error: FloatArray) -> FloatArray:
+def _autocorrelate(error: FloatArray) -> FloatArray:
     """Return the autocorrelation of a residual at lags 0 to `_LAGS`, (lags + 1,)."""
     centred = error - error.mean()
     power = float(centred @ centred) or 1.0
     lags = min(_LAGS, error.size - 1)
     return np.array([float(centred[lag:] @ centred[: centred.size - lag]) / power for lag in range(lags + 1)])
-
-
-def _list_warnings(identified: IdentifiedJoint, loop: ClosedLoop) -> tuple[str, ...]:
-    if identified.controller in ("", law_fingerprint(loop)):
-        return ()
-    return (
-        "the controller is not the one the joint was identified under; that is right only if its gains were changed",
-    )
-
-
-def _fit_initial_state(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
-    """Return the initial state that fits best, position and velocity, and the simulations it took.
-
-    A motor at rest and a moving one are two problems (see `didim`), so both are solved.
-    """
-    try:
-        start = initial_state(problem, reconstructed_position(problem))
-    except MethodError:  # a controller that cannot be inverted: start on the reference, at rest
-        start = {"initial_position": float(problem.experiment.inputs[0, 0]), "initial_velocity": 0.0}
-    problems = (problem.keeping({"initial_velocity": 0.0}), problem)
-    solver = GaussNewton(tolerance=1e-9, step_tolerance=math.inf, iterations=_STEPS, halvings=0)
-    ends = [(p, solve(p, solver, p.vector(start))) for p in problems]
-    which, best = min(ends, key=lambda end: float(np.linalg.norm(end[1].residual)))
-    return problem.vector(which.values(best.x)), sum(end.evaluations for _, end in ends)
 
 
 def _compare_tracking(record: Record, run: Simulation, borders: tuple[int, int]) -> float | None:

@@ -1,35 +1,17 @@
-"""Parameters: what is identified, with symbol, unit, start and bounds."""
+"""Units of a joint's parameters, and changes to them."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
-from enum import StrEnum
 from typing import TypeAlias
 
 from jointid.common import units
 from jointid.common.errors import MethodError
+from jointid.common.parameters import Parameter, Quantity
+
+__all__ = ["POSITION_UNIT", "TORQUE_UNIT", "Kind", "Parameter", "Quantity", "adjusted", "unit_of"]
 
 Kind: TypeAlias = units.Kind
-
-
-class Quantity(StrEnum):
-    """The physical quantity of a parameter; its unit follows from the joint's kind and the torque's unit."""
-
-    INERTIA = "inertia"
-    VISCOUS = "viscous friction"
-    FORCE = "force"
-    STIFFNESS = "stiffness"
-    COMPLIANCE = "compliance"
-    FORCE_DRIFT = "force per time"
-    VISCOUS_DRIFT = "viscous friction per time"
-    POSITION = "position"
-    VELOCITY = "velocity"
-    TIME = "time"
-    RATIO = "ratio"
-    GAIN = "gain"
-
 
 POSITION_UNIT: Mapping[str, str] = {"prismatic": "m", "revolute": "rad"}
 TORQUE_UNIT: Mapping[str, str] = {"prismatic": "N", "revolute": "N m"}
@@ -56,32 +38,6 @@ def unit_of(quantity: Quantity, kind: Kind, torque_unit: str) -> str:
         Quantity.RATIO: "1",
         Quantity.GAIN: "as declared",
     }[quantity]
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """One parameter of a joint, or of what surrounds it.
-
-    Attributes:
-        name: the field's term, as code and files say it.
-        symbol: as tables and formulas say it.
-        quantity: what it measures.
-        free: whether it is identified; otherwise it keeps `start`.
-        start: where the search begins, or the value that is kept; None lets the method find its own start.
-        lower, upper: bounds on the value.
-    """
-
-    name: str
-    symbol: str
-    quantity: Quantity
-    free: bool = True
-    start: float | None = None
-    lower: float = -math.inf
-    upper: float = math.inf
-
-    def fixed(self, value: float) -> Parameter:
-        """Return this parameter kept at `value`."""
-        return replace(self, free=False, start=float(value))
 
 
 def adjusted(parameters: Iterable[Parameter], changes: Mapping[str, Parameter]) -> tuple[Parameter, ...]:

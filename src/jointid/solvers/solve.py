@@ -15,22 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-
-
-class Variable(Protocol):
-    """What a solver asks of a free parameter."""
-
-    @property
-    def name(self) -> str:
-        """For a sentence."""
-
-    @property
-    def lower(self) -> float:
-        """Bound."""
-
-    @property
-    def upper(self) -> float:
-        """Bound."""
+from jointid.common.parameters import Parameter
 
 
 class Problem(Protocol):
@@ -65,7 +50,7 @@ class Bounds:
     upper: FloatArray
 
     @classmethod
-    def of(cls, parameters: Sequence[Variable]) -> Bounds:
+    def of(cls, parameters: Sequence[Parameter]) -> Bounds:
         """Return the bounds of parameters, in their order."""
         return cls(np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters]))
 

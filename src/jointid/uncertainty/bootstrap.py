@@ -10,14 +10,13 @@ repeats there. For every resample, with w the number of times each row was drawn
 One step is a problem as linear as the covariance takes it to be, and costs no simulation; it differs from a sandwich in
 that the information is drawn too, and that its intervals need not be symmetric. A refit sees the bend. What rests on
 few rows, as the initial state does on the first, is missing from many resamples, and is then kept by the one step: no
-bootstrap tells its deviation.
+bootstrap gives its deviation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,19 +24,16 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Table
 from jointid.common.errors import MethodError
+from jointid.common.parameters import Parameter
 from jointid.common.text import number
-from jointid.models.parameters import Parameter
-from jointid.solvers.solve import Problem, Variable, solve
-from jointid.solvers.trust_region import TrustRegion
-from jointid.uncertainty.combination import Combination
+from jointid.solvers.solve import Problem
 from jointid.uncertainty.covariance import bandwidth
-
-Refit: TypeAlias = Callable[[FloatArray], FloatArray]
-"""From the number of times each row was drawn, (rows,), to the estimate, (free,)."""
+from jointid.uncertainty.profile import refit
 
 _FEWEST = 8  # blocks: fewer cannot say how far the parts of a record differ
 _LOST = 0.05  # of the information on a direction: a resample that has less of it is not asked
 _PER_BANDWIDTH = 3  # times the bandwidth of the autocorrelation is a block of time long
+_EVALUATIONS, _TOLERANCE = 30, 1e-8  # of one refit
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +68,7 @@ class Bootstrap(Documented):
         draws: (draws, free) from its resamples.
         level: of the intervals.
         blocks: the rows were drawn in so many different ones.
-        how: what was drawn, in words.
+        how: the parts that were drawn, in words.
     """
 
     parameters: tuple[Parameter, ...]
@@ -97,17 +93,6 @@ class Bootstrap(Documented):
         """Percentile intervals, (free, 2)."""
         return np.asarray(np.quantile(self.draws, [0.5 - 0.5 * self.level, 0.5 + 0.5 * self.level], axis=0).T)
 
-    def of(self, combination: Combination) -> tuple[float, float, tuple[float, float]]:
-        """Return value, standard deviation and percentile interval of a weighted sum of the parameters.
-
-        Raises:
-            MethodError: one of those it weighs was not estimated.
-        """
-        weights = combination.vector(self.parameters)
-        drawn = self.draws @ weights
-        low, high = np.quantile(drawn, [0.5 - 0.5 * self.level, 0.5 + 0.5 * self.level])
-        return float(weights @ self.estimate), float(np.std(drawn, ddof=1)), (float(low), float(high))
-
     def document(self, *, details: bool = False) -> Document:
         """Return the table; there are no further details."""
         del details
@@ -119,113 +104,75 @@ class Bootstrap(Documented):
         return Document(f"{len(self.draws)} draws of {self.blocks} blocks: {self.how}", (Table(header, rows),))
 
 
-def time_bootstrap(
+def bootstrap_estimate(
     parameters: Sequence[Parameter],
     x: FloatArray,
     residual: FloatArray,
     J: FloatArray,
+    labels: NDArray[np.intp] | None = None,
     settings: Bootstrapping | None = None,
-    refit: Refit | None = None,
+    problem: Problem | None = None,
 ) -> Bootstrap:
-    """Return the bootstrap over moving blocks of time.
+    """Return the bootstrap over moving blocks of time, or over groups of rows that err together.
 
     Args:
         parameters: the free ones.
         x: (free,) the estimate.
         residual: (rows,) of it, in the order of time.
         J: (rows, free), its derivatives.
+        labels: (rows,) the number of each row's group, such as `Cells.stretch` or `Cells.label`; None for blocks of
+            time, three bandwidths of the autocorrelation long (`covariance.bandwidth`).
         settings: see `Bootstrapping`.
-        refit: estimates from a resample; one linear step when None.
-
-    A block is three bandwidths of the autocorrelation long (`uncertainty.bandwidth`).
+        problem: that was solved, to be fitted again to every resample, within its bounds; one linear step when None.
 
     Raises:
-        MethodError: the record is too short.
+        MethodError: the record is too short, or there are too few groups.
     """
-    rows = residual.size
+    settings = settings or Bootstrapping()
+    random = np.random.default_rng(settings.seed)
+    if labels is None:
+        blocks, how, draw = _draw_in_time(residual.size, random)
+    else:
+        blocks, how, draw = _draw_groups(labels, random)
+    step = _one_step(x, residual, J)
+
+    def estimate(weights: FloatArray) -> FloatArray:
+        if problem is None:
+            return step(weights)
+        root = np.sqrt(weights)
+        changed = (lambda rows, _: root * rows), (lambda columns: root[:, np.newaxis] * columns)
+        return refit(problem, x, *changed, _TOLERANCE, _EVALUATIONS).x
+
+    draws = np.array([estimate(draw()) for _ in range(settings.draws)])
+    said = f"{how}; {'one linear step' if problem is None else 'refitted'} each"
+    return Bootstrap(tuple(parameters), np.array(x, dtype=np.float64), draws, settings.level, blocks, said)
+
+
+def _draw_in_time(rows: int, random: np.random.Generator) -> tuple[int, str, Callable[[], FloatArray]]:
+    """Return how many blocks are drawn, which, and what draws: the number of times each row was drawn, (rows,)."""
     length = _PER_BANDWIDTH * bandwidth(rows)
     starts = rows - length + 1
     _require(starts, rows // length)
-    how = f"moving blocks of {length} rows in time"
 
-    def weights(random: np.random.Generator) -> FloatArray:
+    def draw() -> FloatArray:
         begin = random.integers(starts, size=-(-rows // length))
         change = np.zeros(rows + 1)
         np.add.at(change, begin, 1.0)
         np.add.at(change, begin + length, -1.0)
         return np.asarray(np.cumsum(change)[:-1])
 
-    return _drawn(parameters, x, residual, J, weights, rows // length, how, settings, refit)
+    return rows // length, f"moving blocks of {length} rows in time", draw
 
 
-def cell_bootstrap(
-    parameters: Sequence[Parameter],
-    x: FloatArray,
-    residual: FloatArray,
-    J: FloatArray,
-    labels: NDArray[np.intp],
-    settings: Bootstrapping | None = None,
-    refit: Refit | None = None,
-) -> Bootstrap:
-    """Return the bootstrap over groups of rows that err together, such as `Cells.stretch` or `Cells.label`.
-
-    Args:
-        parameters: the free ones.
-        x: (free,) the estimate.
-        residual: (rows,) of it.
-        J: (rows, free), its derivatives.
-        labels: (rows,) the number of each row's group.
-        settings: see `Bootstrapping`.
-        refit: estimates from a resample; one linear step when None.
-
-    Raises:
-        MethodError: there are too few groups.
-    """
+def _draw_groups(labels: NDArray[np.intp], random: np.random.Generator) -> tuple[int, str, Callable[[], FloatArray]]:
     groups, member = np.unique(labels, return_inverse=True)
     _require(groups.size, groups.size)
-    how = "cells of position, direction and speed, all visits together"
 
-    def weights(random: np.random.Generator) -> FloatArray:
+    def draw() -> FloatArray:
         times = np.bincount(random.integers(groups.size, size=groups.size), minlength=groups.size)
         return np.asarray(times[member.reshape(-1)], dtype=np.float64)
 
-    return _drawn(parameters, x, residual, J, weights, groups.size, how, settings, refit)
-
-
-def refitted(problem: Problem, x: FloatArray, evaluations: int = 30, tolerance: float = 1e-8) -> Refit:
-    """Return the full refit of a problem to a resample, from an estimate, within the bounds.
-
-    Args:
-        problem: that was solved.
-        x: (free,) where each refit starts.
-        evaluations: at most, of one refit.
-        tolerance: relative, on the sum of squares and on the parameters.
-    """
-    solver = TrustRegion(tolerance, evaluations, eager=False)
-
-    def refit(weights: FloatArray) -> FloatArray:
-        return solve(_Weighted(problem, np.sqrt(weights)), solver, x).x
-
-    return refit
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Weighted:
-    """A problem with every row multiplied, (rows,)."""
-
-    problem: Problem
-    by: FloatArray
-
-    @property
-    def free(self) -> tuple[Variable, ...]:
-        return self.problem.free
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        return np.asarray(self.by * self.problem.residual(x))
-
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        residual, J = self.problem.linearised(x)
-        return self.by * residual, self.by[:, np.newaxis] * J
+    return groups.size, "cells of position, direction and speed, all visits together", draw
 
 
 def _require(choices: int, blocks: int) -> None:
@@ -235,29 +182,10 @@ def _require(choices: int, blocks: int) -> None:
         )
 
 
-def _drawn(
-    parameters: Sequence[Parameter],
-    x: FloatArray,
-    residual: FloatArray,
-    J: FloatArray,
-    weights: Callable[[np.random.Generator], FloatArray],
-    blocks: int,
-    how: str,
-    settings: Bootstrapping | None,
-    refit: Refit | None,
-) -> Bootstrap:
-    settings = settings or Bootstrapping()
-    random = np.random.default_rng(settings.seed)
-    estimate = refit or _one_step(x, residual, J)
-    draws = np.array([estimate(weights(random)) for _ in range(settings.draws)])
-    said = f"{how}; {'one linear step' if refit is None else 'refitted'} each"
-    return Bootstrap(tuple(parameters), np.array(x, dtype=np.float64), draws, settings.level, blocks, said)
-
-
-def _one_step(x: FloatArray, residual: FloatArray, J: FloatArray) -> Refit:
+def _one_step(x: FloatArray, residual: FloatArray, J: FloatArray) -> Callable[[FloatArray], FloatArray]:
     """Return one Gauss-Newton step on a resample, about the one on the record.
 
-    The columns are made orthogonal first: the normal equations of parameters that are hardly told apart lose half the
+    The columns are made orthogonal first: the normal equations of parameters that are nearly collinear lose half the
     digits. In these the record's own information is the identity, and what a resample has lost of it is seen.
     """
     Q, R = np.linalg.qr(J)

@@ -1,4 +1,4 @@
-"""How far an estimate may be off: sandwich covariances that survive a residual that is not white.
+"""Covariances of an estimate that hold where the residual is not white.
 
 For estimates that solve ``Z' e(x) = 0`` with sensitivities J = -de/dx::
 
@@ -15,8 +15,9 @@ left out of the fit, ``(I - J_b (Z' J)^-1 Z_b')^-1 e_b``. What repeats with the 
 here: `repeatable` measures it and widens.
 
 A bandwidth so short smears the residual's spectrum over several hertz. Where a loop rings at 10 Hz and a parameter is
-told by what happens at 10 Hz, half of that is missed: of 2-sigma intervals of the twin's viscous frictions 91 % hold
-the truth. A stationary residual's covariance is known much better from its spectrum S, at all lags (`stationary`)::
+determined by what happens at 10 Hz, half of that is missed: of 2-sigma intervals of the twin's viscous frictions 91 %
+hold the truth. A stationary residual's covariance is known much better from its spectrum S, at all lags
+(`stationary`)::
 
     S_Z = sum_f S(f) Z(f)' Z(f)*
 
@@ -28,13 +29,19 @@ and the sums are added.
 
 The textbook's covariance, ``s^2 (J' J)^-1``, is kept beside it (`white`): where the two differ, the residual is not
 white, or not as large everywhere, and only the robust one is honest.
+
+Neighbouring rows show noise. What a model lacks - a friction that is no Coulomb's, a current loop, a second mode -
+repeats with the motion and is as large at the end of a long record as at its beginning; but it changes with
+frequency. So `band_deviations` sums the scores over bands of frequency that hold equal shares of the residual; the
+spread of these sums is what the estimate owes to the choice of the band. The larger of both deviations is reported
+(`with_bands`): with noise alone they agree.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -43,21 +50,22 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.messages import Message
 
+_BANDS = 8  # of frequency, whose scores are compared
 _MOST = 2.0  # times its residual: what leaving a block out may make of it
 _SINGULAR = 1e-10  # of the largest: a direction whose variance is rounding
-_LOST = 1e-6  # of the largest: a direction that a block of rows tells alone
+_LOST = 1e-6  # of the largest: a direction that a block of rows determines alone
 _DIFFERENT = 1.25  # a ratio of deviations that chance does not make of a white residual: it stays within about 10 %
 
 
 class Dependence(StrEnum):
-    """What a residual is not."""
+    """Properties of white noise that a residual lacks."""
 
     NOT_INDEPENDENT = "not_independent"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Covariance:
-    """What is known of the errors of an estimate.
+    """Covariance of the errors of an estimate.
 
     Attributes:
         std: (parameters,) standard deviations.
@@ -80,14 +88,17 @@ class Covariance:
         return math.sqrt(max(float(weighted @ self.correlation @ weighted), 0.0))
 
 
-def covariance_of(matrix: FloatArray, lags: int) -> Covariance:
+def covariance_of(matrix: FloatArray, lags: int, scale: FloatArray | float = 1.0) -> Covariance:
     """Return a matrix of covariances, (parameters, parameters), as deviations and correlations.
 
-    `lags` are the rows on each side whose correlation was taken in.
+    Args:
+        matrix: of the parameters, or of the scaled ones.
+        lags: rows on each side whose correlation was taken in.
+        scale: (parameters,) what the parameters were multiplied with.
     """
     std = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    scale = np.where(std > 0, std, 1.0)
-    return Covariance(std, matrix / np.outer(scale, scale), lags)
+    positive = np.where(std > 0, std, 1.0)
+    return Covariance(std / scale, matrix / np.outer(positive, positive), lags)
 
 
 def white(J: FloatArray, error: FloatArray) -> Covariance:
@@ -95,14 +106,13 @@ def white(J: FloatArray, error: FloatArray) -> Covariance:
 
     Args:
         J: (rows, parameters), the sensitivities of the prediction.
-        error: (rows,) what remains; ``s^2 = ||error||^2 / (rows - parameters)``.
+        error: (rows,) the residual; ``s^2 = ||error||^2 / (rows - parameters)``.
     """
     norms = column_norms(J)
     variance = float(error @ error) / max(error.size - J.shape[1], 1)
     R = np.linalg.qr(J / norms, mode="r")  # of J' J only the square of its condition number would be left
     inverse = np.linalg.pinv(R)
-    found = covariance_of(variance * inverse @ inverse.T, 0)
-    return Covariance(found.std / norms, found.correlation, 0)
+    return covariance_of(variance * inverse @ inverse.T, 0, norms)
 
 
 def bandwidth(rows: int) -> int:
@@ -118,36 +128,56 @@ def sandwich(
     Args:
         Z: (rows, parameters), the instruments.
         J: (rows, parameters), the sensitivities of the prediction.
-        error: (rows,) what remains.
+        error: (rows,) the residual.
         equations: rows hold so many equations one after the other, which share their instants.
         series: rows of each record, where several stand one after the other.
+    """
+    parts = _parts(len(Z), series)
+    widths = [min(bandwidth(n), n - 1) for n in ((part.stop - part.start) // equations for part in parts)]
+
+    def meat(Z: FloatArray, J: FloatArray, spread: FloatArray) -> FloatArray:
+        found = np.zeros_like(spread)
+        for part, lags in zip(parts, widths, strict=True):
+            instants = (part.stop - part.start) // equations
+            block = np.tile(np.arange(instants) // max(lags, 1), equations)
+            left_out = residual_left_out(Z[part], J[part], error[part], spread, block)
+            scores = (Z[part] * left_out[:, np.newaxis]).reshape(equations, instants, -1)
+            found += bartlett_sum(np.sum(scores, axis=0), lags)
+        return found
+
+    return scaled_sandwich(Z, J, meat, max(widths))
+
+
+def scaled_sandwich(
+    Z: FloatArray, J: FloatArray, meat: Callable[[FloatArray, FloatArray, FloatArray], FloatArray], lags: int
+) -> Covariance:
+    """Return ``(Z' J)^-1 S (J' Z)^-1``, computed with the columns of Z and J divided by the lengths of Z's.
+
+    Args:
+        Z: (rows, parameters), the instruments.
+        J: (rows, parameters), the sensitivities of the prediction.
+        meat: S, (parameters, parameters), from Z and J as they were divided and the inverse of their product.
+        lags: rows on each side whose correlation is taken in.
     """
     norms = column_norms(Z)
     Z, J = Z / norms, J / norms
     spread = np.asarray(np.linalg.pinv(Z.T @ J), dtype=np.float64)
-    parts = _parts(len(Z), series)
-    widths = [min(bandwidth(n), n - 1) for n in ((part.stop - part.start) // equations for part in parts)]
-    meat = np.zeros_like(spread)
-    for part, lags in zip(parts, widths, strict=True):
-        meat += _over_time(Z[part], J[part], error[part], spread, equations, lags)
-    found = covariance_of(spread @ meat @ spread.T, max(widths))
-    return Covariance(found.std / norms, found.correlation, max(widths))
+    return covariance_of(spread @ meat(Z, J, spread) @ spread.T, lags, norms)
 
 
-def _over_time(
-    Z: FloatArray, J: FloatArray, error: FloatArray, spread: FloatArray, equations: int, lags: int
-) -> FloatArray:
-    """Return one record's share of the covariance of Z' e, with so many lags, (parameters, parameters)."""
-    rows, count = Z.shape
-    instants = rows // equations
-    block = np.tile(np.arange(instants) // max(lags, 1), equations)
-    left_out = residual_left_out(Z, J, error, spread, block)
-    scores = np.sum((Z * left_out[:, np.newaxis]).reshape(equations, instants, count), axis=0)
-    meat = scores.T @ scores
-    for lag in range(1, lags + 1):
-        together = scores[lag:].T @ scores[:-lag]
-        meat += (1 - lag / (lags + 1)) * (together + together.T)
-    return np.asarray(meat)
+def bartlett_sum(scores: FloatArray, lags: int) -> FloatArray:
+    """Return the covariance, (parameters, parameters), of the sum of scores that are correlated with neighbours.
+
+    Args:
+        scores: (neighbours, parameters), or (neighbours, families, parameters) of families that are independent.
+        lags: neighbours on each side that are correlated with one, with Bartlett's weights.
+    """
+    count = scores.shape[-1]
+    found = np.zeros((count, count))
+    for lag in range(lags + 1):
+        together = scores[lag:].reshape(-1, count).T @ scores[: len(scores) - lag].reshape(-1, count)
+        found += together if lag == 0 else (1 - lag / (lags + 1)) * (together + together.T)
+    return found
 
 
 def _parts(rows: int, series: Sequence[int] | None) -> list[slice]:
@@ -162,51 +192,58 @@ def stationary(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence
     Args:
         Z: (rows, parameters), the instruments.
         J: (rows, parameters), the sensitivities of the prediction.
-        error: (rows,) what remains, in the order of time. Its periodogram is averaged over sqrt(rows) neighbours, the
+        error: (rows,) the residual, in the order of time. Its periodogram is averaged over sqrt(rows) neighbours, the
             mean left out, which a fit of an offset takes away.
         series: rows of each record, where several stand one after the other; each has a spectrum of its own.
     """
-    norms = column_norms(Z)
-    Z, J = Z / norms, J / norms
-    spread = np.linalg.pinv(Z.T @ J)
-    meat = sum(_by_spectrum(Z[part], error[part]) for part in _parts(len(Z), series))
-    found = covariance_of(spread @ meat @ spread.T, len(Z))
-    return Covariance(found.std / norms, found.correlation, len(Z))
+
+    def meat(Z: FloatArray, _: FloatArray, spread: FloatArray) -> FloatArray:
+        found = np.zeros_like(spread)
+        for part in _parts(len(Z), series):
+            columns = Z[part]
+            used = int(np.sum(np.any(columns != 0.0, axis=0)))
+            spectrum, both = smoothed_spectrum(error[part], max(len(columns) - used, 1))
+            found += sum_over_frequencies(columns, np.concatenate([spectrum[:1], both * spectrum])) / len(columns)
+        return found
+
+    return scaled_sandwich(Z, J, meat, len(Z))
 
 
-def _by_spectrum(Z: FloatArray, error: FloatArray) -> FloatArray:
-    """Return one record's share of the covariance of Z' e by its residual's spectrum, (parameters, parameters)."""
-    rows, count = len(Z), int(np.sum(np.any(Z != 0.0, axis=0)))
-    half = max(math.isqrt(rows) // 2, 1)
-    periodogram = np.abs(np.fft.rfft(error)[1:]) ** 2 / max(rows - count, 1)
-    half = min(half, periodogram.size - 1)
+def smoothed_spectrum(signal: FloatArray, degrees: int) -> tuple[FloatArray, FloatArray]:
+    """Return the spectrum of a signal of so many degrees of freedom, and how many frequencies each value stands for.
+
+    Both are (samples // 2,), the mean left out. The periodogram is averaged over sqrt(samples) neighbours. In half a
+    spectrum every frequency stands for two, but the last of an even number of samples.
+    """
+    periodogram = np.abs(np.fft.rfft(signal)[1:]) ** 2 / degrees
+    half = min(max(math.isqrt(signal.size) // 2, 1), periodogram.size - 1)
     padded = np.pad(periodogram, half, "reflect")
-    spectrum = np.convolve(padded, np.full(2 * half + 1, 1 / (2 * half + 1)), "valid")
-    spectrum = np.concatenate([spectrum[:1], spectrum])
-    # Half a spectrum: every frequency but the first, and the last of an even number of rows, stands for two.
-    both = np.full(spectrum.size, 2.0)
-    both[[0, -1]] = 1.0, 2.0 if rows % 2 else 1.0
-    seen = np.fft.rfft(Z, axis=0)
-    return np.asarray(np.real(((both * spectrum)[:, np.newaxis] * seen.conj()).T @ seen) / rows)
+    both = np.full(periodogram.size, 2.0)
+    both[-1] = 2.0 if signal.size % 2 else 1.0
+    return np.convolve(padded, np.full(2 * half + 1, 1 / (2 * half + 1)), "valid"), both
+
+
+def sum_over_frequencies(columns: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return ``sum_f w(f) X(f)* X(f)'``, (columns, columns).
+
+    Args:
+        columns: (samples, columns), whose transform is X.
+        weights: (samples // 2 + 1,) of each frequency.
+    """
+    spectra = np.fft.rfft(columns, axis=0)
+    return np.asarray(np.real((weights[:, np.newaxis] * spectra.conj()).T @ spectra))
 
 
 def robust(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence[int] | None = None) -> Covariance:
-    """Return the larger of `sandwich` and `stationary`, in every direction.
-
-    Args:
-        Z: (rows, parameters), the instruments.
-        J: (rows, parameters), the sensitivities of the prediction.
-        error: (rows,) what remains, in the order of time.
-        series: rows of each record, where several stand one after the other.
-    """
+    """Return the larger of `sandwich` and `stationary` in every direction; the arguments are theirs."""
     return larger(sandwich(Z, J, error, series=series), stationary(Z, J, error, series))
 
 
 def larger(first: Covariance, second: Covariance) -> Covariance:
-    """Return the smallest covariance of its kind above both: in every direction that tells them apart the larger.
+    """Return the smallest covariance of its kind above both: the larger in every direction that distinguishes them.
 
     In the parameters in which the first is the identity and the second diagonal, the larger of the two diagonals. No
-    weighted sum of the parameters is then known better than either says.
+    weighted sum of the parameters is then known better than by either.
     """
     std = np.where(first.std > 0, first.std, 1.0)
     values, vectors = np.linalg.eigh(0.5 * (first.correlation + first.correlation.T))
@@ -217,7 +254,7 @@ def larger(first: Covariance, second: Covariance) -> Covariance:
     sizes, directions = np.linalg.eigh(0.5 * (other + other.T))
     factor = root @ directions * np.sqrt(np.maximum(sizes, 1.0))
     found = covariance_of(factor @ factor.T, first.bandwidth)
-    return Covariance(found.std * std, found.correlation, first.bandwidth)
+    return replace(found, std=found.std * std)
 
 
 def residual_left_out(
@@ -228,7 +265,7 @@ def residual_left_out(
     Args:
         Z: (rows, parameters), the instruments.
         J: (rows, parameters), the sensitivities of the prediction.
-        error: (rows,) what remains.
+        error: (rows,) the residual.
         spread: (parameters, parameters), the inverse of Z' J.
         block: (rows,) the number of each row's block.
 
@@ -270,31 +307,55 @@ def _inverses(matrices: FloatArray) -> FloatArray:
 def different(names: Sequence[str], naive: Covariance, robust: Covariance) -> Message | None:
     """Return a message on the parameters whose deviation a white residual would misjudge, or None.
 
-    This asks more than whether the residual is white within the filter's pass band (`residuals.Whiteness`), and can
-    differ from it: rows that are closer than the band needs are correlated, and rows at reversals are louder.
+    This asks more than whether the residual is white within the filter's pass band (`residual_tests.Whiteness`), and
+    can differ from it: rows that are closer than the band needs are correlated, and rows at reversals are louder.
 
     The rule: a robust deviation at least 1.25 times the white one, or at most that share of it. Chance alone keeps
     the ratio of a white residual's within about 10 % at the rows of a usual record.
     """
-    ratios = robust.std / np.where(naive.std > 0, naive.std, np.inf)
-    off = [(name, ratio) for name, ratio in zip(names, ratios, strict=True) if _differs(float(ratio))]
+    ratios = map(float, robust.std / np.where(naive.std > 0, naive.std, np.inf))
+    off = {
+        name: ratio
+        for name, ratio in zip(names, ratios, strict=True)
+        if ratio > 0 and not 1 / _DIFFERENT < ratio < _DIFFERENT
+    }
     if not off:
         return None
-    listed = ", ".join(f"{name} {ratio:.2g}" for name, ratio in off)
+    listed = ", ".join(f"{name} {ratio:.2g}" for name, ratio in off.items())
     said = (
         "row by row the residual is not independent noise of one size, which asks more than whiteness within the pass "
         f"band: the robust deviations are these times those that such noise would give: {listed}"
     )
-    return Message(Dependence.NOT_INDEPENDENT, said, {"ratios": {name: float(ratio) for name, ratio in off}})
-
-
-def _differs(ratio: float) -> bool:
-    return ratio > 0 and not 1 / _DIFFERENT < ratio < _DIFFERENT
+    return Message(Dependence.NOT_INDEPENDENT, said, {"ratios": off})
 
 
 def words(covariance: Covariance) -> str:
-    """Return what the standard deviations are, in a sentence."""
+    """Return how these standard deviations were obtained, in a sentence."""
     return (
         f"autocorrelation-robust (Newey-West over {covariance.bandwidth} rows on each side); what repeats with the "
         "motion, as on most real axes, is not covered"
     )
+
+
+def with_bands(covariance: Covariance, Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
+    """Return a covariance whose deviations are no smaller than `band_deviations` of the same Z, J and error."""
+    return replace(covariance, std=np.maximum(covariance.std, band_deviations(Z, J, error)))
+
+
+def band_deviations(Z: FloatArray, J: FloatArray, error: FloatArray) -> FloatArray:
+    """Return standard deviations from the scores by bands of frequency, (parameters,), of what `sandwich` takes."""
+    norms = column_norms(Z)
+    spectrum = np.fft.rfft(error)
+    energy = np.cumsum(np.abs(spectrum) ** 2)
+    scores = np.real(np.conj(np.fft.rfft(Z / norms, axis=0)) * spectrum[:, np.newaxis]) * (2 / error.size)
+    edges = np.searchsorted(energy, energy[-1] * np.arange(1, _BANDS) / _BANDS)
+    sums = np.add.reduceat(scores, np.concatenate([[0], np.maximum.accumulate(edges)]), axis=0)
+    spread = np.linalg.pinv((Z / norms).T @ (J / norms))
+    influences = sums @ spread.T
+    # The sum over all bands is what the estimate made 0, so one of them is not free.
+    return np.asarray(np.sqrt(_BANDS / (_BANDS - 1) * np.sum(influences**2, axis=0)) / norms)
+
+
+def band_words() -> str:
+    """Return what these deviations cover, in a sentence."""
+    return f"or, where it is larger, the spread over {_BANDS} bands of frequency, which shows what the model lacks"

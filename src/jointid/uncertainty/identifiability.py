@@ -1,4 +1,4 @@
-"""What a record tells, and what it does not: the combinations of parameters that are known, best first.
+"""Identifiability: the parameters and the combinations of them that a record determines, the best first.
 
 From torque alone two frictions are often known by their sum and hardly apart, and a table of single parameters hides
 both. The sensitivities J of the residual, each multiplied by its parameter and freed of what the initial state can
@@ -17,10 +17,10 @@ from enum import StrEnum
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.errors import MethodError
 from jointid.common.messages import Message
-from jointid.common.text import aligned, number
-from jointid.models.parameters import Parameter, Quantity
-from jointid.uncertainty.combination import Combination, Kind, physical, single
+from jointid.common.parameters import Parameter, Quantity
+from jointid.common.text import number
 from jointid.uncertainty.covariance import Covariance
 
 _INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
@@ -29,11 +29,87 @@ _WELL, _POORLY = 0.1, 0.5  # of its parameters' size: a combination's 2 sigma
 _SURROUNDING = (Quantity.POSITION, Quantity.VELOCITY)  # of the initial state, no part of the answer
 
 
+class Kind(StrEnum):
+    """Origin of a combination."""
+
+    ASKED = "asked"
+    SINGLE = "single"
+    SUM = "sum"
+    DIFFERENCE = "difference"
+    DIRECTION = "direction"
+
+
 class Limitation(StrEnum):
-    """What a record does not determine."""
+    """Limits of what a record determines."""
 
     INSEPARABLE = "inseparable"
     NOT_SIGNIFICANT = "not_significant"
+
+
+@dataclass(frozen=True, slots=True)
+class Combination:
+    """A weighted sum of parameters.
+
+    Attributes:
+        name: in words.
+        formula: in symbols.
+        unit: of the sum.
+        weights: of the parameters, by name.
+        kind: a parameter by itself; the sum or difference of both sides; a direction of the sensitivities' singular
+            vectors; or what somebody asked for.
+        quantity: of a sum or difference of both sides, the parameter's name without its side: "viscous_forwards".
+    """
+
+    name: str
+    formula: str
+    unit: str
+    weights: Mapping[str, float]
+    kind: Kind = Kind.ASKED
+    quantity: str = ""
+
+    def vector(self, parameters: Sequence[Parameter]) -> FloatArray:
+        """Return the weights in the order of the parameters, (parameters,).
+
+        Raises:
+            MethodError: one of those it weighs is not among them.
+        """
+        names = [p.name for p in parameters]
+        missing = [name for name in self.weights if name not in names]
+        if missing:
+            raise MethodError(f"{self.name} needs {', '.join(missing)} free; free are {', '.join(names)}.")
+        return np.array([self.weights.get(name, 0.0) for name in names])
+
+
+def single(parameter: Parameter, unit: str) -> Combination:
+    """Return a parameter by itself."""
+    return Combination(parameter.name.replace("_", " "), parameter.symbol, unit, {parameter.name: 1.0}, Kind.SINGLE)
+
+
+def physical(parameters: Sequence[Parameter], units: Mapping[str, str]) -> tuple[Combination, ...]:
+    """Return the combinations of both sides of a joint that have a meaning of their own.
+
+    Sum and difference of the frictions, viscous and Coulomb, in each direction where these differ; and the whole
+    inertia. A rigid joint has none.
+
+    Args:
+        parameters: the free ones.
+        units: by name.
+    """
+    known = {p.name: p for p in parameters}
+    found = []
+    for name, motor in known.items():
+        side, _, quantity = name.partition("_")
+        load = known.get(f"load_{quantity}")
+        if side != "motor" or load is None:
+            continue
+        words = quantity.replace("_", " ")
+        pairs = [(f"total {words}", "+", 1.0, Kind.SUM)]
+        if motor.quantity is not Quantity.INERTIA:
+            pairs.append((f"difference of {words}, motor less load", "-", -1.0, Kind.DIFFERENCE))
+        for said, sign, weight, kind in pairs:
+            formula, weights = f"{motor.symbol} {sign} {load.symbol}", {name: 1.0, load.name: weight}
+            found.append(Combination(said, formula, units[name], weights, kind, quantity))
+    return tuple(found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +117,7 @@ class Known:
     """A combination of parameters, its value, and how well it is known.
 
     Attributes:
-        combination: see there.
+        combination: of parameters.
         value: of it.
         std: standard deviation.
         relative: standard deviation over the size of what is combined, a ratio.
@@ -59,21 +135,21 @@ class Known:
 
     @property
     def verdict(self) -> str:
-        """How well it is known, in a word: 2 sigma up to 10 % of what is combined, up to 50 %, or more."""
+        """Grade in a word: "well" for 2 sigma up to 10 % of what is combined, "poorly" up to 50 %, "not" for more."""
         return "well" if 2 * self.relative <= _WELL else "poorly" if 2 * self.relative <= _POORLY else "not"
 
 
 @dataclass(frozen=True, slots=True)
 class Identifiability:
-    """What a record tells of the parameters of a joint.
+    """Parameters of a joint, and combinations of them, with how well a record determines each.
 
     Attributes:
         parameters: by themselves, those of the initial state left out.
         physical: sums and differences with a meaning of their own.
         directions: the combinations of the sensitivities' singular vectors, the best known first.
         condition: of the sensitivities scaled by the parameters: the largest over the smallest singular value.
-        undetermined: names of what must be positive and is not told from 0: the 2-sigma interval holds it.
-        limitations: pairs that are known only together, and what is not told from 0; none of a good record.
+        undetermined: names of what must be positive and whose 2-sigma interval holds 0.
+        limitations: pairs that are known only together, and what is undetermined; none of a good record.
     """
 
     parameters: tuple[Known, ...]
@@ -83,17 +159,6 @@ class Identifiability:
     undetermined: tuple[str, ...]
     limitations: tuple[Message, ...]
 
-    def __str__(self) -> str:
-        """Return tables and sentences."""
-        header, right = ("combination", "value", "2 sigma", "unit", "known"), (False, True, True, False, False)
-        parts = [
-            aligned(header, [_row(known) for known in group], right)
-            for group in (self.physical, self.directions)
-            if group
-        ]
-        said = f"condition number {self.condition:.3g}, of the sensitivities scaled by the parameters"
-        return "\n\n".join([*parts, "\n".join([said, *map(str, self.limitations)])])
-
 
 def identifiability(
     parameters: Sequence[Parameter],
@@ -102,7 +167,7 @@ def identifiability(
     J: FloatArray,
     covariance: Covariance,
 ) -> Identifiability:
-    """Return what is known of the parameters, and of their combinations.
+    """Return how well the parameters, and their combinations, are known.
 
     Args:
         parameters: the free ones, in the order of what follows.
@@ -113,6 +178,7 @@ def identifiability(
     """
     own = [i for i, p in enumerate(parameters) if p.quantity not in _SURROUNDING]
     joint = [parameters[i] for i in own]
+    spread = Covariance(covariance.std[own], covariance.correlation[np.ix_(own, own)], covariance.bandwidth)
     scale = np.where(x == 0.0, covariance.std, np.abs(x))
     scale = np.where(scale > 0, scale, 1.0)
 
@@ -122,21 +188,28 @@ def identifiability(
         return Known(combination, float(weights @ x), std, std / float(np.linalg.norm(weights * scale)))
 
     each = tuple(known(single(p, units[p.name])) for p in joint)
-    vectors, condition = _directions(J, own, scale)
-    directions = [known(_readable(vector, joint, units, scale[own], _chosen(covariance, own))) for vector in vectors]
-    undetermined = tuple(p.name for p, one in zip(joint, each, strict=True) if p.lower >= 0 and one.interval[0] <= 0.0)
-    lost = [_not_significant(p, one) for p, one in zip(joint, each, strict=True) if p.name in undetermined]
+    vectors, condition = _find_directions(J, own, scale)
+    directions = [known(_simplify(vector, joint, units, scale[own], spread)) for vector in vectors]
+    pairs = [(i, j) for i in range(len(joint)) for j in range(i + 1, len(joint))]
+    limitations = [
+        _describe_pair(joint, each, spread, i, j) for i, j in pairs if abs(spread.correlation[i, j]) > _INSEPARABLE
+    ]
+    lost = [(p, one) for p, one in zip(joint, each, strict=True) if p.lower >= 0 and one.interval[0] <= 0.0]
+    for p, one in lost:
+        said = f"{p.symbol} is not told from 0: its interval holds it"
+        values = {"parameter": p.name, "value": one.value, "std": one.std}
+        limitations.append(Message(Limitation.NOT_SIGNIFICANT, said, values))
     return Identifiability(
         each,
         tuple(known(combination) for combination in physical(joint, units)),
         tuple(sorted(directions, key=lambda one: one.relative)),
         condition,
-        undetermined,
-        (*_inseparable(joint, each, _chosen(covariance, own)), *lost),
+        tuple(p.name for p, _ in lost),
+        tuple(limitations),
     )
 
 
-def _directions(J: FloatArray, own: Sequence[int], scale: FloatArray) -> tuple[FloatArray, float]:
+def _find_directions(J: FloatArray, own: Sequence[int], scale: FloatArray) -> tuple[FloatArray, float]:
     """Return the right singular vectors of the scaled sensitivities, the rest projected off, and their condition."""
     rest = np.delete(J, own, axis=1)
     Q, _ = np.linalg.qr(rest / column_norms(rest))
@@ -146,11 +219,7 @@ def _directions(J: FloatArray, own: Sequence[int], scale: FloatArray) -> tuple[F
     return vectors, float(sizes[0] / sizes[-1]) if sizes[-1] > 0 else math.inf
 
 
-def _chosen(covariance: Covariance, own: Sequence[int]) -> Covariance:
-    return Covariance(covariance.std[list(own)], covariance.correlation[np.ix_(own, own)], covariance.bandwidth)
-
-
-def _readable(
+def _simplify(
     vector: FloatArray, parameters: Sequence[Parameter], units: Mapping[str, str], scale: FloatArray, spread: Covariance
 ) -> Combination:
     """Return a direction in scaled parameters as a sum led by its largest term, which gives it its unit.
@@ -168,60 +237,41 @@ def _readable(
             break
     leading = parameters[order[0]]
     kept = kept / weights[order[0]]
-    terms = [(float(kept[i]), parameters[i].symbol) for i in order[:count]]
     said = f"led by {leading.name.replace('_', ' ')}"
-    weighed = {parameters[i].name: float(kept[i]) for i in order[:count]}
-    return Combination(said, _formula(terms), units[leading.name], weighed, Kind.DIRECTION)
+    terms = [(float(kept[i]), parameters[i]) for i in order[:count]]
+    formula = _write_sum([(weight, p.symbol) for weight, p in terms])
+    return Combination(said, formula, units[leading.name], {p.name: weight for weight, p in terms}, Kind.DIRECTION)
 
 
-def _formula(terms: Sequence[tuple[float, str]]) -> str:
+def _write_sum(terms: Sequence[tuple[float, str]]) -> str:
     """Return ``A + 0.5 B - 2 C``; the first term has the weight 1."""
-    first, *others = terms
-    written = [f"{'-' if weight < 0 else '+'} {_times(abs(weight))}{symbol}" for weight, symbol in others]
-    return " ".join([first[1], *written])
+    text = terms[0][1]
+    for weight, symbol in terms[1:]:
+        times = "" if number(abs(weight), 3) == number(1.0, 3) else f"{number(abs(weight), 3)} "
+        text += f" {'-' if weight < 0 else '+'} {times}{symbol}"
+    return text
 
 
-def _times(weight: float) -> str:
-    return "" if number(weight, 3) == number(1.0, 3) else f"{number(weight, 3)} "
-
-
-def _inseparable(parameters: Sequence[Parameter], each: Sequence[Known], spread: Covariance) -> tuple[Message, ...]:
-    """Return a message for every two parameters that are known only together."""
-    return tuple(
-        _together(parameters, each, spread, i, j)
-        for i in range(len(parameters))
-        for j in range(i + 1, len(parameters))
-        if abs(spread.correlation[i, j]) > _INSEPARABLE
-    )
-
-
-def _together(parameters: Sequence[Parameter], each: Sequence[Known], spread: Covariance, i: int, j: int) -> Message:
+def _describe_pair(
+    parameters: Sequence[Parameter], each: Sequence[Known], spread: Covariance, i: int, j: int
+) -> Message:
+    """Return a message on two parameters that are known only together."""
     first, second = parameters[i], parameters[j]
     correlation, unit = float(spread.correlation[i, j]), each[i].combination.unit
     weights = np.zeros(len(parameters))
     weights[i] = 1.0
     alike = each[i].combination.unit == each[j].combination.unit
-    # Of two that are measured alike the plain sum or difference is told, of others what is known best.
+    # Of two in the same unit the plain sum or difference is given, of others the combination that is known best.
     weights[j] = -math.copysign(1.0 if alike else spread.std[i] / spread.std[j], correlation)
     value, std = float(weights @ [known.value for known in each]), spread.std_of(weights)
+    what = _write_sum([(1.0, first.symbol), (float(weights[j]), second.symbol)])
     if alike:
-        by = "sum" if correlation < 0 else "difference"
-        what = f"their {by}: {number(value, 4)} +- {number(2 * std, 2)} {unit}"
-    else:
-        formula = _formula([(1.0, first.symbol), (float(weights[j]), second.symbol)])
-        what = f"{formula}: {number(value, 4)} +- {number(2 * std, 2)} {unit}"
+        what = f"their {'sum' if correlation < 0 else 'difference'}"
     apart = f"apart {first.symbol} only to +- {number(2 * each[i].std, 2)}"
     other = f"{second.symbol} to +- {number(2 * each[j].std, 2)}{'' if alike else f' {each[j].combination.unit}'}"
-    said = f"{first.symbol} and {second.symbol} are known by {what}; {apart}, {other} (correlation {correlation:+.3f})"
+    said = (
+        f"{first.symbol} and {second.symbol} are known by {what}: {number(value, 4)} +- {number(2 * std, 2)} {unit}; "
+        f"{apart}, {other} (correlation {correlation:+.3f})"
+    )
     values = {"parameters": [first.name, second.name], "weight": float(weights[j]), "value": value, "std": std}
     return Message(Limitation.INSEPARABLE, said, values | {"unit": unit, "correlation": correlation})
-
-
-def _not_significant(p: Parameter, known: Known) -> Message:
-    said = f"{p.symbol} is not told from 0: its interval holds it"
-    return Message(Limitation.NOT_SIGNIFICANT, said, {"parameter": p.name, "value": known.value, "std": known.std})
-
-
-def _row(known: Known) -> tuple[str, ...]:
-    c = known.combination
-    return c.formula, number(known.value), number(2 * known.std, 2), c.unit, known.verdict

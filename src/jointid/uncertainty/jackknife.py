@@ -8,7 +8,7 @@ group after the other does to the estimate then says how far it may be off (the 
 
 with A = sum_g J_g'J_g and b = sum_g J_g'e_g, 0 where the estimate is. It holds whatever the correlation and the size of
 the errors within a group are, and errs towards intervals that are too wide where there are few groups. What one group
-tells alone nothing is left to be compared with, and no more directions than G - 1 scatter at all: there the intervals
+alone determines cannot be compared with another, and no more directions than G - 1 scatter at all: there the intervals
 are no narrower than those of a white residual. The square of J's condition number must stay within the digits of a
 number: columns are scaled to one length first.
 """
@@ -24,13 +24,13 @@ from jointid.common.arrays import FloatArray
 from jointid.solvers.solve import Bounds
 from jointid.uncertainty.covariance import Covariance, covariance_of, larger
 
-_SINGULAR = 1e-12  # of the largest: a direction of the scaled parameters that nothing tells
-_ALONE = 0.9  # of what is told in a direction: the group is as good as alone
+_SINGULAR = 1e-12  # of the largest: a direction of the scaled parameters that nothing determines
+_ALONE = 0.9  # of the information in a direction: the group is as good as alone
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sums:
-    """What of some rows a least-squares estimate needs.
+    """Sums over some rows that a least-squares estimate needs.
 
     Attributes:
         A: (free, free) J'J. b: (free,) J'e. square: e'e. size: y'y of the filtered torque that e is left of.
@@ -55,10 +55,8 @@ class Sums:
 
     def __add__(self, other: Sums) -> Sums:
         """Return those of the rows of both."""
-        return Sums(
-            self.A + other.A, self.b + other.b, self.square + other.square, self.size + other.size,
-            self.rows + other.rows,
-        )  # fmt: skip
+        square, size, rows = self.square + other.square, self.size + other.size, self.rows + other.rows
+        return Sums(self.A + other.A, self.b + other.b, square, size, rows)
 
     def moved(self, step: FloatArray) -> Sums:
         """Return them as they are after a step of the parameters, to first order."""
@@ -68,10 +66,7 @@ class Sums:
 
 def total(groups: Sequence[Sums]) -> Sums:
     """Return the sums over all groups, of which there is one or more."""
-    return Sums(
-        np.sum([g.A for g in groups], axis=0), np.sum([g.b for g in groups], axis=0), sum(g.square for g in groups),
-        sum(g.size for g in groups), sum(g.rows for g in groups),
-    )  # fmt: skip
+    return sum(groups[1:], start=groups[0])
 
 
 def step_of(sums: Sums, room: Bounds) -> FloatArray:
@@ -87,31 +82,35 @@ def step_of(sums: Sums, room: Bounds) -> FloatArray:
 
 
 def root_of(sums: Sums) -> FloatArray:
-    """Return what stands for the derivatives of all rows, (told directions, free): R with R'R = J'J."""
-    scale = scale_of(sums.A)
-    values, vectors = np.linalg.eigh(sums.A / np.outer(scale, scale))
-    kept = values > _SINGULAR * values[-1]
-    return np.asarray((vectors[:, kept] * np.sqrt(values[kept])).T * scale)
+    """Return what stands for the derivatives of all rows, (determined directions, free): R with R'R = J'J."""
+    scale, sizes, vectors = _determine(sums.A)
+    return np.asarray((vectors * np.sqrt(sizes)).T * scale)
 
 
 def left_out(groups: Sequence[Sums]) -> Covariance:
     """Return the covariance of an estimate whose rows err together within each of two or more groups."""
     whole = total(groups)
-    scale = scale_of(whole.A)
+    scale, sizes, vectors = _determine(whole.A)
     outer = np.outer(scale, scale)
     steps = np.array(
         [-np.linalg.pinv((whole.A - g.A) / outer, hermitian=True) @ ((whole.b - g.b) / scale) for g in groups]
     )
     apart = steps - steps.mean(axis=0)
     found = covariance_of((len(groups) - 1) / len(groups) * apart.T @ apart, 0)
-    values, vectors = np.linalg.eigh(whole.A / outer)
-    kept = values > _SINGULAR * values[-1]
-    back = vectors[:, kept] / np.sqrt(values[kept])
+    back = vectors / np.sqrt(sizes)
     most = max(float(np.linalg.eigvalsh(back.T @ (g.A / outer) @ back)[-1]) for g in groups)
     if most > _ALONE or len(groups) <= scale.size:
         white = covariance_of(whole.square / max(whole.rows - scale.size, 1) * back @ back.T, 0)
         found = larger(white, found)
     return Covariance(found.std / scale, found.correlation, 0)
+
+
+def _determine(A: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the lengths of J's columns, and eigenvalues and vectors of A = J'J scaled by them, rounding left out."""
+    scale = scale_of(A)
+    values, vectors = np.linalg.eigh(A / np.outer(scale, scale))
+    kept = values > _SINGULAR * values[-1]
+    return scale, values[kept], vectors[:, kept]
 
 
 def scale_of(A: FloatArray) -> FloatArray:

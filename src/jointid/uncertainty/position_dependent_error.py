@@ -1,4 +1,4 @@
-"""What of a residual repeats with the motion, and intervals that are wide enough for it.
+"""The part of a residual that repeats with the motion, and intervals that are wide enough for it.
 
 Noise is not the same twice; what a model lacks is. A friction that depends on the position, a screw's pitch, a spring
 that is not linear leave a residual that comes back whenever the axis passes the same place in the same direction at
@@ -29,17 +29,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
 from jointid.common.text import number
 from jointid.uncertainty.covariance import (
     Covariance,
     bandwidth,
-    covariance_of,
+    bartlett_sum,
     different,
     larger,
     residual_left_out,
     robust,
+    scaled_sandwich,
     white,
     words,
 )
@@ -47,6 +48,7 @@ from jointid.uncertainty.covariance import (
 IntArray = NDArray[np.intp]
 
 _POSITIONS = 24  # cells along the travel
+_LAGS = bandwidth(_POSITIONS)  # cells along the travel, on each side, that err together with one
 _SPEEDS = 3  # classes
 _RESTING = 0.02  # of the largest speed: below it a row has no direction
 _BLOCKS = 40  # of time, at most
@@ -57,31 +59,24 @@ _LEVEL = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cells:
-    """Where and how the axis was when each row was taken.
+    """Cell of position, direction and speed in which the axis was when each row was taken.
 
     Attributes:
         label: (rows,) the number of the row's cell.
         position: (rows,) the number of the cell along the travel, from 0.
         family: (rows,) the number of the row's direction and class of speed.
-        positions: cells along the travel.
         speeds: (classes,) mean speed of each class.
     """
 
     label: IntArray
     position: IntArray
     family: IntArray
-    positions: int
     speeds: FloatArray
 
     @property
-    def lags(self) -> int:
-        """Cells along the travel, on each side, that err together with one."""
-        return min(bandwidth(self.positions), self.positions - 1)
-
-    @property
     def stretch(self) -> IntArray:
-        """The number of each row's stretch: so many neighbouring cells of one family, (rows,)."""
-        return np.asarray(self.family * self.positions + self.position // (self.lags + 1))
+        """The number of each row's stretch: neighbouring cells of one family that err together, (rows,)."""
+        return np.asarray(self.family * _POSITIONS + self.position // (_LAGS + 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +90,6 @@ class Repeatable:
             are visited in both.
         p_value: how often a residual that does not repeat would show as much; None where the record is too short, or
             nothing is visited twice.
-        revisited: share of the rows in cells that are visited at different times.
         unit: of the residual.
     """
 
@@ -103,12 +97,11 @@ class Repeatable:
     share: float
     correlation: float | None
     p_value: float | None
-    revisited: float
     unit: str = ""
 
     @property
     def significant(self) -> bool:
-        """Whether it is more than chance, at 5 %."""
+        """True if it is more than chance, at 5 %."""
         return self.p_value is not None and self.p_value <= _LEVEL
 
     def __str__(self) -> str:
@@ -127,61 +120,53 @@ class Repeatable:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
-    """What is known of the errors of an estimate, three ways.
+    """Covariances of the errors of an estimate.
 
     Attributes:
-        white: as if the residual were white.
-        robust: over time, whatever its autocorrelation.
+        robust: over time, whatever the residual's autocorrelation.
         covariance: to be reported: the robust one, widened where the residual repeats with the motion.
         repeatable: the verdict on that.
         basis: how the deviations were obtained, in words.
-        warnings: what the reader must know of them.
+        warnings: limits of the deviations, for the reader.
     """
 
-    white: Covariance
     robust: Covariance
     covariance: Covariance
     repeatable: Repeatable
     basis: str
     warnings: tuple[Message, ...]
 
-    def __str__(self) -> str:
-        """Return a line for each statement."""
-        return "\n".join([self.basis, str(self.repeatable), *map(str, self.warnings)])
 
-
-def cells(position: FloatArray, velocity: FloatArray, positions: int = _POSITIONS, speeds: int = _SPEEDS) -> Cells:
-    """Return the cell of each row.
+def cells(position: FloatArray, velocity: FloatArray) -> Cells:
+    """Return the cell of each row: stretches of equal width along the travel, by direction and class of speed.
 
     Args:
         position: (rows,) of the motor, simulated or measured, at the instants of the residual's rows.
         velocity: (rows,) likewise.
-        positions: cells of equal width along the travel.
-        speeds: classes of speed, parted where least way was made (one-dimensional k-means over the way).
     """
     speed = np.abs(velocity)
     moving = speed > _RESTING * np.max(speed, initial=0.0)
-    kind, means = _classes(speed, moving, speeds)
+    kind, means = _classify_speeds(speed, moving)
     direction = np.where(moving, np.sign(velocity), 0.0).astype(np.intp) + 1
-    family = direction * speeds + np.where(moving, kind, 0)
+    family = direction * _SPEEDS + np.where(moving, kind, 0)
     travel = float(np.ptp(position)) or 1.0
-    place = np.minimum((position - position.min()) / travel * positions, positions - 1).astype(np.intp)
-    _, label = np.unique(family * positions + place, return_inverse=True)
-    return Cells(label.reshape(-1), place, family, positions, means)
+    place = np.minimum((position - position.min()) / travel * _POSITIONS, _POSITIONS - 1).astype(np.intp)
+    _, label = np.unique(family * _POSITIONS + place, return_inverse=True)
+    return Cells(label.reshape(-1), place, family, means)
 
 
-def _classes(speed: FloatArray, moving: NDArray[np.bool_], count: int) -> tuple[IntArray, FloatArray]:
-    """Return the class of each row's speed, and the classes' means."""
+def _classify_speeds(speed: FloatArray, moving: NDArray[np.bool_]) -> tuple[IntArray, FloatArray]:
+    """Return the class of each row's speed, and the classes' means, by one-dimensional k-means over the way."""
     if not np.any(moving):
-        return np.zeros(speed.size, dtype=np.intp), np.zeros(count)
+        return np.zeros(speed.size, dtype=np.intp), np.zeros(_SPEEDS)
     # Every metre counts the same, not every second, so that ramps and slow ways do not crowd the others out.
     travelled = np.cumsum(np.sort(speed[moving]))
-    middle = np.searchsorted(travelled, (np.arange(count) + 0.5) / count * travelled[-1])
+    middle = np.searchsorted(travelled, (np.arange(_SPEEDS) + 0.5) / _SPEEDS * travelled[-1])
     means = np.sort(speed[moving])[middle]
     kind = np.zeros(speed.size, dtype=np.intp)
     for _ in range(50):
         kind = np.searchsorted(0.5 * (means[1:] + means[:-1]), speed)
-        chosen = [speed[moving & (kind == i)] for i in range(count)]
+        chosen = [speed[moving & (kind == i)] for i in range(_SPEEDS)]
         after = np.array([g @ g / g.sum() if g.size else mean for g, mean in zip(chosen, means, strict=True)])
         if np.array_equal(after, means):
             break
@@ -189,14 +174,13 @@ def _classes(speed: FloatArray, moving: NDArray[np.bool_], count: int) -> tuple[
     return kind, means
 
 
-def repeatable(error: FloatArray, where: Cells, unit: str = "", seed: int = 0) -> Repeatable:
-    """Return what of a residual repeats with the motion.
+def repeatable(error: FloatArray, where: Cells, unit: str = "") -> Repeatable:
+    """Return the part of a residual that repeats with the motion.
 
     Args:
         error: (rows,) the residual, in the order of time.
         where: its rows' cells.
         unit: of the residual.
-        seed: of the random signs.
     """
     rows = error.size
     length = max(-(-rows // _BLOCKS), 3 * bandwidth(rows))
@@ -215,7 +199,7 @@ def repeatable(error: FloatArray, where: Cells, unit: str = "", seed: int = 0) -
     square, total = float(products.sum()), float(error @ error) / rows
     p_value = None
     if blocks >= _FEWEST and np.any(pairs > 0):
-        signs = np.random.default_rng(seed).choice([-1.0, 1.0], size=(_FLIPS, blocks))
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(_FLIPS, blocks))
         others = np.sum((signs @ products) * signs, axis=1)
         p_value = float(1 + np.sum(others >= square)) / (_FLIPS + 1)
     return Repeatable(
@@ -223,7 +207,6 @@ def repeatable(error: FloatArray, where: Cells, unit: str = "", seed: int = 0) -
         share=min(max(square, 0.0) / total, 1.0) if total > 0 else 0.0,
         correlation=_between_halves(error, where),
         p_value=p_value,
-        revisited=float(visited[pairs > 0].sum()) / rows,
         unit=unit,
     )
 
@@ -250,26 +233,32 @@ def by_place(Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells) -> C
     Args:
         Z: (rows, parameters), the instruments.
         J: (rows, parameters), the sensitivities of the prediction.
-        error: (rows,) what remains.
+        error: (rows,) the residual.
         where: the rows' cells. Those along the travel are correlated over ``ceil(4 (cells / 100)^(2/9))`` on each
             side, the rule of `uncertainty` for rows, and left out of the fit by as many and one together.
 
     An error that is smooth over more than that is covered too little: of 2-sigma intervals 95 % hold the truth at a
     length of half a cell, 88-96 % at two and 80-98 % at four (on the EMPS motion, by simulation).
     """
-    norms = column_norms(Z)
-    Z, J = Z / norms, J / norms
-    spread = np.asarray(np.linalg.pinv(Z.T @ J), dtype=np.float64)
-    lags = where.lags
-    scores = Z * residual_left_out(Z, J, error, spread, where.stretch)[:, np.newaxis]
-    sums = np.zeros((int(where.family.max()) + 1, where.positions, Z.shape[1]))
-    np.add.at(sums, (where.family, where.position), scores)
-    meat = np.einsum("fpi,fpj->ij", sums, sums)
-    for lag in range(1, lags + 1):
-        together = np.einsum("fpi,fpj->ij", sums[:, lag:], sums[:, :-lag])
-        meat += (1 - lag / (lags + 1)) * (together + together.T)
-    found = covariance_of(spread @ meat @ spread.T, lags)
-    return Covariance(found.std / norms, found.correlation, lags)
+
+    def meat(Z: FloatArray, J: FloatArray, spread: FloatArray) -> FloatArray:
+        scores = Z * residual_left_out(Z, J, error, spread, where.stretch)[:, np.newaxis]
+        sums = np.zeros((_POSITIONS, int(where.family.max()) + 1, Z.shape[1]))
+        np.add.at(sums, (where.position, where.family), scores)
+        return bartlett_sum(sums, _LAGS)
+
+    return scaled_sandwich(Z, J, meat, _LAGS)
+
+
+def widened(
+    covariance: Covariance, Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells, unit: str = ""
+) -> tuple[Covariance, Repeatable]:
+    """Return a covariance over time, or the larger of it and `by_place` where the residual repeats with the motion.
+
+    The verdict on that comes with it; the other arguments are those of `uncertainty`.
+    """
+    verdict = repeatable(error, where, unit)
+    return larger(covariance, by_place(Z, J, error, where)) if verdict.significant else covariance, verdict
 
 
 def uncertainty(
@@ -281,7 +270,7 @@ def uncertainty(
     unit: str = "",
     series: Sequence[int] | None = None,
 ) -> Uncertainty:
-    """Return what is known of an estimate's errors, widened where the residual repeats with the motion.
+    """Return the covariance of an estimate's errors, widened where the residual repeats with the motion.
 
     Args:
         Z: (rows, parameters), the instruments; J for least squares.
@@ -292,24 +281,17 @@ def uncertainty(
         unit: of the residual.
         series: rows of each record, where several stand one after the other. A place errs alike in all of them.
     """
-    naive, over_time = white(J, error), robust(Z, J, error, series)
-    verdict = repeatable(error, where, unit)
-    judged = larger(over_time, by_place(Z, J, error, where)) if verdict.significant else over_time
-    differs = different(names, naive, over_time)
-    return Uncertainty(
-        naive, over_time, judged, verdict, _words(judged, verdict), () if differs is None else (differs,)
-    )
-
-
-def _words(covariance: Covariance, verdict: Repeatable) -> str:
-    if verdict.p_value is None:
-        return f"{words(covariance)}, and by the residual's spectrum where that says more"
-    said = (
-        f"autocorrelation-robust (Newey-West over {covariance.bandwidth} rows on each side, or by the residual's "
-        "spectrum: the larger in every direction)"
-    )
-    if not verdict.significant:
-        return said
-    return (
-        f"{said}, widened for what repeats with the motion (scores summed over cells of position, direction and speed)"
-    )
+    over_time = robust(Z, J, error, series)
+    judged, verdict = widened(over_time, Z, J, error, where, unit)
+    basis = f"{words(over_time)}, and by the residual's spectrum where that says more"
+    if verdict.p_value is not None:
+        basis = (
+            f"autocorrelation-robust (Newey-West over {over_time.bandwidth} rows on each side, or by the residual's "
+            "spectrum: the larger in every direction)"
+        )
+    if verdict.significant:
+        basis += (
+            ", widened for what repeats with the motion (scores summed over cells of position, direction and speed)"
+        )
+    differs = different(names, white(J, error), over_time)
+    return Uncertainty(over_time, judged, verdict, basis, () if differs is None else (differs,))

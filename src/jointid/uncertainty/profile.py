@@ -1,4 +1,4 @@
-"""Profile likelihood: how far one quantity can go while everything else makes the best of it.
+"""Profile likelihood: the interval of one quantity with everything else fitted anew at each of its values.
 
 An interval from a covariance is that of a problem that is linear. Where the criterion bends, or a bound is near, the
 quantity c is held at one value after the other, all parameters are fitted again, and the interval ends where the sum
@@ -17,19 +17,20 @@ which is what is noted, and bounds on the parameters stay what they are.
 
 from __future__ import annotations
 
-import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
+from jointid.common.parameters import Parameter, Quantity
 from jointid.common.text import number
-from jointid.solvers.solve import Bounds, Counted, Problem, Variable, solve
+from jointid.solvers.solve import Bounds, Counted, Problem, Solution, solve
 from jointid.solvers.trust_region import TrustRegion
-from jointid.uncertainty.combination import Combination
-from jointid.uncertainty.covariance import Covariance, robust
+from jointid.uncertainty.covariance import Covariance, covariance_of, robust
+from jointid.uncertainty.identifiability import Combination
 
 _HELD = 100.0  # times stiffer than the criterion is c held: it then yields by 1e-4 of its distance
 _FIRST = 0.5  # of the way to where a linear problem would end
@@ -38,6 +39,7 @@ _FAR = 1.5  # times the threshold's root: a point beyond is not used to interpol
 _NARROW = 0.02  # of the way from the estimate: a bracket this narrow needs no more points
 _UNSEEN = 1e-9  # of the largest: a normalised singular value whose direction leaves no trace in the residual
 _IMPROVED = 1e-3  # of the threshold: a fit so much below the estimate says that it was no minimum
+_LEAST = 1e-4  # of the compliance: a smaller one is negligible
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +68,7 @@ class Profiling:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profile:
-    """How the criterion rises as one quantity is held away from its estimate.
+    """Rise of the criterion as one quantity is held away from its estimate.
 
     Attributes:
         name, formula, unit: of the quantity.
@@ -79,7 +81,7 @@ class Profile:
         interval: its ends; None on a side where the criterion stays below the threshold up to the bound, or as far as
             was searched.
         reached: the last value on each side.
-        improved: whether a fit went below the estimate, which then was not the minimum.
+        improved: True if a fit went below the estimate, which then was not the minimum.
         evaluations: of the criterion, with or without derivatives.
     """
 
@@ -99,26 +101,112 @@ class Profile:
 
     @property
     def bounded(self) -> bool:
-        """Whether the record bounds the quantity on both sides."""
+        """True if the record bounds the quantity on both sides."""
         return None not in self.interval
 
     def __str__(self) -> str:
         """Return the interval in a sentence."""
-        lower = "; the estimate was not the minimum" if self.improved else ""
-        return (
-            f"{self.formula} = {number(self.estimate)} {self.unit}, {100 * self.level:.4g} % profile interval "
-            f"{self._ends()} ({self.evaluations} evaluations{lower})"
-        )
-
-    def _ends(self) -> str:
         low, high = (number(end, 4) for end in self.interval)
         first, last = (number(value, 4) for value in self.reached)
-        return {
+        ends = {
             (True, True): f"{low} to {high}",
             (False, True): f"below {high}, without an end down to {first}",
             (True, False): f"above {low}, without an end up to {last}",
             (False, False): f"without an end from {first} to {last}",
         }[self.interval[0] is not None, self.interval[1] is not None]
+        lower = "; the estimate was not the minimum" if self.improved else ""
+        return (
+            f"{self.formula} = {number(self.estimate)} {self.unit}, {100 * self.level:.4g} % profile interval "
+            f"{ends} ({self.evaluations} evaluations{lower})"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ByCompliance:
+    """A problem whose stiffness is searched as the compliance 1/K, in which a nearly rigid joint is nearly linear.
+
+    A stiffness that a record does not show has no upper bound, which a search meets as a plain without an end; its
+    compliance merely has 0 in its interval.
+
+    Attributes:
+        problem: with one free parameter that is a stiffness.
+        least: the compliance that is as good as none: nothing stiffer is simulated.
+    """
+
+    problem: Problem
+    least: float
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters, the compliance in the place of the stiffness."""
+        found = list(self.problem.free)
+        stiff = found[self._at]
+        lower = max(1.0 / stiff.upper, self.least)
+        upper = 1.0 / stiff.lower if stiff.lower > 0 else math.inf
+        start = None if stiff.start is None else 1.0 / stiff.start
+        symbol = f"1/{stiff.symbol}"
+        found[self._at] = Parameter("compliance", symbol, Quantity.COMPLIANCE, start=start, lower=lower, upper=upper)
+        return tuple(found)
+
+    def exchanged(self, x: FloatArray) -> FloatArray:
+        """Return parameters with the compliance for the stiffness, or the other way round."""
+        found = np.array(x, dtype=np.float64)
+        found[self._at] = 1.0 / found[self._at]
+        return found
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the residual, (rows,)."""
+        return self.problem.residual(self.exchanged(x))
+
+    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
+        residual, J = self.problem.linearised(self.exchanged(x))
+        J = J.copy()
+        J[:, self._at] *= -1.0 / x[self._at] ** 2
+        return residual, J
+
+    @property
+    def _at(self) -> int:
+        return [p.quantity for p in self.problem.free].index(Quantity.STIFFNESS)
+
+
+def refit(
+    problem: Problem,
+    x: FloatArray,
+    rows: Callable[[FloatArray, FloatArray], FloatArray],
+    columns: Callable[[FloatArray], FloatArray],
+    tolerance: float,
+    evaluations: int,
+) -> Solution:
+    """Solve a problem again with its rows changed, within its bounds.
+
+    Args:
+        problem: that was solved.
+        x: (free,) where the search begins.
+        rows: the changed residual, from a residual and the parameters it is of.
+        columns: its derivatives, from those of the residual.
+        tolerance: relative, on the sum of squares and on the parameters.
+        evaluations: at most.
+    """
+    return solve(_Changed(problem, rows, columns), TrustRegion(tolerance, evaluations, eager=False), x)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Changed:
+    problem: Problem
+    rows: Callable[[FloatArray, FloatArray], FloatArray]
+    columns: Callable[[FloatArray], FloatArray]
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        return self.problem.free
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        return self.rows(self.problem.residual(x), x)
+
+    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        residual, J = self.problem.linearised(x)
+        return self.rows(residual, x), self.columns(J)
 
 
 @dataclass(slots=True, eq=False)
@@ -126,54 +214,6 @@ class _Point:
     value: float
     cost: float
     x: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Held:
-    """A problem with one more row, which holds a quantity near a value."""
-
-    problem: Problem
-    weights: FloatArray
-    row: float
-    value: float
-
-    @property
-    def free(self) -> tuple[Variable, ...]:
-        return self.problem.free
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        return np.append(self.problem.residual(x), self._held(x))
-
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        residual, J = self.problem.linearised(x)
-        return np.append(residual, self._held(x)), np.vstack([J, self.row * self.weights])
-
-    def _held(self, x: FloatArray) -> float:
-        return float(self.row * (self.weights @ x - self.value))
-
-
-@dataclass(frozen=True, slots=True)
-class _Walk:
-    """The fits of one profile."""
-
-    problem: Counted
-    weights: FloatArray
-    row: float
-    settings: Profiling
-
-    def fitted(self, x: FloatArray, value: float) -> _Point:
-        """Return the best fit near a value of the quantity, from a start that may be outside the bounds."""
-        solver = TrustRegion(self.settings.tolerance, self.settings.evaluations, eager=False)
-        end = solve(_Held(self.problem, self.weights, self.row, value), solver, x)
-        error = end.residual[:-1]
-        return _Point(float(self.weights @ end.x), float(error @ error), end.x)
-
-    def reach(self, sign: float) -> float:
-        """Return how far the parameters' bounds let the quantity go on one side, which may be infinity."""
-        bounds = Bounds.of(self.problem.free)
-        up = np.where(self.weights * sign > 0, bounds.upper, bounds.lower)
-        used = self.weights != 0
-        return float(np.sum(self.weights[used] * up[used]))
 
 
 def profile(
@@ -188,7 +228,7 @@ def profile(
     Args:
         problem: that was solved.
         x: (free,) where.
-        combination: the quantity; `ByCompliance` turns a stiffness into a compliance first.
+        combination: the quantity.
         covariance: of the free parameters, to be believed; autocorrelation-robust when None.
         settings: see `Profiling`.
 
@@ -201,22 +241,42 @@ def profile(
     weights = combination.vector(problem.free)
     counted = Counted(problem)
     residual, J = counted.linearised(x)
-    covariance = covariance or robust(J, J, residual)
+    std = (covariance or robust(J, J, residual)).std_of(weights)
     direction, flat = _least_rise(J, weights)
-    std = covariance.std_of(weights)
-    if flat is None or std == 0.0:
-        return _alone(combination, settings, x, weights, seen=flat is not None)
-    quantile = float(student.ppf(0.5 + 0.5 * settings.level, max(residual.size - x.size, 1)))
-    threshold = quantile**2 * std**2 / flat
-    walk = _Walk(counted, weights, _HELD / math.sqrt(flat), settings)
     centre = _Point(float(weights @ x), float(residual @ residual), np.array(x, dtype=np.float64))
-    step = _FIRST * quantile * std
-    below = _side(walk, centre, -1.0, step, direction, threshold)
-    above = _side(walk, centre, 1.0, step, direction, threshold)
-    found = sorted([*below, centre, *above], key=lambda point: point.value)
+    found, threshold = [centre], 0.0
+    if flat is not None and std > 0.0:
+        quantile = float(student.ppf(0.5 + 0.5 * settings.level, max(residual.size - x.size, 1)))
+        threshold, row = quantile**2 * std**2 / flat, _HELD / math.sqrt(flat)
+
+        def fit(start: FloatArray, value: float) -> _Point:
+            end = refit(
+                counted, start,
+                lambda rows, x: np.append(rows, row * (weights @ x - value)),
+                lambda columns: np.vstack([columns, row * weights]),
+                settings.tolerance, settings.evaluations,
+            )  # fmt: skip
+            error = end.residual[:-1]
+            return _Point(float(weights @ end.x), float(error @ error), end.x)
+
+        bounds, used = Bounds.of(problem.free), weights != 0
+        for sign in (-1.0, 1.0):
+            furthest = np.where(weights * sign > 0, bounds.upper, bounds.lower)
+            end = float(np.sum(weights[used] * furthest[used]))
+            step = sign * _FIRST * quantile * std
+            found += _follow(fit, centre, end, step, direction, threshold, settings.points)
+    found.sort(key=lambda point: point.value)
     lowest = min(found, key=lambda point: point.cost)
-    rise = np.array([point.cost - lowest.cost for point in found])
     values, best = np.array([point.value for point in found]), found.index(lowest)
+    rise = np.array([point.cost - lowest.cost for point in found])
+    interval: tuple[float | None, float | None] = (None, None)  # nothing of it is seen in the residual
+    if threshold > 0.0:
+        interval = (
+            _crossing(values[best::-1], rise[best::-1], threshold),
+            _crossing(values[best:], rise[best:], threshold),
+        )
+    elif flat is not None:  # it is known without error
+        interval = (centre.value, centre.value)
     return Profile(
         combination.name,
         combination.formula,
@@ -227,14 +287,36 @@ def profile(
         rise,
         np.array([point.x for point in found]),
         threshold,
-        (
-            _crossing(values[best::-1], rise[best::-1], threshold),
-            _crossing(values[best:], rise[best:], threshold),
-        ),
+        interval,
         (float(values[0]), float(values[-1])),
         centre.cost - lowest.cost > _IMPROVED * threshold,
         counted.evaluations,
     )
+
+
+def profile_compliance(
+    problem: Problem,
+    x: FloatArray,
+    covariance: Covariance,
+    unit: Callable[[Parameter], str],
+    settings: Profiling | None = None,
+) -> Profile:
+    """Return the profile of 1/K12, in which a nearly rigid joint is nearly linear.
+
+    Args:
+        problem: that was solved, its stiffness free.
+        x: (free,) where.
+        covariance: of the free parameters, the stiffness among them, to be believed.
+        unit: returns that of a parameter; a joint's `unit`.
+        settings: see `Profiling`.
+    """
+    at = [p.quantity for p in problem.free].index(Quantity.STIFFNESS)
+    turn = np.eye(x.size)
+    turn[at, at] = -1.0 / float(x[at]) ** 2  # of 1/K by K
+    turned = covariance_of(turn @ covariance.matrix @ turn.T, covariance.bandwidth)
+    by = ByCompliance(problem, _LEAST / float(x[at]))
+    wanted = Combination("compliance", "1/K12", unit(by.free[at]), {"compliance": 1.0})
+    return profile(by, by.exchanged(x), wanted, turned, settings)
 
 
 def _least_rise(J: FloatArray, weights: FloatArray) -> tuple[FloatArray, float | None]:
@@ -250,73 +332,61 @@ def _least_rise(J: FloatArray, weights: FloatArray) -> tuple[FloatArray, float |
     return np.asarray(follows), flat
 
 
-def _alone(combination: Combination, settings: Profiling, x: FloatArray, weights: FloatArray, seen: bool) -> Profile:
-    """Return the profile of what is not searched: it leaves no trace in the residual, or is known without error."""
-    value = float(weights @ x)
-    interval = (value, value) if seen else (None, None)
-    return Profile(
-        combination.name, combination.formula, combination.unit, value, settings.level, np.array([value]),
-        np.zeros(1), np.array([x]), 0.0, interval, (value, value), False, 1,
-    )  # fmt: skip
-
-
-def _side(
-    walk: _Walk, centre: _Point, sign: float, step: float, direction: FloatArray, threshold: float
+def _follow(
+    fit: Callable[[FloatArray, float], _Point],
+    centre: _Point,
+    end: float,
+    step: float,
+    direction: FloatArray,
+    threshold: float,
+    most: int,
 ) -> list[_Point]:
     """Return points on one side of the estimate, out to the threshold, the bound or the last one allowed.
 
-    The root of the rise over the threshold is nearly linear in the quantity: it says how far to go.
+    The root of the rise over the threshold is nearly linear in the quantity, which tells how far to go.
+
+    Args:
+        fit: the best fit near a value of the quantity, from a start that may be outside the bounds.
+        centre: the estimate.
+        end: value of the quantity, perhaps infinite, beyond which the parameters' bounds do not let it go.
+        step: of the quantity to the first point, negative on the lower side.
+        direction: (free,) how the parameters follow it.
+        threshold: of the rise.
+        most: points.
     """
-    end, found = walk.reach(sign), [centre]
-    lowest = centre.cost
-    while len(found) <= walk.settings.points:
-        inside, outside = _bracket(found, lowest, threshold)
-        if outside is None:
+    sign, step, found, lowest = math.copysign(1.0, step), abs(step), [centre], centre.cost
+
+    def root(point: _Point) -> float:
+        return math.sqrt(max(point.cost - lowest, 0.0) / threshold)
+
+    while len(found) <= most:
+        outwards = sorted(found, key=lambda point: abs(point.value - centre.value))
+        passed = next((i for i, point in enumerate(outwards) if i > 0 and root(point) >= 1), None)
+        inside = outwards[-1 if passed is None else passed - 1]
+        if passed is None:
             target = inside.value + sign * step
             target = min(target, end) if sign > 0 else max(target, end)
-        elif _close(inside, outside, centre, lowest, threshold):
-            break
         else:
+            outside = outwards[passed]
+            narrow = abs(outside.value - inside.value) <= _NARROW * abs(outside.value - centre.value)
+            if narrow or root(outside) <= _FAR:
+                break
             target = 0.5 * (inside.value + outside.value)
-        point = walk.fitted(inside.x + (target - inside.value) * direction, target)
+        point = fit(inside.x + (target - inside.value) * direction, target)
         found.append(point)
         lowest = min(lowest, point.cost)
-        if outside is None:
-            if sign * (end - point.value) <= 1e-3 * step:  # held by the bounds
-                break
-            step, direction = _next(inside, point, lowest, threshold, step, direction)
+        if passed is not None:
+            continue
+        if sign * (end - point.value) <= 1e-3 * step:  # held by the bounds
+            break
+        went = point.value - inside.value
+        if abs(went) <= 1e-6 * step:
+            step *= 2
+            continue
+        slope = (root(point) - root(inside)) / abs(went)
+        wanted = (_BEYOND - root(point)) / slope if slope > 0 else math.inf
+        step, direction = min(max(wanted, 0.5 * step), 2 * step), (point.x - inside.x) / went
     return found[1:]
-
-
-def _root(point: _Point, lowest: float, threshold: float) -> float:
-    return math.sqrt(max(point.cost - lowest, 0.0) / threshold)
-
-
-def _bracket(found: list[_Point], lowest: float, threshold: float) -> tuple[_Point, _Point | None]:
-    """Return the last point below the threshold and the first above it, going outwards."""
-    outwards = sorted(found, key=lambda point: abs(point.value - found[0].value))
-    for before, after in itertools.pairwise(outwards):
-        if _root(after, lowest, threshold) >= 1:
-            return before, after
-    return outwards[-1], None
-
-
-def _close(inside: _Point, outside: _Point, centre: _Point, lowest: float, threshold: float) -> bool:
-    """Whether the interval's end is known well enough between two points."""
-    narrow = abs(outside.value - inside.value) <= _NARROW * abs(outside.value - centre.value)
-    return narrow or _root(outside, lowest, threshold) <= _FAR
-
-
-def _next(
-    before: _Point, point: _Point, lowest: float, threshold: float, step: float, direction: FloatArray
-) -> tuple[float, FloatArray]:
-    """Return the next step, and how the other parameters follow, by the last two points."""
-    went = point.value - before.value
-    if abs(went) <= 1e-6 * step:
-        return 2 * step, direction
-    slope = (_root(point, lowest, threshold) - _root(before, lowest, threshold)) / abs(went)
-    wanted = (_BEYOND - _root(point, lowest, threshold)) / slope if slope > 0 else math.inf
-    return min(max(wanted, 0.5 * step), 2 * step), (point.x - before.x) / went
 
 
 def _crossing(values: FloatArray, rise: FloatArray, threshold: float) -> float | None:

@@ -1,4 +1,4 @@
-"""What a model leaves of the torque: how much, at which frequencies, and whether it is only noise.
+"""Tests of the residual: its size, its frequencies, whether it is white, and whether it follows other axes.
 
 **Whiteness.** The low-pass before the decimation correlates even white noise from row to row, so that the usual test
 calls every residual coloured. Its pass band alone is looked at: the residual's spectrum between 0 and 95 % of the
@@ -15,14 +15,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.text import aligned, number
 from jointid.uncertainty.position_dependent_error import Repeatable
 
 _INSIDE = 0.95  # of the cut-off: the filter is flat up to there
@@ -30,6 +28,9 @@ _LAGS = 20
 _ROWS_PER_LAG = 4  # at least
 _OCTAVES = 6  # below the cut-off; what lies further down is one band
 _LEVEL = 0.05
+_SHIFTS = 200  # of other axes against the residual: enough for a 95 % quantile
+_BY_CHANCE = 0.95  # quantile of what is explained where there is no coupling
+_APART = 0.05  # of the record: shifts by less still see the same motion
 _ROUNDING = 1e-12  # of the torque's: a band with less in it holds nothing to compare with
 
 
@@ -65,7 +66,7 @@ class Whiteness:
 
     @property
     def white(self) -> bool:
-        """Whether nothing speaks against white noise, at 5 %."""
+        """True if nothing speaks against white noise, at 5 %."""
         return self.p_value > _LEVEL
 
     def __str__(self) -> str:
@@ -77,7 +78,7 @@ class Whiteness:
 
 @dataclass(frozen=True, slots=True)
 class ResidualReport:
-    """What a model leaves of the torque.
+    """Size, bands and tests of the residual torque.
 
     Attributes:
         relative: norm of the residual over that of the torque, both filtered; a ratio.
@@ -88,7 +89,7 @@ class ResidualReport:
         bands: from low to high frequencies.
         against_rigid: norm of the residual over that of a rigid model's; None where none was given.
         whiteness: within the pass band; None where the record is too short.
-        repeatable: what of it repeats with the motion; None where the motion was not given.
+        repeatable: the part of it that repeats with the motion; None where the motion was not given.
     """
 
     relative: float
@@ -101,19 +102,6 @@ class ResidualReport:
     whiteness: Whiteness | None
     repeatable: Repeatable | None
 
-    def __str__(self) -> str:
-        """Return the report."""
-        lines = [
-            f"residual {number(self.rms, 3)} {self.unit} rms: {100 * self.relative:.2f} % of the torque, "
-            f"{100 * self.centred:.2f} % with the means taken off (mean {number(self.mean, 2)} {self.unit})"
-        ]
-        if self.against_rigid is not None:
-            lines.append(f"{100 * self.against_rigid:.1f} % of what a rigid model leaves")
-        table = aligned(("band, Hz", "error %", "of the residual %"), [_row(band) for band in self.bands], (True,) * 3)
-        lines += ["", table, ""]
-        lines += [str(said) for said in (self.whiteness, self.repeatable) if said is not None]
-        return "\n".join(lines)
-
 
 def residual_report(
     error: FloatArray,
@@ -122,11 +110,10 @@ def residual_report(
     cutoff: float,
     unit: str = "N",
     *,
-    edges: Sequence[float] | None = None,
     rigid_error: FloatArray | None = None,
     repeatable: Repeatable | None = None,
 ) -> ResidualReport:
-    """Return what a model leaves of a record's torque.
+    """Return the report on the residual of a record's torque, in octaves below the cut-off and one band above it.
 
     Args:
         error: (rows,) measured less predicted torque, filtered and decimated.
@@ -134,13 +121,11 @@ def residual_report(
         sample_time: seconds between rows.
         cutoff: Hz, of the filter both went through.
         unit: of the torque.
-        edges: Hz, in increasing order, between the bands; octaves below the cut-off when None, and what the filter
-            lets through above it. The loop's bandwidth and the joint's modes are good ones.
-        rigid_error: (rows,) what a rigid model leaves, filtered alike.
-        repeatable: what of the residual repeats, from `jointid.uncertainty.position_dependent_error`.
+        rigid_error: (rows,) residual of a rigid model, filtered alike.
+        repeatable: the part that repeats, from `jointid.uncertainty.position_dependent_error`.
 
     Raises:
-        MethodError: the edges do not increase, or the arrays do not belong together.
+        MethodError: the arrays do not belong together.
     """
     sizes = {error.size, measured.size, error.size if rigid_error is None else rigid_error.size}
     if len(sizes) > 1:
@@ -148,9 +133,6 @@ def residual_report(
             f"Residual and torque have the same rows; received {', '.join(map(str, sorted(sizes)))}: filter and "
             "decimate them alike."
         )
-    chosen = _octaves(cutoff, 0.5 / sample_time) if edges is None else [float(edge) for edge in edges]
-    if len(chosen) < 2 or chosen[0] < 0 or np.any(np.diff(chosen) <= 0):
-        raise MethodError(f"The edges of bands are increasing frequencies, two or more; received {chosen}.")
     centred = error - error.mean()
     return ResidualReport(
         relative=_ratio(error, measured),
@@ -158,30 +140,29 @@ def residual_report(
         rms=float(np.sqrt(np.mean(error**2))),
         mean=float(error.mean()),
         unit=unit,
-        bands=_bands(error, measured, sample_time, chosen),
+        bands=_divide_into_bands(error, measured, sample_time, cutoff),
         against_rigid=None if rigid_error is None else _ratio(error, rigid_error),
         whiteness=whiteness(error, sample_time, cutoff),
         repeatable=repeatable,
     )
 
 
-def whiteness(error: FloatArray, sample_time: float, cutoff: float, lags: int = _LAGS) -> Whiteness | None:
+def whiteness(error: FloatArray, sample_time: float, cutoff: float) -> Whiteness | None:
     """Return the test of a residual's autocorrelation (see the module); None where there are too few rows.
 
     Args:
         error: (rows,) filtered and decimated residual.
         sample_time: seconds between rows.
         cutoff: Hz, of the filter.
-        lags: to be tested together, at twice the cut-off.
     """
     from scipy.stats import chi2
 
     e = _within(error, sample_time, cutoff)
-    if e.size < _ROWS_PER_LAG * lags or not np.any(e):
+    if e.size < _ROWS_PER_LAG * _LAGS or not np.any(e):
         return None
-    products = [e[lag:] * e[:-lag] for lag in range(1, lags + 1)]
+    products = [e[lag:] * e[:-lag] for lag in range(1, _LAGS + 1)]
     statistic = float(sum(np.sum(p) ** 2 / np.sum(p**2) for p in products))
-    return Whiteness(statistic, lags, float(chi2.sf(statistic, lags)))
+    return Whiteness(statistic, _LAGS, float(chi2.sf(statistic, _LAGS)))
 
 
 def _within(error: FloatArray, sample_time: float, cutoff: float) -> FloatArray:
@@ -195,13 +176,10 @@ def _within(error: FloatArray, sample_time: float, cutoff: float) -> FloatArray:
     return np.asarray(np.fft.irfft(spectrum[: kept + 1], 2 * kept + 1))
 
 
-def _octaves(cutoff: float, nyquist: float) -> list[float]:
-    highest = min(cutoff, nyquist)
-    octaves = [highest / 2**i for i in range(_OCTAVES, -1, -1)]
-    return [0.0, *octaves, *([nyquist] if nyquist > cutoff else [])]
-
-
-def _bands(error: FloatArray, measured: FloatArray, sample_time: float, edges: Sequence[float]) -> tuple[Band, ...]:
+def _divide_into_bands(error: FloatArray, measured: FloatArray, sample_time: float, cutoff: float) -> tuple[Band, ...]:
+    nyquist = 0.5 / sample_time
+    octaves = [min(cutoff, nyquist) / 2**i for i in range(_OCTAVES, -1, -1)]
+    edges = [0.0, *octaves, *([nyquist] if nyquist > cutoff else [])]
     window = np.hanning(error.size)  # or the ends, which do not meet, would spread the lowest band over all
     residual, torque = (np.abs(np.fft.rfft(window * signal)) ** 2 for signal in (error, measured))
     frequency = np.fft.rfftfreq(error.size, sample_time)
@@ -220,6 +198,43 @@ def _ratio(error: FloatArray, signal: FloatArray) -> float:
     return float(np.linalg.norm(error)) / size if size > 0 else math.inf
 
 
-def _row(band: Band) -> tuple[str, str, str]:
-    error = "-" if band.error is None else f"{100 * band.error:.2f}"
-    return f"{number(band.low, 3)} - {number(band.high, 3)}", error, f"{100 * band.share:.1f}"
+@dataclass(frozen=True, slots=True)
+class Coupling:
+    """Share of a residual's variance that follows the motion of other axes.
+
+    Attributes:
+        explained: share, 0 to 1.
+        by_chance: share that is explained, in 95 of 100 cases, where there is no coupling.
+    """
+
+    explained: float
+    by_chance: float
+
+    @property
+    def seen(self) -> bool:
+        """True if more is explained than by chance."""
+        return self.explained > self.by_chance
+
+
+def coupling(residual: FloatArray, motion: FloatArray) -> Coupling:
+    """Return the share of a residual that other axes' motion explains, by least squares.
+
+    The residual is not white, so the usual F test does not hold. What is explained by chance is found by turning the
+    motion round against the residual, which keeps the spectrum of both: the 95 % quantile over such shifts.
+
+    Args:
+        residual: (rows,) of the filtered torque.
+        motion: (rows, columns) of the other axes, filtered alike.
+    """
+    left = residual - residual.mean()
+    columns = motion - motion.mean(axis=0)
+    size = np.linalg.norm(columns, axis=0)
+    Q, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
+    Q = Q[:, s > s[:1].sum() * 1e-10]
+    total = float(left @ left)
+    if total == 0.0 or Q.shape[1] == 0:
+        return Coupling(0.0, 1.0)
+    apart = max(int(_APART * left.size), 1)
+    shifts = np.unique(np.linspace(apart, left.size - apart, _SHIFTS).astype(np.int64))
+    shares = [float(np.sum((Q.T @ np.roll(left, shift)) ** 2)) / total for shift in shifts]
+    return Coupling(float(np.sum((Q.T @ left) ** 2)) / total, float(np.quantile(shares, _BY_CHANCE)))

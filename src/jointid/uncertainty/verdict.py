@@ -6,7 +6,7 @@ unknown. Each question keeps its own answer.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -44,7 +44,7 @@ class Status(StrEnum):
 
 
 class Reason(StrEnum):
-    """Why a verdict is what it is."""
+    """Reasons for a verdict, as codes."""
 
     SEARCH_ENDED = "search_ended"
     TORQUE_EXPLAINED = "torque_explained"
@@ -90,11 +90,6 @@ class Verdict:
         """The reasons as one sentence."""
         return joined(self.reasons)
 
-    def __str__(self) -> str:
-        """Return the verdict as lines of a table: question, yes or no, reasons."""
-        mark = {True: "yes", False: "no", None: "?"}[self.good]
-        return f"{self.subject:20} {mark:4} " + f",\n{'':26}".join(map(str, self.reasons))
-
 
 @dataclass(frozen=True, slots=True)
 class StiffnessBound:
@@ -112,71 +107,64 @@ class StiffnessBound:
 
 
 def solver_verdict(stop: str, converged: bool) -> Verdict:
-    """Return whether the search converged; `stop` says how it ended."""
-    return Verdict(Subject.SOLVER, Status.of(converged), (Message(Reason.SEARCH_ENDED, stop),))
+    """Return the verdict on the search's end; `stop` says how it ended."""
+    return _judge(Subject.SOLVER, converged, Reason.SEARCH_ENDED, stop)
 
 
 def fit_verdict(report: ResidualReport) -> Verdict:
-    """Return whether the model explains as much of the torque as a right one does."""
+    """Return the verdict on the fit: a right model explains more of the torque than a poor one."""
     said, values = f"{100 * report.relative:.2f} % of the filtered torque remains", {"remaining": report.relative}
     if report.relative <= _POOR:
-        return Verdict(Subject.FIT, Status.PASSED, (Message(Reason.TORQUE_EXPLAINED, said, values),))
-    said += ", more than a right model leaves"
-    return Verdict(Subject.FIT, Status.FAILED, (Message(Reason.TORQUE_UNEXPLAINED, said, values),))
+        return _judge(Subject.FIT, True, Reason.TORQUE_EXPLAINED, said, values)
+    return _judge(Subject.FIT, False, Reason.TORQUE_UNEXPLAINED, f"{said}, more than a right model leaves", values)
 
 
-def residual_verdicts(report: ResidualReport) -> tuple[Verdict, ...]:
-    """Return whether the residual is white, and whether it repeats with the motion."""
-    return _whiteness(report), _repeatable(report)
-
-
-def _whiteness(report: ResidualReport) -> Verdict:
-    white = report.whiteness
+def residual_verdicts(report: ResidualReport) -> tuple[Verdict, Verdict]:
+    """Return the verdicts on the residual's whiteness, and on the part that repeats with the motion."""
+    white, repeats = report.whiteness, report.repeatable
     if white is None:
-        return _unknown(Subject.WHITENESS, Reason.TOO_FEW_ROWS, "too few rows to say")
-    code = Reason.RESIDUAL_WHITE if white.white else Reason.RESIDUAL_COLOURED
-    values = {"statistic": white.statistic, "lags": white.lags, "p_value": white.p_value}
-    return Verdict(Subject.WHITENESS, Status.of(white.white), (Message(code, str(white), values),))
-
-
-def _repeatable(report: ResidualReport) -> Verdict:
-    repeats = report.repeatable
+        noise = _judge(Subject.WHITENESS, None, Reason.TOO_FEW_ROWS, "too few rows to say")
+    else:
+        code = Reason.RESIDUAL_WHITE if white.white else Reason.RESIDUAL_COLOURED
+        values = {"statistic": white.statistic, "lags": white.lags, "p_value": white.p_value}
+        noise = _judge(Subject.WHITENESS, white.white, code, str(white), values)
     if repeats is None:
-        return _unknown(Subject.REPEATABLE, Reason.NOT_TESTED, "not looked at")
+        return noise, not_tested(Subject.REPEATABLE, "not looked at")
     if repeats.p_value is None:
-        return _unknown(Subject.REPEATABLE, Reason.NO_PLACE_REVISITED, str(repeats))
+        return noise, _judge(Subject.REPEATABLE, None, Reason.NO_PLACE_REVISITED, str(repeats))
     code = Reason.RESIDUAL_REPEATS if repeats.significant else Reason.NOTHING_REPEATS
-    values = {"rms": repeats.rms, "unit": repeats.unit, "share": repeats.share, "p_value": repeats.p_value}
-    return Verdict(Subject.REPEATABLE, Status.of(not repeats.significant), (Message(code, str(repeats), values),))
+    sizes = {"rms": repeats.rms, "unit": repeats.unit, "share": repeats.share, "p_value": repeats.p_value}
+    return noise, _judge(Subject.REPEATABLE, not repeats.significant, code, str(repeats), sizes)
 
 
 def identifiability_verdict(known: Identifiability) -> Verdict:
-    """Return whether the record determines every parameter."""
+    """Return the verdict on the parameters: the record determines every one, or its limitations."""
     if known.limitations:
         return Verdict(Subject.IDENTIFIABILITY, Status.FAILED, known.limitations)
     said = "every parameter is told from 0 and from the others"
-    return Verdict(Subject.IDENTIFIABILITY, Status.PASSED, (Message(Reason.ALL_DETERMINED, said),))
+    return _judge(Subject.IDENTIFIABILITY, True, Reason.ALL_DETERMINED, said)
 
 
 def only_sums_verdict() -> Verdict:
     """Return that of a joint whose stiffness is refused, only the sums of both sides are determined."""
     said = "only the sums of both sides are told, not how they divide"
-    return Verdict(Subject.IDENTIFIABILITY, Status.FAILED, (Message(Reason.ONLY_SUMS, said),))
+    return _judge(Subject.IDENTIFIABILITY, False, Reason.ONLY_SUMS, said)
 
 
 def bounds_verdict(touched: Sequence[str]) -> Verdict:
-    """Return whether a parameter is held by a bound."""
+    """Return the verdict on the parameters that are held by a bound."""
     if not touched:
-        said = "no parameter is held by a bound"
-        return Verdict(Subject.BOUNDS, Status.PASSED, (Message(Reason.NONE_AT_BOUND, said),))
+        return _judge(Subject.BOUNDS, True, Reason.NONE_AT_BOUND, "no parameter is held by a bound")
     said = f"{', '.join(touched)} at a bound, where it does not follow the record"
-    return Verdict(Subject.BOUNDS, Status.FAILED, (Message(Reason.AT_BOUND, said, {"parameters": list(touched)}),))
+    return _judge(Subject.BOUNDS, False, Reason.AT_BOUND, said, {"parameters": list(touched)})
 
 
 def not_tested(subject: Subject, why: str) -> Verdict:
     """Return that a question was not looked at, and why."""
-    return _unknown(subject, Reason.NOT_TESTED, why)
+    return _judge(subject, None, Reason.NOT_TESTED, why)
 
 
-def _unknown(subject: Subject, code: Reason, said: str) -> Verdict:
-    return Verdict(subject, Status.UNKNOWN, (Message(code, said),))
+def _judge(
+    subject: Subject, good: bool | None, code: Reason, said: str, values: Mapping[str, object] | None = None
+) -> Verdict:
+    return Verdict(subject, Status.of(good), (Message(code, said, values or {}),))

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.response import compute_response
-from jointid.diagnostics.spectra import estimate_spectra
+from jointid.diagnostics.report_data import compute_response, estimate_spectra
 from tests.output.report import reports
 
 VALUES = {

@@ -9,7 +9,7 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.records.checks import find_record_warnings
 from jointid.records.record import Record
 from jointid.records.signals.filtering import decimate, differentiate_twice, lowpass
-from jointid.uncertainty.coupling import coupling
+from jointid.uncertainty.residual_tests import coupling
 
 _FEWEST = 4  # rows to a column of the regression
 

@@ -36,8 +36,7 @@ from jointid.simulation.drive_side import DriveSide
 from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
 from jointid.solvers.multistart import Multistart
 from jointid.solvers.solve import Solution, Step, Watch, solve
-from jointid.uncertainty.bands import with_bands
-from jointid.uncertainty.covariance import Covariance, sandwich
+from jointid.uncertainty.covariance import Covariance, sandwich, with_bands
 
 _GUESSES = 28  # motor-locked frequencies to try, evenly on a logarithmic scale ...
 _LOWEST = 0.05  # ... from this share of the cut-off up to it

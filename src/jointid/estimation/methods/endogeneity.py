@@ -29,8 +29,7 @@ from jointid.records.signals.filtering import decimate
 from jointid.simulation.drive_side import LOAD_STATE, PARTS, prescribed_motion
 from jointid.solvers.instrumental_variables import InstrumentalSolution, InstrumentalVariables, projection
 from jointid.solvers.solve import Solution, solve
-from jointid.uncertainty.bands import with_bands
-from jointid.uncertainty.covariance import Covariance, bandwidth, sandwich
+from jointid.uncertainty.covariance import Covariance, bandwidth, sandwich, with_bands
 
 _MEMORY = 40  # rows of the filtered torque that a response goes back
 _ACCEPTED = 0.01  # a contrast that noise alone would reach less often is none of noise

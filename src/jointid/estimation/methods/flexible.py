@@ -36,9 +36,8 @@ from jointid.records.record import Record
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.nelder_mead import NelderMead, sizes_of
 from jointid.solvers.solve import Counted, Solver, solve
-from jointid.uncertainty.combination import Combination, Kind
 from jointid.uncertainty.covariance import Covariance
-from jointid.uncertainty.identifiability import Known
+from jointid.uncertainty.identifiability import Combination, Kind, Known
 from jointid.uncertainty.position_dependent_error import uncertainty
 from jointid.uncertainty.verdict import only_sums_verdict
 

@@ -38,7 +38,7 @@ from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.solvers.regression import Fit, least_squares
 from jointid.uncertainty.covariance import Covariance, sandwich
-from jointid.uncertainty.endogeneity_test import ChiSquareTest, durbin_wu_hausman
+from jointid.uncertainty.model_tests import ChiSquareTest, durbin_wu_hausman
 
 _PULL = 10.0  # deviations in units of which the pull of a homogeneous equation stays below one
 _NORMAL = 0.6744897501960817  # median of the absolute value of a standard normal

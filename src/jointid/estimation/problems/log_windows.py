@@ -384,6 +384,5 @@ def repeats(places: Iterable[Place], square: float, unit: str) -> Repeatable:
         share=min(max(repeated, 0.0) * rows / square, 1.0) if square > 0 else 0.0,
         correlation=None,
         p_value=p_value,
-        revisited=sum(p.sums.rows for p in again) / max(rows, 1),
         unit=unit,
     )

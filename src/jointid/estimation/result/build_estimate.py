@@ -24,8 +24,7 @@ from jointid.simulation.closed_loop import Simulation
 from jointid.simulation.drive_side import LOAD_STATE
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.solve import Bounds, Solution
-from jointid.uncertainty.bands import band_words
-from jointid.uncertainty.covariance import Covariance, words
+from jointid.uncertainty.covariance import Covariance, band_words, words
 from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.position_dependent_error import Uncertainty
 from jointid.uncertainty.residual_tests import residual_report

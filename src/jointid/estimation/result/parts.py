@@ -17,8 +17,8 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.regression import Conditioning
-from jointid.uncertainty.endogeneity_test import ChiSquareTest
 from jointid.uncertainty.identifiability import Identifiability
+from jointid.uncertainty.model_tests import ChiSquareTest
 from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.residual_tests import ResidualReport
 from jointid.uncertainty.verdict import StiffnessBound, Verdict

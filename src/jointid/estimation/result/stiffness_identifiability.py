@@ -40,11 +40,10 @@ from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.solve import Bounds, Solution, solve
 from jointid.solvers.trust_region import TrustRegion
-from jointid.uncertainty.combination import ByCompliance, Combination
 from jointid.uncertainty.covariance import robust, white
-from jointid.uncertainty.flexible_vs_rigid_test import flexible_against_rigid
+from jointid.uncertainty.model_tests import flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
-from jointid.uncertainty.profile import profile
+from jointid.uncertainty.profile import profile_compliance
 from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 
 SHARES = (0.05, 0.1, 0.2, 0.33, 0.5)
@@ -210,13 +209,7 @@ def _follow_compliance(problem: ClosedLoopProblem, x: FloatArray, known: Uncerta
     std, value = float(known.covariance.std[at]), float(x[at])
     if 2 * std <= _TIGHT * value:
         return 0, []
-    by = ByCompliance(problem, 1e-4 / value)
-    unit = problem.joint.unit(by.free[at])
-    scale, sign = np.ones(x.size), np.ones(x.size)
-    scale[at], sign[at] = 1.0 / value**2, -1.0
-    correlation = known.covariance.correlation * np.outer(sign, sign)
-    spread = replace(known.covariance, std=known.covariance.std * scale, correlation=correlation)
-    found = profile(by, by.exchanged(x), Combination("compliance", "1/K12", unit, {"compliance": 1.0}), spread)
+    found = profile_compliance(problem, x, known.covariance, problem.joint.unit)
     if found.bounded:
         return found.evaluations, []
     side = "stiff" if found.interval[0] is None else "soft"

@@ -12,7 +12,7 @@ from jointid.estimation.problems.nuisance_parameters import INITIAL
 from jointid.estimation.result.drift import DriftTest
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.params import EstimatedParameter, known_on_other_side
-from jointid.uncertainty.combination import Kind
+from jointid.uncertainty.identifiability import Kind
 from jointid.uncertainty.verdict import Status
 
 _SHOWN = 2.0  # standard errors that a trend has at least to be printed as one

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,9 +16,12 @@ from jointid.models.controllers import POSITION, REFERENCE, invert
 from jointid.models.joints import RigidJoint
 from jointid.records.record import Channel, Tap, Timing
 from jointid.simulation.loop_input import known_memory
+from jointid.solvers.gauss_newton import GaussNewton
 from jointid.solvers.regression import least_squares
+from jointid.solvers.solve import solve
 
 _SETTLED = 5.0  # periods of the position filter's cut-off after which a fault is forgotten
+_STEPS = 6  # enough for two parameters that act almost linearly on the torque
 _SLOPE = 20  # samples the initial velocity is first read from: the search corrects it
 
 
@@ -89,6 +93,22 @@ def initial_state(problem: ClosedLoopProblem, position: FloatArray) -> dict[str,
     first = position[skip : skip + _SLOPE]
     slope, value = np.polyfit(np.arange(first.size) * sample_time, first, 1)
     return {"initial_position": float(value - slope * skip * sample_time), "initial_velocity": float(slope)}
+
+
+def fit_initial_state(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
+    """Return the initial state that fits best, position and velocity, and the simulations it took.
+
+    A motor at rest and a moving one are two problems (see `didim`), so both are solved.
+    """
+    try:
+        start = initial_state(problem, reconstructed_position(problem))
+    except MethodError:  # a controller that cannot be inverted: start on the reference, at rest
+        start = {"initial_position": float(problem.experiment.inputs[0, 0]), "initial_velocity": 0.0}
+    problems = (problem.keeping({"initial_velocity": 0.0}), problem)
+    solver = GaussNewton(tolerance=1e-9, step_tolerance=math.inf, iterations=_STEPS, halvings=0)
+    ends = [(p, solve(p, solver, p.vector(start))) for p in problems]
+    which, best = min(ends, key=lambda end: float(np.linalg.norm(end[1].residual)))
+    return problem.vector(which.values(best.x)), sum(end.evaluations for _, end in ends)
 
 
 def beginning_position(problem: ClosedLoopProblem, velocity: float = 0.0) -> float:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from jointid.diagnostics.experiment_design import Advice, Prediction
-from jointid.diagnostics.loop_check import FaultTest, LoopCheck
+from jointid.diagnostics.check_loop import LoopCheck
+from jointid.diagnostics.experiment_design import Advice, DetectableMode, Prediction, StiffnessTestDesign
+from jointid.diagnostics.fault_tests import FaultTest
 from jointid.diagnostics.method_comparison import MethodComparison
-from jointid.diagnostics.stiffness_test_design import DetectableMode, StiffnessTestDesign
 from jointid.diagnostics.validation import Validation
 from jointid.output.json.estimates import estimate_answer
 from jointid.output.json.parts import Json, initial_answer, resampled_answer, transmission_answer

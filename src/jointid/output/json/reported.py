@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from jointid.common.errors import RecordError
-from jointid.diagnostics.compare_estimates import EstimateComparison, ReportedEstimate, ReportedQuantity
+from jointid.diagnostics.changes import EstimateComparison, ReportedEstimate, ReportedQuantity
 from jointid.output.json.estimates import ESTIMATE_SCHEMA
 from jointid.output.json.parts import Json
 from jointid.output.json.reports import REPORT_ELEMENT, REPORT_SCHEMA

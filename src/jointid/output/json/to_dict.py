@@ -7,12 +7,10 @@ from typing import Any
 
 from jointid.common.errors import MethodError
 from jointid.controller_id.learned import LearnedLoop
-from jointid.diagnostics.compare_estimates import EstimateComparison
-from jointid.diagnostics.experiment_design import Advice
-from jointid.diagnostics.loop_check import LoopCheck
+from jointid.diagnostics.changes import EstimateComparison, MinimumDetectableChange
+from jointid.diagnostics.check_loop import LoopCheck
+from jointid.diagnostics.experiment_design import Advice, StiffnessTestDesign
 from jointid.diagnostics.method_comparison import MethodComparison
-from jointid.diagnostics.minimum_detectable_change import MinimumDetectableChange
-from jointid.diagnostics.stiffness_test_design import StiffnessTestDesign
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
 from jointid.output.json.assessments import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 
-from jointid.diagnostics.minimum_detectable_change import MinimumDetectableChange
+from jointid.diagnostics.changes import MinimumDetectableChange
 from jointid.output.json.parts import Json, transmission_answer
 from jointid.tuning.margins import Margins
 from jointid.tuning.tuned import LoopMargins, Tuned

@@ -8,7 +8,7 @@ from jointid.estimation.methods.registry import method_of
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.friction import DIRECTIONS, Part
 from jointid.models.joints import frequencies
-from jointid.uncertainty.combination import Kind
+from jointid.uncertainty.identifiability import Kind
 from jointid.uncertainty.verdict import Subject
 
 QUESTIONS = {

@@ -1,0 +1,254 @@
+"""Other sensors and other motions than a record's, under the same loop, for the prediction of tests.
+
+Position encoders add information to that of the torque, from the exact sensitivities of the positions. An encoder adds
+its sensitivities g, weighted by the spectrum S of its errors, to the information of an estimate, the inverse of its
+covariance P::
+
+    P1 = (P^-1 + sum_f g(f)* g(f)' / S(f))^-1
+
+The mean of every column of g is left out, because an encoder's zero is not known. g and S depend on the source of the
+torque residual:
+
+- **on the log**: a measured current has noise of its own, independent of the positions; g is the sensitivity f of the
+  position, S the variance of rounding to the encoder's steps, ``step^2 / 12``.
+- **in the loop**: the log is the controller's output, exact, and an unknown force acts on the motor. Its answers in
+  torque T_u and positions T_m, T_l are those of one force, so that the covariance of what is logged is
+  ``T T* S_d + diag(0, R_m, R_l)``. Inverted, that is the information of the torque alone, plus that of the part which
+  torque does not explain, ``g = f - (T / T_u) f_u``. The motor position is the input of the controller: the torque
+  determines it without error, g = 0, and a motor encoder adds nothing. The equations from motor to load do not contain
+  the force, so g is the sensitivity of the load position with the motor's motion prescribed, ``f_l - H f_m`` with H the
+  load's answer to the motor while it slides, and 0 for all parameters of the motor's side.
+
+  Rounding alone would promise the load's parameters 30 times better than IDIM by instruments reaches: between two
+  samples the motor's motion is not known, and at its reversals the load does not slide. So a force that explains the
+  residual is applied to the simulated loop, and the spectrum of the load's response that H does not explain is added
+  to S.
+
+An encoder is read whenever the torque is logged. The ratio T / T_u is not measured from simulated runs: an error of 1 %
+in it would count as information, because an encoder's steps are that small beside the motion that a controller allows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.models.parameters import TORQUE_UNIT
+from jointid.records.record import Channel, Injection, Record, Tap
+from jointid.records.signals.encoder import find_encoder_step
+from jointid.records.signals.excitation import pulses
+from jointid.simulation.closed_loop import Outcome
+from jointid.simulation.loop_input import LoopInput, as_logged, prepare
+from jointid.uncertainty.covariance import smoothed_spectrum, sum_over_frequencies
+
+Noise: TypeAlias = Literal["loop", "log"]
+
+_OF_TRAVEL = 1e-6  # of the commanded travel: the step assumed of an unknown encoder
+_COULOMB = 5.0  # times the Coulomb friction of the whole joint: the height of a pulse
+_WIDTH = 1.2  # over the cut-off: 20 ms at 60 Hz, half a period of a mode in the middle of the band
+_EVERY = 20.0  # widths from one pulse to the next
+_FASTER = math.sqrt(2.0)  # times the speed: twice the acceleration
+
+
+def find_noise_source(record: Record) -> Noise:
+    """Return the source of the torque residual implied by the tap of the record."""
+    return "log" if record.tap is Tap.MEASURED else "loop"
+
+
+def choose_encoder_steps(record: Record, given: float | None) -> tuple[float, float]:
+    """Return the encoder steps of motor and load: as given, else those of the record, else assumed.
+
+    The step assumed of an unknown encoder is a millionth of the commanded travel.
+    """
+    if given is not None:
+        if not (math.isfinite(given) and given > 0):
+            raise MethodError(f"The step of an encoder is a positive number; received {given}.")
+        return given, given
+    assert record.reference is not None
+    assumed = _OF_TRAVEL * (float(np.ptp(record.reference.values)) or 1.0)
+    motor = find_encoder_step(record.motor_position) or assumed
+    return motor, find_encoder_step(record.load_position) or motor
+
+
+def compute_encoder_information(
+    problem: ClosedLoopProblem, x: FloatArray, noise: Noise, motor_step: float, load_step: float
+) -> tuple[FloatArray, FloatArray | None]:
+    """Return the information of an encoder on the motor, and of one on the load; None for a rigid joint.
+
+    It is (free, free), in the inverse squares of the parameters' units (see the module).
+
+    Args:
+        problem: of the torque.
+        x: (free,) its parameters.
+        noise: source of the torque residual.
+        motor_step: of the encoder on the motor, m or rad.
+        load_step: of that on the load.
+    """
+    found = problem.positions(x)
+    motor, load = found.motor_position, found.load_position
+    flexible = problem.loop.joint.model == "flexible"
+    if noise == "log":
+        rounding = np.zeros(len(motor))
+        on_load = _inform(load, rounding, load_step) if flexible else None
+        return _inform(motor, rounding, motor_step), on_load
+    nothing = np.zeros((x.size, x.size))
+    if not flexible:
+        return nothing, None
+    left = _simulate_load_error(problem, x)
+    if left is None:
+        return nothing, nothing
+    of_load = [p.name.startswith("load_") or p.name in ("stiffness", "damping") for p in problem.free]
+    own = subtract_driven_motion(problem, x, motor, load) * np.array(of_load)  # in the load's equation of motion
+    return nothing, _inform(own, left, load_step)
+
+
+def _inform(columns: FloatArray, left: FloatArray, step: float) -> FloatArray:
+    """Return the information, (free, free), of a position: its sensitivities by the inverse of its errors' spectrum.
+
+    Args:
+        columns: (samples, free) its sensitivities. Their mean weighs nothing.
+        left: (samples,) an example of its errors beside rounding.
+        step: of the encoder.
+    """
+    spectrum, both = smoothed_spectrum(left, left.size)
+    weights = both / ((spectrum + step**2 / 12.0) * left.size)
+    return sum_over_frequencies(columns, np.concatenate([[0.0], weights]))
+
+
+def add_information(covariance: FloatArray, information: FloatArray) -> FloatArray:
+    """Return ``(covariance^-1 + information)^-1``, all (free, free); the covariance may be singular."""
+    std = np.sqrt(np.diag(covariance))
+    std = np.where(std > 0, std, 1.0)
+    sizes, vectors = np.linalg.eigh(covariance / np.outer(std, std))
+    root = std[:, np.newaxis] * vectors * np.sqrt(np.maximum(sizes, 0.0))
+    added = root.T @ information @ root
+    return np.asarray(root @ np.linalg.solve(np.eye(std.size) + added, root.T))
+
+
+def subtract_driven_motion(
+    problem: ClosedLoopProblem, x: FloatArray, motor: FloatArray, load: FloatArray
+) -> FloatArray:
+    """Return the load's motion less that driven by the motor, ``load - H motor``, (samples, ...) as given.
+
+    ``ZZ2 a + (Fv2 + F12) v + K12 q = F12 v1 + K12 q1``, the load sliding, the motor on a straight line between two
+    samples.
+    """
+    from scipy.signal import cont2discrete, lfilter
+
+    values = problem.values(x)
+    viscous = [value for name, value in values.items() if name.startswith("load_viscous")]
+    drag = math.fsum(viscous) / len(viscous) + values["damping"]
+    equation = np.array([values["load_inertia"], drag, values["stiffness"]])
+    driven = np.array([values["damping"], values["stiffness"]])
+    top, bottom, _ = cont2discrete((driven, equation), problem.experiment.sample_time, method="foh")
+    return np.asarray(load - lfilter(np.ravel(top), bottom, motor, axis=0))
+
+
+def _simulate_load_error(problem: ClosedLoopProblem, x: FloatArray) -> FloatArray | None:
+    """Return the load's answer to a force that explains the torque's residual, less that driven by the motor's motion.
+
+    The force is white and acts on the motor, scaled so that the filtered torque changes by as much as the residual.
+    None where the loop cannot be simulated under it.
+    """
+    experiment = problem.experiment
+    quiet = problem.simulate(x)
+    white = np.random.default_rng(0).standard_normal(experiment.after_limit.size)
+    wanted, size = float(np.linalg.norm(problem.error(quiet))), 1.0
+    for attempt in range(3):  # the response is almost linear: two proportional steps, then the run itself
+        forced = replace(experiment, after_limit=experiment.after_limit + size * white)
+        run = replace(problem, experiment=forced).simulate(x)
+        if run.outcome is not Outcome.FINISHED:
+            return None
+        if attempt < 2:
+            change = run.torque - quiet.torque - as_logged(experiment, forced.shown - experiment.shown)
+            size *= wanted / float(np.linalg.norm(problem.filtered(change)))
+    assert run.load_position is not None
+    assert quiet.load_position is not None
+    motor = run.motor_position - quiet.motor_position
+    return subtract_driven_motion(problem, x, motor, run.load_position - quiet.load_position)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Variation:
+    """Another motion under the same loop.
+
+    Attributes:
+        name, description: in a word or two, and with its numbers.
+        experiment: to simulate.
+    """
+
+    name: str
+    description: str
+    experiment: LoopInput
+
+
+def choose_pulse(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[float, float]:
+    """Return the height (N or N m) and the width (s) of pulses that excite a joint.
+
+    Five times its Coulomb friction, so that they move it from rest, and 1.2 over the cut-off long, as the twin's 20 ms
+    are: half a period of a mode in the middle of the fitted band.
+    """
+    assert problem.filtering.cutoff is not None
+    by_direction = {False: 0.0, True: 0.0}
+    for name, value in values.items():
+        if "coulomb" in name:
+            by_direction[name.endswith("backwards")] += abs(value)
+    size = max(by_direction.values()) or float(np.sqrt(np.mean(problem.measured**2)))
+    return _COULOMB * size, _WIDTH / problem.filtering.cutoff
+
+
+def add_pulses(problem: ClosedLoopProblem, height: float, width: float) -> Variation:
+    """Return the record's own motion with pulses added to the motor's force and to any injected signal.
+
+    Args:
+        problem: of the record.
+        height: of the pulses, N or N m.
+        width: of a pulse, s; one comes every 20 widths, as `excitation.pulses` draws them.
+    """
+    experiment = problem.experiment
+    period = experiment.law.period
+    more = pulses(experiment.after_limit.size, period, height, width, _EVERY * width, seed=0)
+    unit = problem.loop.joint.torque_unit or TORQUE_UNIT[problem.loop.joint.kind]
+    again = "more " if experiment.injected else ""
+    description = f"{again}pulses of {height:.2g} {unit} and {1e3 * width:.3g} ms, one in {_EVERY * width:.2g} s"
+    changed = replace(experiment, after_limit=experiment.after_limit + more)
+    return Variation(f"{again}pulses", description, changed)
+
+
+def double_acceleration(problem: ClosedLoopProblem, record: Record) -> Variation:
+    """Return the same path with twice the acceleration, repeated for the duration of the record.
+
+    It is simulated once, 1.4 times as fast, for less time; known pulses stay as long and as far apart as they were.
+    """
+    assert record.reference is not None
+    log = record.torque or record.reference
+    samples = math.floor(len(log) / _FASTER)
+
+    def speed_up(channel: Channel | None, gain: float = 1.0) -> Channel | None:
+        if channel is None:
+            return None
+        count = math.floor(samples * log.sample_time / channel.sample_time)
+        at = np.minimum(_FASTER * np.arange(count), len(channel) - 1)
+        return replace(channel, values=gain * np.interp(at, np.arange(len(channel)), channel.values))
+
+    def shorten(channel: Channel) -> Channel:
+        return replace(channel, values=channel.values[: math.floor(samples * log.sample_time / channel.sample_time)])
+
+    driven = Record(
+        torque=None if record.torque is None else shorten(record.torque),
+        tap=record.tap,
+        reference=speed_up(record.reference),
+        reference_velocity=speed_up(record.reference_velocity, _FASTER),
+        injected=None
+        if record.injected is None
+        else Injection(shorten(record.injected.channel), record.injected.at, record.injected.in_torque),
+        name=record.name,
+    )
+    return Variation("faster", "the same path with twice the acceleration", prepare(problem.loop, driven))
