@@ -22,7 +22,7 @@ class Problem(Protocol):
     """A vector of free parameters in, the filtered, decimated residual (measured less predicted) out."""
 
     @property
-    def free(self) -> tuple[Variable, ...]:
+    def free(self) -> tuple[Parameter, ...]:
         """The parameters that are identified, in the order of every vector and column, with their bounds."""
 
     def residual(self, x: FloatArray) -> FloatArray:
@@ -206,7 +206,7 @@ class Counted:
         return self.tally.evaluations
 
     @property
-    def free(self) -> tuple[Variable, ...]:
+    def free(self) -> tuple[Parameter, ...]:
         """The parameters that are identified."""
         return self.problem.free
 
