@@ -20,7 +20,7 @@ from jointid.estimation.methods.endogeneity import (
 )
 from jointid.estimation.problems.drive_side import DriveSideProblem, motion_problem
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
-from jointid.records.record import Channel, Record, Tap, Timing
+from jointid.records.record import Channel, Injection, Record, Tap, Timing
 from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
 from jointid.solvers.solution import Solution
 from jointid.solvers.solve import solve
@@ -75,7 +75,7 @@ def test_a_load_that_sticks_is_identified() -> None:
 def _driven(reference: np.ndarray, known: np.ndarray) -> Record:
     return Record(
         reference=Channel(reference, "m", 1e-3),
-        injected=ji.Injection(Channel(known, "N", 1e-3, Timing.HELD)),
+        injected=Injection(Channel(known, "N", 1e-3, Timing.HELD)),
     )
 
 

@@ -20,7 +20,6 @@ from jointid import (
     Estimate,
     Filtering,
     FlexibleDIDIM,
-    IdentifiedJoint,
     Record,
     RigidJoint,
     Validation,
@@ -133,15 +132,12 @@ def _reproduce_experiment(axis: Twin, other: Twin, tables: str, progress: Progre
     didim = identify(keep_torque_only(axis), axis.loop, FlexibleDIDIM.paper())
     progress(f"{tables}: DIDIM by least squares, for its deviations")
     best = identify(keep_torque_only(axis), axis.loop, FlexibleDIDIM())
+    # An inverse model's values in a loop that can be simulated.
+    filtering = Filtering().resolved(idim.data.sample_time, "flexible")
+    simulable = replace(idim.identified, method="didim", loop=axis.loop, filtering=filtering)
     return ReproducedExperiment(
-        axis, idim, didim, best, validate(make_simulable(idim, axis), other.record), validate(didim, axis.record)
+        axis, idim, didim, best, validate(simulable, other.record), validate(didim, axis.record)
     )
-
-
-def make_simulable(estimate: Estimate, axis: Twin) -> IdentifiedJoint:
-    """Return an IDIM estimate as a joint whose loop can be simulated."""
-    filtering = Filtering().resolved(estimate.data.sample_time, "flexible")
-    return replace(estimate.identified, method="didim", loop=axis.loop, filtering=filtering)
 
 
 def _remove_damping(axis: Twin, best: Estimate) -> WithoutDamping:

@@ -26,7 +26,7 @@ __all__ = ["Plots", "Report", "report", "save", "to_dataframe", "to_dict"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plots:
-    """The figures of an estimate; ``ji.save(figure, path)`` writes one."""
+    """The figures of an estimate, of matplotlib: ``figure.savefig(path)`` writes one."""
 
     estimate: Estimate
 

@@ -166,6 +166,12 @@ class JointModel:
         return self._mass("load_") if self.flexible else None
 
     @property
+    def masses(self) -> dict[str, Mass]:
+        """The motor and, where the joint is flexible, the load, by these names."""
+        load = self.load
+        return {"motor": self.motor} | ({} if load is None else {"load": load})
+
+    @property
     def stiffness(self) -> float:
         """Of the spring between motor and load; 0 where the joint is rigid.
 
@@ -185,9 +191,9 @@ class JointModel:
         return self.values.get("damping", 0.0)
 
     @property
-    def offset(self) -> float:
-        """The constant force on the motor."""
-        return self.values["offset"]
+    def friction_shift(self) -> float:
+        """The constant force on the motor: its offset, and what makes an even Coulomb friction an uneven one."""
+        return self.values["offset"] + self.motor.shift
 
     @property
     def weight(self) -> Weight | None:
