@@ -50,14 +50,14 @@ class Plots:
 
 def to_dict(estimate: Estimate) -> dict[str, Any]:
     """Return the JSON document of an estimate."""
-    from jointid.output.json.estimates import estimate_answer
+    from jointid.output.json import to_dict
 
-    return estimate_answer(estimate)
+    return to_dict(estimate)
 
 
 def save(estimate: Estimate, path: str | Path) -> Path:
     """Write the JSON document of an estimate, and return its path."""
-    from jointid.output.json.writing import write
+    from jointid.output.json import write
 
     write(to_dict(estimate), path)
     return Path(path)

@@ -18,8 +18,7 @@ from jointid.output.export.joint_model import JointModel, joint_model
 from jointid.output.export.modelica import modelica
 from jointid.output.export.robots import mjcf, urdf
 from jointid.output.export.state_space import StateSpace, linear_part, matlab, state_space_json
-from jointid.output.json import estimate_answer
-from jointid.output.json.reading import read_answer
+from jointid.output.json import read_answer, to_dict
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,4 +184,4 @@ def _model(estimate: Estimate | JointModel, name: str | None) -> JointModel:
         raise MethodError(
             f"What is exported is an estimate, of one record or of several; received {type(estimate).__name__}."
         )
-    return joint_model(estimate_answer(estimate), estimate.settings.joint, name)
+    return joint_model(to_dict(estimate), estimate.settings.joint, name)

@@ -28,8 +28,8 @@ from jointid.models.linear import OUTPUTS, discretise, drive_matrices
 from jointid.models.parameters import Quantity, unit_of
 from jointid.output.export.joint_model import JointModel
 from jointid.output.export.text import effects_left_out, identifier, number, remarks, uneven_viscous
-from jointid.output.json.parts import Json, parameter_answer
-from jointid.output.json.writing import dumps
+from jointid.output.json import dumps, plain
+from jointid.output.json.keys import Json
 
 STATE_SPACE_SCHEMA = "jointid.state-space/1"
 
@@ -162,7 +162,7 @@ def state_space_json(
         "units": dict(continuous.units),
         "continuous": _matrices(continuous),
         "sampled": {"period": sampled.period, "delay": sampled.delay} | _matrices(sampled),
-        "parameters": {p.name: parameter_answer(p) for p in model.parameters},
+        "parameters": {p.name: plain(p) for p in model.parameters},
         "source": {
             "schema": origin.schema,
             "method": origin.method or None,

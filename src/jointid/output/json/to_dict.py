@@ -1,49 +1,25 @@
-"""Any result as the dict that is written to JSON."""
+"""Results as JSON: one walk over their fields, by the shapes of `shapes` where a document differs from its class.
+
+Every document has `schema` at its top level. A number that does not exist is null, never NaN.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from enum import StrEnum
+from pathlib import Path
 from typing import Any
 
-from jointid.common.errors import MethodError
-from jointid.controller_id.learned import LearnedLoop
-from jointid.diagnostics.compare_estimates import EstimateComparison
-from jointid.diagnostics.experiment_design import Advice
-from jointid.diagnostics.loop_check import LoopCheck
-from jointid.diagnostics.method_comparison import MethodComparison
-from jointid.diagnostics.minimum_detectable_change import MinimumDetectableChange
-from jointid.diagnostics.stiffness_test_design import StiffnessTestDesign
-from jointid.diagnostics.validation import Validation
-from jointid.estimation.result.estimate import Estimate
-from jointid.output.json.assessments import (
-    advice_answer,
-    comparison_answer,
-    loop_answer,
-    revealing_answer,
-    validation_answer,
-)
-from jointid.output.json.estimates import estimate_answer
-from jointid.output.json.inspected import inspection_answer
-from jointid.output.json.learned import learned_answer
-from jointid.output.json.parts import Json
-from jointid.output.json.reported import drift_answer
-from jointid.output.json.tuning import detectable_answer, tuning_answer
-from jointid.records.files.inspection import Inspection
-from jointid.tuning.tuned import Tuned
+import numpy as np
 
-_WRITERS: Mapping[type, Callable[[Any], Json]] = {
-    Advice: advice_answer,
-    MethodComparison: comparison_answer,
-    MinimumDetectableChange: detectable_answer,
-    Estimate: estimate_answer,
-    Inspection: inspection_answer,
-    LearnedLoop: learned_answer,
-    LoopCheck: loop_answer,
-    EstimateComparison: drift_answer,
-    StiffnessTestDesign: revealing_answer,
-    Tuned: tuning_answer,
-    Validation: validation_answer,
-}
+from jointid.common.errors import MethodError, RecordError
+from jointid.models.joints import Joint
+from jointid.output.json.keys import Json, take
+from jointid.output.json.shapes import SHAPES
+from jointid.records.time_base.uniformity import Resampled
 
 
 def to_dict(result: object) -> Json:
@@ -65,9 +41,68 @@ def to_dict(result: object) -> Json:
         >>> ji.to_dict(ji.identify(record, loop))["schema"]
         'jointid.estimate/1'
     """
-    writer = _WRITERS.get(type(result))
-    if writer is None:
+    if type(result).__name__ not in SHAPES:
         raise MethodError(
             f"Only a result is written as JSON; received {type(result).__name__}: give what a verb returned."
         )
-    return writer(result)
+    document: Json = plain(result)
+    return document
+
+
+def simulation_answer(
+    simulation: object, joint: Joint, values: Mapping[str, float], record: str, resampled: Resampled | None = None
+) -> Json:
+    """Return what a simulation was and how it ended as it is written to JSON; the signals go into a record."""
+    parameters = {
+        p.name: {"symbol": p.symbol, "value": values[p.name], "unit": joint.unit(p)} for p in joint.parameters
+    }
+    document: Json = plain(
+        {
+            "schema": "jointid.simulation/1",
+            "model": joint.model,
+            "transmission": joint.transmission,
+            "record": record,
+            "resampled": resampled,
+            "parameters": parameters,
+        }
+    )
+    return document | to_dict(simulation)
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON has it: a data class by its shape or by its fields, an array or a tuple as a list."""
+    if is_dataclass(value):
+        shape = SHAPES.get(type(value).__name__) or {field.name: field.name for field in fields(value)}
+        return plain(take(value, shape))
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return str(value) if isinstance(value, StrEnum) else value
+
+
+def dumps(document: Json) -> str:
+    """Return a document as JSON text, the same bytes for the same document."""
+    return json.dumps(_finite(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def write(document: Json, path: str | Path) -> None:
+    """Write a document as JSON.
+
+    Raises:
+        RecordError: the file cannot be written.
+    """
+    try:
+        Path(path).write_text(dumps(document), encoding="utf-8")
+    except OSError as error:
+        raise RecordError(f"{path} cannot be written ({error.strerror}); choose another place.") from None
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -17,7 +17,7 @@ from jointid.common.document.html import block_html, inert
 from jointid.common.errors import RecordError
 from jointid.common.extras import extra
 from jointid.output.figures.bokeh_backend import PURPOSE, script
-from jointid.output.json.reports import REPORT_ELEMENT
+from jointid.output.json.shapes import REPORT_ELEMENT
 
 if TYPE_CHECKING:
     from jinja2 import Environment
