@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jointid.common.errors import RecordError
-from jointid.output.figures.channels import channels_figure
+from jointid.output.figures import channels_figure
 from jointid.output.figures.figures import save
 from jointid.output.json import dumps, to_dict
 from jointid.records.files.inspection import draw_sparkline, inspect

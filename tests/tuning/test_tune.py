@@ -20,7 +20,7 @@ from jointid.models.controllers import PD, PID, Cascade, StateSpaceController
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint, frequencies
 from jointid.models.transmission import Transmission
-from jointid.output.figures.tuning_figure import tuning_figure
+from jointid.output.figures import tuning_figure
 from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import TABLE_2, twin
 from jointid.records.drives.drive import Drive

@@ -22,16 +22,17 @@ def reproduce(
         quiet: say nothing of the progress.
     """
     from jointid.apps.cli.console import make_folder, progress, ready, show
+    from jointid.output.figures import torque_png
     from jointid.output.report.page import require_extra, save
-    from jointid.output.report.reproduction import reproduction_document
     from jointid.paper.reproduce import reproduce as run
+    from jointid.paper.reproduce import reproduction_document
 
     require_extra(plots=False)
     make_folder(out)
     listener = progress(quiet)
     ready(listener)
     found = run(seed, listener)
-    written = save(reproduction_document(found), out, "reproduction")
+    written = save(reproduction_document(found, torque_png), out, "reproduction")
     didim, best = found.first.didim, found.first.best
     for name in ("motor_inertia", "load_inertia", "stiffness"):
         value, std, truth = best.values[name], best[name].stderr or 0.0, found.first.axis.truth[name]

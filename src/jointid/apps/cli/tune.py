@@ -64,7 +64,7 @@ def tune(
 
         answers.write(answers.to_dict(tuned), json)
     if figure is not None:
+        from jointid.output.figures import tuning_figure
         from jointid.output.figures.figures import save
-        from jointid.output.figures.tuning_figure import tuning_figure
 
         save(tuning_figure(tuned), figure)

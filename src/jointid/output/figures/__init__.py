@@ -1,6 +1,21 @@
-"""Figures: described once as charts, drawn by matplotlib for paper and by bokeh for the screen."""
+"""Figures: described once as charts, drawn by matplotlib for print and by bokeh for the screen."""
 
-from jointid.output.figures.figures import residual_figure, save, torque_figure
-from jointid.output.figures.tuning_figure import tuning_figure
+from jointid.output.figures.figures import (
+    channels_figure,
+    require_format,
+    residual_figure,
+    save,
+    torque_figure,
+    torque_png,
+    tuning_figure,
+)
 
-__all__ = ["residual_figure", "save", "torque_figure", "tuning_figure"]
+__all__ = [
+    "channels_figure",
+    "require_format",
+    "residual_figure",
+    "save",
+    "torque_figure",
+    "torque_png",
+    "tuning_figure",
+]

@@ -17,11 +17,10 @@ from jointid.output.figures.charts import Chart
 from jointid.output.figures.matplotlib_backend import png, svg
 from jointid.output.json import dumps, plain
 from jointid.output.json.shapes import REPORT_SCHEMA
-from jointid.output.report.narrative import report_title
 from jointid.output.report.page import page, write_files
 from jointid.output.report.pictures import draw_charts
 from jointid.output.report.reproducibility import Repetition
-from jointid.output.report.sections import report_blocks
+from jointid.output.report.sections import report_blocks, report_title
 from jointid.records.record import Record
 
 

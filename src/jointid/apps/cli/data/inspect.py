@@ -42,7 +42,7 @@ def inspect(
 
         answers.write(answers.to_dict(inspection), json)
     if figure is not None:
-        from jointid.output.figures.channels import channels_figure
+        from jointid.output.figures import channels_figure
         from jointid.output.figures.figures import save
 
         save(channels_figure(inspection), figure)
