@@ -26,7 +26,7 @@ from .models.joints import FlexibleJoint, RigidJoint, frequencies, rigid_sums
 from .models.transmission import Transmission
 from .output.export import export, state_space
 from .output.json import read_report
-from .output.json.to_dict import to_dict
+from .output.json.documents import to_dict
 from .output.report.report import report_estimate
 from .paper.twin import twin
 from .records.columns import Column

@@ -3,8 +3,8 @@
 Every document has `schema` at its top level. A number that does not exist is null, never NaN.
 """
 
+from jointid.output.json.documents import dumps, plain, simulation_answer, to_dict, write
 from jointid.output.json.reading import read_answer, read_friction, read_identified, read_report
-from jointid.output.json.to_dict import dumps, plain, simulation_answer, to_dict, write
 
 __all__ = [
     "dumps",

@@ -17,10 +17,10 @@ from jointid.estimation.result.estimate import IdentifiedJoint
 from jointid.models.disturbances import effect_parameters
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import Joint
+from jointid.output.json.documents import plain
 from jointid.output.json.estimates import EFFECTS, ESTIMATE_SCHEMA
 from jointid.output.json.keys import Json
 from jointid.output.json.shapes import REPORT_ELEMENT, REPORT_SCHEMA
-from jointid.output.json.to_dict import plain
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 
