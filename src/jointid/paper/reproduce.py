@@ -32,7 +32,7 @@ from jointid.common.progress import Progress, silent
 from jointid.common.text import number
 from jointid.paper.errata import ERRATA
 from jointid.paper.published import SYMBOLS, TABLES
-from jointid.paper.recomputed import DENOMINATORS, Denominator, TableComparison, compare_table
+from jointid.paper.recomputed import DENOMINATORS, Denominator, compare_table
 from jointid.paper.twin import Twin, twin
 
 
@@ -191,7 +191,7 @@ def reproduction_document(run: Reproduction, draw: Callable[[Validation], bytes]
 def _rigid(run: Reproduction) -> list[Block]:
     blocks: list[Block] = [
         Heading("Table 1: the rigid joint"),
-        _table(compare_table(TABLES[1]), ("value", "2 sigma", "%"), _parameters(run.rigid)),
+        compare_table(TABLES[1]).beside(("value", "2 sigma", "%"), _parameters(run.rigid)),
         Paragraph(
             f"{run.rigid.fit.iterations} iterations, {run.rigid.fit.simulations} simulations; {run.rigid.fit.stop}."
         ),
@@ -208,13 +208,13 @@ def _experiment(numbers: tuple[int, int], part: ReproducedExperiment) -> list[Bl
     by_idim, by_didim = (_beside(_parameters(e), part.axis.truth) for e in (part.idim, part.didim))
     return [
         Heading(f"Table {idim}: IDIM{mass}"),
-        _table(compare_table(TABLES[idim]), _RUN, by_idim | _below(part.idim) | simulated | residual),
+        compare_table(TABLES[idim]).beside(_RUN, by_idim | _below(part.idim) | simulated | residual),
         Paragraph(
             f"Standard deviations {part.idim.params.basis}. Nor is the noise in the measured motions: the disturbance "
             "acts inside the loop, so IDIM's regressor is correlated with its error, and ZZ1 most of all is off."
         ),
         Heading(f"Table {didim}: DIDIM{mass}"),
-        _table(compare_table(TABLES[didim]), _RUN, by_didim | _below(part.didim) | direct),
+        compare_table(TABLES[didim]).beside(_RUN, by_didim | _below(part.didim) | direct),
         Paragraph(
             f"{part.didim.fit.stop}. In all {part.didim.fit.iterations} iterations and "
             f"{part.didim.fit.simulations} simulations; "
@@ -239,7 +239,7 @@ def _variations(run: Reproduction) -> list[Block]:
     cells: Cells = {name: (number(idim[name], 3), number(didim[name], 3)) for name in idim}
     return [
         Heading("Table 6: what the added mass changed"),
-        _table(compare_table(TABLES[6]), ("IDIM", "DIDIM"), cells),
+        compare_table(TABLES[6]).beside(("IDIM", "DIDIM"), cells),
         Paragraph(
             "The twin's own changes are those from Table 2 to Table 4. Fv1 and Fv2 move against each other with their "
             "sum kept: torque alone does not tell them apart."
@@ -251,7 +251,7 @@ def _relative_errors(run: Reproduction) -> list[Block]:
     ways = [run.relative_errors(denominator) for denominator in DENOMINATORS]
     cells = {name: tuple(number(test[name], 3) for way in ways for test in way) for name in ways[0][0]}
     headings = tuple(f"{test}, {words}" for words in DENOMINATORS.values() for test in ("first", "second"))
-    return [Heading("Table 7: IDIM against DIDIM"), _table(compare_table(TABLES[7]), headings, cells)]
+    return [Heading("Table 7: IDIM against DIDIM"), compare_table(TABLES[7]).beside(headings, cells)]
 
 
 def _validation(run: Reproduction, draw: Callable[[Validation], bytes]) -> list[Block]:
@@ -310,19 +310,6 @@ def _errata() -> list[Block]:
             Paragraph(f"jointid: {found.what_we_do}"),
         ]
     return blocks
-
-
-def _table(beside: TableComparison, headings: tuple[str, ...], cells: Cells) -> Table:
-    """Return a published table with its recomputed columns and this run's."""
-    header = (
-        "",
-        *(f"printed {text}" for text in beside.printed),
-        *(f"recomputed {text}" for text in beside.recomputed),
-        *(f"this run {text}" for text in headings),
-    )
-    nothing = ("-",) * len(headings)
-    rows = tuple((row.label, *row.printed, *row.recomputed, *cells.get(row.name, nothing)) for row in beside.rows)
-    return Table(header, rows, beside.table.caption)
 
 
 def _parameters(estimate: Estimate) -> dict[str, tuple[str, ...]]:
