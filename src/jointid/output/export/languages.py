@@ -92,14 +92,14 @@ def export(
 ) -> Export:
     """Return an estimate in another tool's language.
 
-    | language | for | settings |
-    |---|---|---|
-    | "joint-file" | this package: TOML with the values filled in | `file`, `values`, `folder` |
-    | "state-space" | SciPy, python-control: linear, continuous and sampled, as JSON | `period`, `delay` |
-    | "matlab" | MATLAB, Octave: the same as a script | `period`, `delay` |
-    | "mjcf" | MuJoCo: motor and load with the spring between, friction of each | `timestep` |
-    | "urdf" | ROS: one joint with damping and friction, without the spring | |
-    | "modelica" | Modelica: all equations, true sticking, no library needed | |
+    - "joint-file": TOML with the values filled in. Settings: `file`, the `JointFile` it was identified with, whose text
+      is kept; `values`, "start" (where the next search begins) or "fixed" (what is kept); `folder`, where it will stand.
+    - "state-space": linear, continuous and sampled, as JSON for SciPy and python-control. Settings: `period` and
+      `delay` in s, to sample with; without them the record's and the joint's.
+    - "matlab": the same as a script for MATLAB and Octave, with the same settings.
+    - "mjcf": motor and load with the spring between, friction of each, for MuJoCo. Setting: `timestep` in s.
+    - "urdf": one joint with damping and friction, without the spring, for ROS.
+    - "modelica": all equations, true sticking, no library needed.
 
     Args:
         estimate: what `identify` returned, or what `read_estimated` read.
@@ -107,10 +107,7 @@ def export(
         side: of a transmission, "motor" or "load", whose numbers are written; without it the load's for URDF and MJCF,
             whose joints are those of a robot's links, and else the side that was identified.
         name: what the joint is called; without it "joint", or the name it was read with.
-        settings: of the language. `file`: the `JointFile` it was identified with, whose text is kept; `values`:
-            "start", where the next search begins, or "fixed", what is kept; `folder`: where the joint file will stand.
-            `period`, `delay`: s, to sample a state space with; without them the record's and the joint's. `timestep`:
-            s, of MuJoCo's simulation.
+        settings: of the language.
 
     Raises:
         MethodError: there is no such language, setting or side, or the language cannot hold this joint.
