@@ -93,7 +93,7 @@ def export(
     """Return an estimate in another tool's language.
 
     - "joint-file": TOML with the values filled in. Settings: `file`, the `JointFile` it was identified with, whose text
-      is kept; `values`, "start" (where the next search begins) or "fixed" (what is kept); `folder`, where it will stand.
+      is kept; `values`, "start" (where the next search begins) or "fixed" (what is kept); `folder`, where it will be.
     - "state-space": linear, continuous and sampled, as JSON for SciPy and python-control. Settings: `period` and
       `delay` in s, to sample with; without them the record's and the joint's.
     - "matlab": the same as a script for MATLAB and Octave, with the same settings.

@@ -34,10 +34,6 @@ from jointid.output.figures.charts import Cells, Chart
 from jointid.output.figures.matplotlib_backend import svg
 from jointid.output.report.reproducibility import Repetition
 
-_TITLES = {
-    "torque": "Torque", "residual": "Residual", "spectra": "Spectra", "response": "Frequency response",
-    "correlation": "Correlations", "profiles": "Profiles", "convergence": "Convergence",
-}  # fmt: skip
 _QUESTIONS: dict[str, str] = {
     "solver": "Did the search end well?",
     "fit": "Does the model explain the torque?",
@@ -74,13 +70,13 @@ def report_blocks(
 
     return (
         *_result(given, picture),
-        *_section("Position" if given.estimate.fit.compared == "position" else _TITLES["torque"], picture("torque")),
-        *_section(_TITLES["residual"], picture("residual"), bands_table(given.estimate, "The residual by frequency")),
-        *_section(_TITLES["spectra"], picture("spectra"), _modes_table(given)),
-        *_section(_TITLES["response"], picture("response")),
-        *_section(_TITLES["correlation"], picture("correlation")),
-        *_section(_TITLES["profiles"], picture("profiles"), _profiles_table(given)),
-        *_section(_TITLES["convergence"], picture("convergence")),
+        *_section("Position" if given.estimate.fit.compared == "position" else "Torque", picture("torque")),
+        *_section("Residual", picture("residual"), bands_table(given.estimate, "The residual by frequency")),
+        *_section("Spectra", picture("spectra"), _modes_table(given)),
+        *_section("Frequency response", picture("response")),
+        *_section("Correlations", picture("correlation")),
+        *_section("Profiles", picture("profiles"), _profiles_table(given)),
+        *_section("Convergence", picture("convergence")),
         *_loop(given),
         *_tests(given),
         *_repeated(given, repetition),
