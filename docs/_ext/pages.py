@@ -42,7 +42,6 @@ BY_MODULE = (
     "models.parameters.Parameter",
     "output.export.read_estimated",
     "output.figures.save",
-    "output.figures.torque_figure",
     "output.figures.tuning_figure",
     "output.report.report.report_file",
     "records.record.Injection",

@@ -16,18 +16,19 @@ from .estimation.methods.drive_side import DriveSideFit
 from .estimation.methods.flexible import FlexibleDIDIM
 from .estimation.methods.idim import IDIM
 from .estimation.methods.open_loop import OpenLoopFit
+from .estimation.problems.log_windows import Windowing
+from .estimation.problems.several_records import SeveralRecords
 from .estimation.result.estimate import Estimate
-from .estimation.several_records.settings import SeveralRecords
-from .estimation.streaming.settings import Windowing
 from .models.controllers import PD, PID, Cascade, StateSpaceController, filters
 from .models.friction import AsymmetricFriction, SymmetricFriction
 from .models.gravity import Counterbalance, Gravity
 from .models.joints import FlexibleJoint, RigidJoint, frequencies, rigid_sums
 from .models.transmission import Transmission
 from .output.export import export, state_space
+from .output.figures import residual_figure, torque_figure
 from .output.json import read_report
 from .output.json.documents import to_dict
-from .output.report.report import report_estimate
+from .output.report.report import Report, report_estimate
 from .paper.twin import twin
 from .records.columns import Column
 from .records.drives.drive import Drive
@@ -77,6 +78,7 @@ __all__ = [
     "OpenLoopFit",
     "Record",
     "RecordError",
+    "Report",
     "RigidJoint",
     "SeveralRecords",
     "StateSpaceController",
@@ -104,11 +106,13 @@ __all__ = [
     "read",
     "read_report",
     "report_estimate",
+    "residual_figure",
     "rigid_sums",
     "simulate",
     "simulated_record",
     "state_space",
     "to_dict",
+    "torque_figure",
     "trapezoids",
     "tune",
     "twin",

@@ -23,12 +23,13 @@ from jointid import __version__
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.extras import extra
+from jointid.common.json_file import dumps
 from jointid.common.text import number as shown
 from jointid.models.linear import OUTPUTS, discretise, drive_matrices
 from jointid.models.parameters import Quantity, unit_of
 from jointid.output.export.joint_model import JointModel
 from jointid.output.export.text import effects_left_out, identifier, number, remarks, uneven_viscous
-from jointid.output.json import dumps, plain
+from jointid.output.json import plain
 from jointid.output.json.keys import Json
 
 STATE_SPACE_SCHEMA = "jointid.state-space/1"

@@ -5,17 +5,14 @@ Every document has `schema` at its top level. A number that does not exist is nu
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import StrEnum
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jointid.common.errors import MethodError, RecordError
+from jointid.common.errors import MethodError
 from jointid.models.joints import Joint
 from jointid.output.json.keys import Json, take
 from jointid.output.json.shapes import SHAPES
@@ -81,28 +78,3 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     return str(value) if isinstance(value, StrEnum) else value
-
-
-def dumps(document: Json) -> str:
-    """Return a document as JSON text, the same bytes for the same document."""
-    return json.dumps(_finite(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def write(document: Json, path: str | Path) -> None:
-    """Write a document as JSON.
-
-    Raises:
-        RecordError: the file cannot be written.
-    """
-    try:
-        Path(path).write_text(dumps(document), encoding="utf-8")
-    except OSError as error:
-        raise RecordError(f"{path} cannot be written ({error.strerror}); choose another place.") from None
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from jointid.common.document import Document
 from jointid.common.errors import RecordError
+from jointid.common.json_file import dumps
 from jointid.common.progress import Progress, silent
 from jointid.config import JointFile
 from jointid.diagnostics.report_data import ReportData, collect_report_data
@@ -15,7 +16,7 @@ from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
 from jointid.output.figures.charts import Chart
 from jointid.output.figures.matplotlib_backend import png, svg
-from jointid.output.json import dumps, plain
+from jointid.output.json import plain
 from jointid.output.json.shapes import REPORT_SCHEMA
 from jointid.output.report.page import page, write_files
 from jointid.output.report.pictures import draw_charts

@@ -20,7 +20,7 @@ from jointid.diagnostics.report_data import ReportData
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.methods.registry import method_of
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.tables import (
+from jointid.estimation.result.summary import (
     bands_table,
     bounds_table,
     combinations_table,
