@@ -27,7 +27,7 @@ def _initial(state: Any) -> Json:
 
 def _margins(found: Any) -> Json:
     """Return the margins of a loop; one that is not stable has none."""
-    shape: Shape = {
+    shape: dict[str, Shape] = {
         "gain": "gain",
         "reduction": "reduction",
         "phase_degrees": lambda margins: math.degrees(margins.phase),
