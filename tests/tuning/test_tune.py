@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.common.message import Message
+from jointid.common.messages import Message
 from jointid.diagnostics.minimum_detectable_change import compute_minimum_detectable_change
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM

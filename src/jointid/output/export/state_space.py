@@ -21,8 +21,7 @@ import numpy as np
 
 from jointid import __version__
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
-from jointid.common.extras import extra
+from jointid.common.errors import MethodError, extra
 from jointid.common.json_file import dumps
 from jointid.common.text import number as shown
 from jointid.models.linear import OUTPUTS, discretise, drive_matrices
