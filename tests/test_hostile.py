@@ -24,7 +24,7 @@ from jointid.common.text import printable, short
 from jointid.config import load, loads
 from jointid.output import json as answers
 from jointid.records.formats import Table, csv, read_blocks, read_table, write_table
-from jointid.records.time_base.resampling import Resampling
+from jointid.records.resampling import Resampling
 
 pytestmark = pytest.mark.hostile
 

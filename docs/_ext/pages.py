@@ -48,7 +48,7 @@ BY_MODULE = (
     "records.record.InjectionPoint",
     "records.record.Tap",
     "records.record.Timing",
-    "records.time_base.resampling.Resampling",
+    "records.resampling.Resampling",
     "simulation.closed_loop.Initial",
     "simulation.closed_loop.simulate_many",
 )

@@ -34,7 +34,7 @@ from jointid.paper.published import TABLES
 from jointid.paper.recomputed import compare_table as recomputed
 from jointid.paper.recomputed import find_misprints
 from jointid.paper.reproduce import reproduce
-from jointid.records.time_base.resampling import Resampling
+from jointid.records.resampling import Resampling
 from jointid.simulation.closed_loop import Initial, simulate_many
 from jointid.simulation.sensitivities import simulate_sensitivities, warm_up
 from jointid.uncertainty.bootstrap import Bootstrapping

@@ -9,6 +9,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
+from jointid.common.transmission import Transmission
 from jointid.controller_id.fitting import FittedLaw, Task, order_rates
 from jointid.controller_id.learned import Alternative, LearnedLoop, LearnedNumber
 from jointid.controller_id.limitations import (
@@ -21,7 +22,6 @@ from jointid.controller_id.limitations import (
 from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.search import Rival, search
 from jointid.models.controllers import Controller, numbers_of, shift_start, with_numbers
-from jointid.models.transmission import Transmission
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import Covariance, covariance_of, larger, robust
 

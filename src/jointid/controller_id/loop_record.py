@@ -24,7 +24,7 @@ from jointid.models.controllers import (
     run,
 )
 from jointid.records.record import InjectionPoint, Record, Tap, Timing
-from jointid.records.signals.encoder_step import find_encoder_step
+from jointid.records.signals.encoder import find_encoder_step
 from jointid.simulation.loop_input import at_period, known_memory, law_inputs
 
 _NEEDED = ("torque", "reference", "motor_position")

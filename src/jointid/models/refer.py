@@ -14,8 +14,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from jointid.common.transmission import Side, Transmission
 from jointid.models.parameters import TORQUE_UNIT, Quantity, unit_of
-from jointid.models.transmission import Side, Transmission
 
 _POWERS: Mapping[Quantity, int] = {
     Quantity.INERTIA: 2,

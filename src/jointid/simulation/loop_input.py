@@ -32,8 +32,7 @@ from jointid.models.controllers import (
 )
 from jointid.models.joints import Joint
 from jointid.models.linear import SNAP
-from jointid.records.record import Channel, InjectionPoint, Record, Tap, Timing
-from jointid.records.refer import require_units
+from jointid.records.record import Channel, InjectionPoint, Record, Tap, Timing, require_units
 
 if TYPE_CHECKING:
     from jointid.simulation.kernels.drive import Feedback
@@ -149,7 +148,7 @@ def prepare(loop: ClosedLoop, record: Record) -> LoopInput:
         RecordError: a channel the controller reads is missing, or its clock does not divide the controller's.
     """
     record.require(loop.controller.channels, "The simulation of this controller")
-    require_units(record, loop.joint)
+    require_units(record, loop.joint.kind, loop.joint.torque_unit)
     assert record.reference is not None
     log = record.torque or record.reference
     law = shift_start(loop.controller, record.begin).law(log.sample_time)

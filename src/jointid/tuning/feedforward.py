@@ -15,10 +15,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from jointid.common import units
+from jointid.common.transmission import Transmission
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import ServoController
 from jointid.models.parameters import Quantity, unit_of
-from jointid.models.transmission import Transmission
 from jointid.records.drives.drive import Drive
 from jointid.tuning.lumped import LumpedParameter
 

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from jointid.common.errors import MethodError, RecordError
+from jointid.common.transmission import SIDES, Side
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import Joint
-from jointid.models.transmission import SIDES, Side
 from jointid.output.export.joint_file import joint_file
 from jointid.output.export.joint_model import JointModel, joint_model
 from jointid.output.export.modelica import modelica

@@ -29,7 +29,7 @@ from jointid.output.figures.charts import (
     Panel,
 )
 from jointid.output.figures.matplotlib_backend import draw
-from jointid.records.files.inspection import Inspection
+from jointid.records.inspection import Inspection
 from jointid.tuning.tuned import Tuned
 
 if TYPE_CHECKING:

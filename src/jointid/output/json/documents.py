@@ -16,7 +16,7 @@ from jointid.common.errors import MethodError
 from jointid.models.joints import Joint
 from jointid.output.json.keys import Json, take
 from jointid.output.json.shapes import SHAPES
-from jointid.records.time_base.uniformity import Resampled
+from jointid.records.record import Resampled
 
 
 def to_dict(result: object) -> Json:

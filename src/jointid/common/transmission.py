@@ -27,7 +27,7 @@ Side: TypeAlias = Literal["motor", "load"]
 
 SIDES: tuple[Side, ...] = ("motor", "load")
 
-SI_UNITS: Mapping[units.Kind, tuple[str, str]] = {"prismatic": ("m", "N"), "revolute": ("rad", "N m")}
+SI_UNITS: Mapping[str, tuple[str, str]] = {"prismatic": ("m", "N"), "revolute": ("rad", "N m")}
 
 
 @documented
