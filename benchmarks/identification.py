@@ -28,8 +28,7 @@ from jointid.estimation.search.history import least_squares as least_squares_of
 from jointid.paper.twin import Twin, twin
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.nelder_mead import NelderMead
-from jointid.solvers.problem import Counted
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import Counted, solve
 
 STARTS = 100
 FACTOR = 3.0

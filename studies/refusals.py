@@ -18,8 +18,7 @@ from jointid.common.text import aligned, number
 from jointid.estimation.methods.flexible import refined_least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.stiffness_identifiability import visible
-from jointid.estimation.search.exploration import frequency_of
-from jointid.estimation.search.multistart import on_band
+from jointid.estimation.search.flexible_search import frequency_of, on_band
 from jointid.paper.twin import Twin, twin
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads

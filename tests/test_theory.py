@@ -17,7 +17,7 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
-from jointid.estimation.search.starts import pseudo_regular
+from jointid.estimation.search.flexible_search import pseudo_regular
 from jointid.models.controllers import POSITION, SampledLaw
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint, frequencies
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin

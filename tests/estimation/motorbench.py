@@ -9,7 +9,7 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.optimize import minimize_scalar
 
-from jointid.estimation.methods.inverse_model import InverseModel, inverse_model
+from jointid.estimation.problems.inverse_model import InverseModel, inverse_model
 from jointid.models.joints import FlexibleJoint
 from jointid.models.parameters import Parameter, Quantity
 from jointid.records.record import Channel, Record, Tap, Timing

@@ -18,12 +18,11 @@ from jointid.estimation.methods.endogeneity import (
     known_motions,
     solve_with_instruments,
 )
-from jointid.estimation.problems.drive_side import DriveSideProblem, motion_problem
+from jointid.estimation.problems.prescribed import DriveSideProblem, motion_problem
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
 from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
-from jointid.solvers.solution import Solution
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.bands import band_deviations
 from jointid.uncertainty.covariance import sandwich
 

@@ -16,7 +16,7 @@ from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.closed_loop import INITIAL_STATE
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.search import multistart
+from jointid.estimation.search import flexible_search
 from jointid.models.joints import RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Injection, Record
@@ -188,8 +188,10 @@ def test_the_starts_said_to_end_together_are_different_ones(frequency: float, mo
     """At 38 Hz the halves of (13) are the best start: they must not be refined twice."""
     axis = twin(noise="white")
     seen = []
-    original = multistart.explored
-    monkeypatch.setattr(multistart, "explored", lambda *arguments: (seen.append(original(*arguments)), seen[-1])[1])
+    original = flexible_search.explored
+    monkeypatch.setattr(
+        flexible_search, "explored", lambda *arguments: (seen.append(original(*arguments)), seen[-1])[1]
+    )
     estimate = identify(torque_only(axis), axis.loop, FlexibleDIDIM(frequency=frequency))
     first, second = (start for _, start in seen[0][0][:2])
     assert any(abs(first[name] - second[name]) > 0.1 * abs(first[name]) for name in ("motor_inertia", "stiffness"))

@@ -15,7 +15,7 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.open_loop import OpenLoopFit
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.search.starts import resting_position
+from jointid.estimation.search.starts import beginning_position
 from jointid.models.controllers import Cascade
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.gravity import Counterbalance, Gravity
@@ -130,7 +130,7 @@ def test_a_vertical_axis_from_torque_alone() -> None:
 def test_where_a_motor_hangs_is_read_off_the_first_torque() -> None:
     record = geared(initial=Initial(SAG))
     problem = torque_problem(torque_only(record), GEARED_LOOP, Filtering(), GEARED.parameters)
-    assert resting_position(problem) == pytest.approx(SAG, rel=1e-9)
+    assert beginning_position(problem) == pytest.approx(SAG, rel=1e-9)
 
 
 def test_a_link_from_encoders() -> None:

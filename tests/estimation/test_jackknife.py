@@ -7,7 +7,7 @@ import pytest
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.log_windows import Place, Places, repeats
-from jointid.solvers.bounds import Bounds
+from jointid.solvers.solve import Bounds
 from jointid.uncertainty.jackknife import Sums, left_out, step_of, total
 
 ANYWHERE = Bounds.none(3)

@@ -70,7 +70,7 @@ def test_both_encoders_need_the_difference_of_their_zeros(bench: Bench, referenc
 def test_how_the_motion_is_differentiated_makes_no_difference(
     bench: Bench, hidden: ji.Estimate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from jointid.estimation.problems import drive_side
+    from jointid.estimation.problems import prescribed
     from jointid.simulation.drive_side import prescribed_motion
 
     found = []
@@ -80,7 +80,7 @@ def test_how_the_motion_is_differentiated_makes_no_difference(
         found.append(ji.identify(bench.record(), ji.DriveSide(JOINT), settings, filtering=filtering))
     for degree in (3, 5):
         spline = partial(prescribed_motion, degree=degree)
-        monkeypatch.setattr(drive_side, "prescribed_motion", spline)
+        monkeypatch.setattr(prescribed, "prescribed_motion", spline)
         found.append(fit(bench, "measured", 150.0))
     for estimate in found:
         for name in PHYSICAL:

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from jointid.estimation.problems.base import RecordProblem
-from jointid.estimation.problems.sum import SumProblem
+from jointid.estimation.problems.base import RecordProblem, SumProblem
 from jointid.models.joints import Joint, RigidJoint
 from jointid.models.parameters import Parameter, Quantity
 from jointid.records.signals.filtering import Filtering

@@ -10,10 +10,10 @@ import pytest
 from scipy.signal import lfilter
 
 from jointid.common.errors import MethodError
+from jointid.estimation.problems.base import SumProblem, filter_rows
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.problems.several_records import several, whitening
-from jointid.estimation.problems.sum import SumProblem, filter_rows
 from jointid.models.joints import RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Record

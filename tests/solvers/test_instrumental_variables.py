@@ -10,8 +10,7 @@ import pytest
 from jointid.models.parameters import Parameter, Quantity
 from jointid.solvers.instrumental_variables import InstrumentalSolution, InstrumentalVariables
 from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
-from jointid.solvers.solution import Status
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import Status, solve
 
 Array = np.ndarray
 TRUTH = np.array([2.0, -3.0])

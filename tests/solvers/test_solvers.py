@@ -14,9 +14,7 @@ from jointid.solvers.gauss_newton import GaussNewton
 from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
 from jointid.solvers.multistart import Multistart
 from jointid.solvers.nelder_mead import NelderMead
-from jointid.solvers.problem import Counted
-from jointid.solvers.solution import Solution, Status, Step
-from jointid.solvers.solve import Solver, solve
+from jointid.solvers.solve import Counted, Solution, Solver, Status, Step, solve
 from jointid.solvers.trust_region import TrustRegion
 from tests.solvers.nist import REGRESSIONS, Array, Certified
 

@@ -15,7 +15,7 @@ from jointid.controller_id.loop_record import LoopRecord
 from jointid.controller_id.noise import Noise, estimate_noise
 from jointid.controller_id.structures import INTEGRAL, Structure, bounds, controller
 from jointid.models.controllers import Controller, SampledLaw
-from jointid.solvers.bounds import Bounds
+from jointid.solvers.solve import Bounds
 
 _STEP = 1e-5  # of a number, for its difference
 _ENOUGH = 1e-7  # of the cost: a smaller improvement ends the search

@@ -28,8 +28,7 @@ from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of
 from jointid.records.record import Tap
-from jointid.simulation.log_output import as_logged
-from jointid.simulation.loop_input import LoopInput
+from jointid.simulation.loop_input import LoopInput, as_logged
 
 STRIBECK, PRESLIDING, LIMIT, OFFSET, INJECTED_GAIN = "stribeck", "presliding", "limit", "offset", "injected_gain"
 ONE_SIDED = (STRIBECK, PRESLIDING, LIMIT)
@@ -96,7 +95,7 @@ def _list_differentiable(problem: ClosedLoopProblem) -> tuple[str, ...]:
 def _vary_injected_gain(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
     """Yield the signature of the injected signal's gain, where the signal is added after the limit."""
     if np.any(problem.experiment.after_limit):
-        low, high = (problem.torque_if(x, partial(_scale_injection, by)) for by in (1 - _STEP, 1 + _STEP))
+        low, high = (problem.torque(x, partial(_scale_injection, by)) for by in (1 - _STEP, 1 + _STEP))
         raw = (high - low) / (2 * _STEP)
         yield FaultSignature(INJECTED_GAIN, problem.filtered(raw), raw=raw)
 
@@ -120,19 +119,19 @@ def _vary_limit(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSign
     """Yield the signatures of lower limits: the whole change of the torque, so a size of 1 is the limit itself."""
     if not hasattr(problem.loop.controller, LIMIT):
         return
-    output = problem.torque_if(x, lambda e: replace(e, tap=Tap.COMMAND, logged=np.zeros_like(e.logged)))
+    output = problem.torque(x, lambda e: replace(e, tap=Tap.COMMAND, logged=np.zeros_like(e.logged)))
     asked, free = float(np.max(np.abs(output))), problem.torque(x)
     for share in _SHARES:
         level = share * asked
         if level < problem.experiment.law.limit:
-            cut = problem.torque_if(x, partial(_apply_limit, level))
+            cut = problem.torque(x, partial(_apply_limit, level))
             yield FaultSignature(LIMIT, problem.filtered(cut - free), level)
 
 
 def _simulate_force(problem: ClosedLoopProblem, x: FloatArray, force: FloatArray) -> FloatArray:
     """Return the change of the logged torque by a force on the motor, (periods,), that is not logged itself."""
     size = _FORCE * float(np.max(np.abs(problem.measured)))
-    low, high = (problem.torque_if(x, partial(_apply_force, by * force)) for by in (-size, size))
+    low, high = (problem.torque(x, partial(_apply_force, by * force)) for by in (-size, size))
     change = (high - low) / (2 * size)
     return change - as_logged(problem.experiment, force) if problem.experiment.tap is Tap.MEASURED else change
 

@@ -22,7 +22,6 @@ from jointid.estimation.problems.nuisance_parameters import surrounding
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.records.record import Record
 from jointid.simulation.loop_input import ClosedLoop
-from jointid.solvers.problem import Problem
 from jointid.uncertainty.bootstrap import Bootstrap, Bootstrapping, cell_bootstrap, refitted, time_bootstrap
 from jointid.uncertainty.combination import ByCompliance, Combination
 from jointid.uncertainty.covariance import Covariance, covariance_of
@@ -163,7 +162,7 @@ def _profile_quantity(
     if "stiffness" not in names:
         raise MethodError("A compliance is that of a flexible joint whose stiffness is free; this joint has none.")
     at = names.index("stiffness")
-    by: Problem = ByCompliance(problem, _LEAST / float(x[at]))
+    by = ByCompliance(problem, _LEAST / float(x[at]))
     turn = np.eye(x.size)
     turn[at, at] = -1.0 / float(x[at]) ** 2  # of 1/K by K
     turned = covariance_of(turn @ spread.matrix @ turn.T, spread.bandwidth)

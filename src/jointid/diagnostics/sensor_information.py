@@ -38,7 +38,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.simulation.closed_loop import Outcome
-from jointid.simulation.log_output import as_logged
+from jointid.simulation.loop_input import as_logged
 
 Noise: TypeAlias = Literal["loop", "log"]
 

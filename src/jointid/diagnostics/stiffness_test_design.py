@@ -29,8 +29,7 @@ from jointid.diagnostics.sensor_information import Noise, add_information, compu
 from jointid.diagnostics.variations import add_pulses, choose_pulse
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.search.exploration import FASTEST
-from jointid.estimation.search.starts import pseudo_regular
+from jointid.estimation.search.flexible_search import FASTEST, pseudo_regular
 from jointid.models.joints import acts_on_whole
 from jointid.models.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.records.record import Record

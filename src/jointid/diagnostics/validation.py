@@ -16,8 +16,8 @@ from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Facts, common_facts
 from jointid.common.errors import MethodError
 from jointid.common.transmission import Transmission
-from jointid.estimation.methods.inverse_model import idim_channels, motion_of
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of, with_torque
+from jointid.estimation.problems.inverse_model import idim_channels, motion_of
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.result.estimate import (
     Estimate,

@@ -55,9 +55,7 @@ from jointid.records.chunks import LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
-from jointid.solvers.bounds import Bounds
-from jointid.solvers.solution import Solution, Status, Step, Watch
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import Bounds, Solution, Status, Step, Watch, solve
 from jointid.uncertainty.covariance import Covariance, larger
 from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.jackknife import Sums, left_out, step_of

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.estimation.methods.cross_axis import record_warnings
-from jointid.estimation.methods.registry import Method, default_method, method_of
+from jointid.estimation.methods.registry import Method, Task, default_method, method_of
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter, Quantity, adjusted
@@ -41,7 +41,7 @@ def identify_record(
     bounds: list[str] = []
     simulations = 0
     while True:
-        estimate = chosen.identify(record, joint, loop, wanted, filtering or Filtering(), progress)
+        estimate = chosen.identify(Task(record, joint, loop, wanted, filtering or Filtering(), progress))
         simulations += estimate.fit.simulations
         p = _find_beyond(record, estimate, wanted)
         if p is None:

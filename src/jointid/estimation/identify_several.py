@@ -62,9 +62,7 @@ from jointid.models.parameters import Parameter, adjusted
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
-from jointid.solvers.bounds import Bounds
-from jointid.solvers.solution import Solution
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import Bounds, Solution, solve
 from jointid.solvers.trust_region import TrustRegion
 from jointid.uncertainty.covariance import Covariance, bandwidth, covariance_of
 from jointid.uncertainty.position_dependent_error import Repeatable, Uncertainty, cells, uncertainty

@@ -18,12 +18,11 @@ from jointid.common.errors import MethodError
 from jointid.models.controllers import POSITION, REFERENCE, Cascade
 from jointid.models.joints import Motion, RigidJoint
 from jointid.records.record import Channel, Record
-from jointid.simulation.log_output import as_logged, seen_torque
-from jointid.simulation.loop_input import ClosedLoop, LoopInput, prepare
+from jointid.simulation.loop_input import ClosedLoop, LoopInput, as_logged, prepare, seen_torque
 
 T = TypeVar("T")
 R = TypeVar("R")
-Finished = TypeVar("Finished", "Simulation", "Response")
+Finished = TypeVar("Finished", bound="Response")
 
 
 class Outcome(StrEnum):
@@ -74,12 +73,11 @@ class Response:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Simulation:
-    """One run of a loop, at the log's instants.
+class Simulation(Response):
+    """One run of a loop, at the log's instants; after a failure everything is held.
 
     Attributes:
         sample_time: seconds between samples.
-        torque, outcome, finished, events, at_limit: see `Response`; after a failure everything is held.
         motor_position, motor_velocity: (samples,).
         load_position, load_velocity: (samples,), None for a rigid joint.
         motor, load: motion at the instant each torque begins to act, which is where torque = regressor . parameters
@@ -87,17 +85,12 @@ class Simulation:
     """
 
     sample_time: float
-    torque: FloatArray
     motor_position: FloatArray
     motor_velocity: FloatArray
     load_position: FloatArray | None
     load_velocity: FloatArray | None
     motor: Motion
     load: Motion | None
-    outcome: Outcome
-    finished: float
-    events: int
-    at_limit: float
 
     @property
     def time(self) -> FloatArray:
@@ -110,6 +103,7 @@ class ClosedLoopRun:
     """The kernel's output, period by period.
 
     Attributes:
+        loop, experiment, values: what was run.
         drive: (14,) the joint's coefficients.
         gravity: (5,) those of its gravity, or None.
         position, velocity: of the motor at the first sample. torque: the controller's there, where that is said.
@@ -121,6 +115,9 @@ class ClosedLoopRun:
         counts: events, Taylor steps (rows of the tape), periods simulated, periods at the limit.
     """
 
+    loop: ClosedLoop
+    experiment: LoopInput
+    values: Mapping[str, float]
     drive: FloatArray
     gravity: FloatArray | None
     position: float
@@ -135,6 +132,42 @@ class ClosedLoopRun:
     tape: FloatArray
     outcome: Outcome
     counts: NDArray[np.int64]
+
+    def response(self) -> Response:
+        """Return the signals that an estimator reads."""
+        torque = as_logged(self.experiment, seen_torque(self.experiment, self.command, self.tapped))
+        events, _, done, clipped = self.counts.tolist()
+        return Response(torque, self.outcome, done / self.command.size, events, clipped / max(done, 1))
+
+    def simulation(self) -> Simulation:
+        """Return the run, whose states were kept, at the log's instants."""
+        experiment, response = self.experiment, self.response()
+        flexible = self.loop.joint.model == "flexible"
+        states, push = self.states[:, : 4 if flexible else 2], self.command + experiment.after_limit
+        seen = begin = states.T.copy()
+        if experiment.looked.size < len(states) or experiment.lengths.size > 1 or experiment.lags[0] > 0:
+            seen, begin = (states[at].T.copy() for at in (experiment.looked, experiment.begun))
+            push = push[experiment.looked // experiment.lengths.size]
+
+        def motion(side: int) -> Motion:
+            possible = self.outcome is not Outcome.INVALID
+            found = _acceleration(self.drive, self.gravity, begin, push, side) if possible else np.zeros(push.size)
+            return Motion(begin[2 * side], begin[2 * side + 1], found)
+
+        return Simulation(
+            response.torque,
+            response.outcome,
+            response.finished,
+            response.events,
+            response.at_limit,
+            experiment.sample_time,
+            motor_position=seen[0],
+            motor_velocity=seen[1],
+            load_position=seen[2] if flexible else None,
+            load_velocity=seen[3] if flexible else None,
+            motor=motion(0),
+            load=motion(1) if flexible else None,
+        )
 
 
 def run(
@@ -188,8 +221,8 @@ def run(
             np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     shown = tapped if tapped.size else command
     return ClosedLoopRun(
-        drive, gravity, position, velocity, initial.torque, before, command, shown, excess, states, modes, tape,
-        outcome, counts,
+        loop, experiment, values, drive, gravity, position, velocity, initial.torque, before, command, shown, excess,
+        states, modes, tape, outcome, counts,
     )  # fmt: skip
 
 
@@ -211,12 +244,7 @@ def simulate_torque(
     loop: ClosedLoop, experiment: LoopInput, values: Mapping[str, float], initial: Initial | None = None
 ) -> Response:
     """Run one candidate for its torque alone: as `simulate`, several times faster."""
-    return response_of(experiment, run(loop, experiment, values, initial, keep=False))
-
-
-def response_of(experiment: LoopInput, out: ClosedLoopRun) -> Response:
-    """Return the signals of a run that an estimator reads."""
-    return Response(as_logged(experiment, seen_torque(experiment, out.command, out.tapped)), out.outcome, *_tally(out))
+    return run(loop, experiment, values, initial, keep=False).response()
 
 
 def simulate(
@@ -233,40 +261,7 @@ def simulate(
     Exact to rounding for held torques and friction that is piecewise linear in velocity; gravity that follows the
     position is held over each part of a period, at an error of second order in it.
     """
-    return simulation_of(loop, experiment, run(loop, experiment, values, initial, keep=True))
-
-
-def simulation_of(loop: ClosedLoop, experiment: LoopInput, out: ClosedLoopRun) -> Simulation:
-    """Return a run whose states were kept at the log's instants."""
-    flexible = loop.joint.model == "flexible"
-    states, push = out.states[:, : 4 if flexible else 2], out.command + experiment.after_limit
-    seen = begin = states.T.copy()
-    if experiment.looked.size < len(states) or experiment.lengths.size > 1 or experiment.lags[0] > 0:
-        seen, begin = (states[at].T.copy() for at in (experiment.looked, experiment.begun))
-        push = push[experiment.looked // experiment.lengths.size]
-
-    def motion(side: int) -> Motion:
-        possible = out.outcome is not Outcome.INVALID
-        acceleration = _acceleration(out.drive, out.gravity, begin, push, side) if possible else np.zeros(push.size)
-        return Motion(begin[2 * side], begin[2 * side + 1], acceleration)
-
-    return Simulation(
-        experiment.sample_time,
-        as_logged(experiment, seen_torque(experiment, out.command, out.tapped)),
-        seen[0],
-        seen[1],
-        seen[2] if flexible else None,
-        seen[3] if flexible else None,
-        motion(0),
-        motion(1) if flexible else None,
-        out.outcome,
-        *_tally(out),
-    )
-
-
-def _tally(out: ClosedLoopRun) -> tuple[float, int, float]:
-    events, _, done, clipped = out.counts.tolist()
-    return done / out.command.size, events, clipped / max(done, 1)
+    return run(loop, experiment, values, initial, keep=True).simulation()
 
 
 def _possible(drive: FloatArray) -> bool:

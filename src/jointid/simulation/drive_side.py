@@ -180,8 +180,8 @@ class _Load:
         drive: (14,) the coefficients of the kernels.
         gravity: (5,) those of the load's gravity, as if it were the motor's, or None.
         push: (edges,) the force held in each part; one more part follows the last edge.
-        states: (edges, 2) load position and velocity.
-        raw, modes, tape: as the kernel left them; taped: rows of the tape.
+        states: (edges, 4) as the kernel left them: load position and velocity, and those of the wall.
+        modes, tape: as the kernel left them; taped: rows of the tape.
     """
 
     joint: FlexibleJoint
@@ -191,7 +191,6 @@ class _Load:
     gravity: FloatArray | None
     push: FloatArray
     states: FloatArray
-    raw: FloatArray
     modes: NDArray[np.int8]
     tape: FloatArray
     taped: int
@@ -202,10 +201,8 @@ class _Load:
         from jointid.simulation.kernels import drive as kernels
 
         drive, gravity = _drive(joint, values), _gravity(joint, values)
-        cones = drive[6] + drive[7] >= 0
-        if not (np.all(np.isfinite(drive)) and values["motor_inertia"] > 0 and drive[0] > 0 and cones):
-            return None
-        if min(drive[2:4]) < 0:
+        possible = np.all(np.isfinite(drive)) and min(drive[2:4]) >= 0 and drive[6] + drive[7] >= 0
+        if not (possible and values["motor_inertia"] > 0 and drive[0] > 0):
             return None
         by_stiffness, by_damping = motion.pushes
         push = values["stiffness"] * by_stiffness + values["damping"] * by_damping
@@ -225,18 +222,23 @@ class _Load:
             if counts[1] <= rows:  # else a load that turns round and sticks all the time
                 break
             rows = int(counts[1])
-        taped = int(counts[1])
-        return cls(joint, motion, values, drive, gravity, push, states[:, :2], states, modes, tape, taped)
+        return cls(joint, motion, values, drive, gravity, push, states, modes, tape, int(counts[1]))
 
     def spring(self, names: list[str]) -> tuple[FloatArray, FloatArray]:
         """Return the spring's and damper's force on the motor, (parts,), and its derivatives, (parts, names)."""
+        from jointid.simulation.kernels.drive_sensitivities import LANES
+
         stretch, slip = self._apart(self.states[:, 0], self.states[:, 1])
         stretch = self.motion.mean_position - stretch
         slip = np.diff(self.motion.position) / self.motion.step - slip
         stiffness, damping = self.values["stiffness"], self.values["damping"]
         if not names:
             return stiffness * stretch + damping * slip, np.zeros((stretch.size, 0))
-        moved, moved_slip = self._apart(*np.moveaxis(self._followed(names), 1, 0))
+        # What enters the push comes last in a block.
+        order = sorted(range(len(names)), key=lambda i: names[i] in _PUSHING)
+        blocks = (order[i : i + LANES] for i in range(0, len(order), LANES))
+        followed = np.concatenate([self._followed([names[i] for i in block]) for block in blocks], axis=2)
+        moved, moved_slip = self._apart(*np.moveaxis(followed[:, :, np.argsort(order)], 1, 0))
         slopes = -stiffness * moved - damping * moved_slip
         for name, column in zip(_PUSHING, (stretch, slip), strict=True):
             if name in names:
@@ -250,17 +252,10 @@ class _Load:
         return means, np.diff(position, axis=0) / self.motion.step
 
     def _followed(self, names: list[str]) -> FloatArray:
-        """Return the derivatives of position and velocity at the edges, (edges, 2, names)."""
-        from jointid.simulation.kernels import drive_sensitivities as sensitivity_kernels
+        """Return the derivatives of position and velocity at the edges, (edges, 2, names), by a few names.
 
-        # What enters the push comes last in a block.
-        order = sorted(range(len(names)), key=lambda i: names[i] in _PUSHING)
-        blocks = [order[i : i + sensitivity_kernels.LANES] for i in range(0, len(order), sensitivity_kernels.LANES)]
-        followed = [self._block([names[i] for i in block]) for block in blocks]
-        return np.concatenate(followed, axis=2)[:, :, np.argsort(order)]
-
-    def _block(self, names: list[str]) -> FloatArray:
-        """Return those of a few names, of which what enters the push comes last."""
+        Those that enter the push come last.
+        """
         from jointid.simulation.kernels import drive as kernels
         from jointid.simulation.kernels import drive_sensitivities as sensitivity_kernels
 
@@ -280,7 +275,7 @@ class _Load:
         states = np.empty((n, 4, width))
         explained = np.column_stack([np.zeros((n, 0)), *explicit])[:, np.newaxis]
         sensitivity_kernels.follow(
-            np.array([self.motion.step]), np.zeros(1, dtype=np.int64), self.raw, self.modes, self.tape, self.taped,
+            np.array([self.motion.step]), np.zeros(1, dtype=np.int64), self.states, self.modes, self.tape, self.taped,
             self.push, np.zeros(n), self.push[0], np.empty((0, 1)), kernels.NO_FEEDBACK, self.drive, seeds,
             explained, len(names) - len(explicit), np.zeros(width), np.zeros((1, width)), start,
             np.zeros((0, width)), np.empty((width, n)), np.empty((width, 0)), states,

@@ -1,9 +1,9 @@
 """Exact derivatives of a closed loop's torque and states by everything that can be free in an identification.
 
-`simulate_sensitivities` runs a loop once and follows the run with a column per parameter (`tangents`). A parameter may
-belong to the joint, to the motor's state at the first sample, or to the controller: any number its law is made of, and
-its computing delay. How the controller's output depends on its own numbers, with the position it saw held, is exact,
-too: the law is run on the simulated position at two neighbouring values, and is linear in its signals.
+`simulate_sensitivities` runs a loop once and follows the run with a column per parameter. A parameter may belong to the
+joint, to the motor's state at the first sample, or to the controller: any number its law is made of, and its computing
+delay. How the controller's output depends on its own numbers, with the position it saw held, is exact, too: the law is
+run on the simulated position at two neighbouring values, and is linear in its signals.
 """
 
 from __future__ import annotations
@@ -27,13 +27,18 @@ from jointid.simulation.closed_loop import (
     Response,
     Simulation,
     first_state,
-    response_of,
     run,
-    simulation_of,
     smallest,
 )
-from jointid.simulation.log_output import acting, as_logged, averages, seen_torque
-from jointid.simulation.loop_input import ClosedLoop, LoopInput, known_memory
+from jointid.simulation.loop_input import (
+    ClosedLoop,
+    LoopInput,
+    acting,
+    as_logged,
+    averages,
+    known_memory,
+    seen_torque,
+)
 
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
@@ -90,8 +95,7 @@ def simulate_sensitivities(
     Raises:
         MethodError: a name is none of these, or of a part that is not there, as a `ki` of 0.
     """
-    out = _taped(loop, experiment, values, names, initial)
-    return _derived(loop, experiment, values, names, out, positions)
+    return _derived(_taped(loop, experiment, values, names, initial), names, positions)
 
 
 def simulate_with_sensitivities(
@@ -103,8 +107,7 @@ def simulate_with_sensitivities(
 ) -> tuple[Simulation, FloatArray]:
     """Return the result of `simulate` and the torque's derivatives of `simulate_sensitivities`, from one run."""
     out = _taped(loop, experiment, values, names, initial)
-    derived = _derived(loop, experiment, values, names, out, positions=False)
-    return simulation_of(loop, experiment, out), derived.torque
+    return out.simulation(), _derived(out, names, positions=False).torque
 
 
 def _taped(
@@ -126,36 +129,36 @@ def _taped(
     return out
 
 
-def _derived(
-    loop: ClosedLoop,
-    experiment: LoopInput,
-    values: Mapping[str, float],
-    names: Sequence[str],
-    out: ClosedLoopRun,
-    positions: bool,
-) -> Sensitivities:
-    """Return the derivatives of a run."""
-    response = response_of(experiment, out)
+def _derived(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> Sensitivities:
+    """Return a run's derivatives, of the positions only where they are asked for."""
+    experiment, response = out.experiment, out.response()
+    flexible = out.loop.joint.model == "flexible"
     if out.outcome is not Outcome.FINISHED:
         torque = np.zeros((response.torque.size, len(names)))
         position = torque if positions else torque[:, :0]
-        return Sensitivities(response, torque, position, position if loop.joint.model == "flexible" else torque[:, :0])
+        return Sensitivities(response, torque, position, position if flexible else torque[:, :0])
+    from jointid.simulation.kernels.drive_sensitivities import LANES
+
     # The law's own columns come last in a block.
-    own = _seeds(loop.joint)
+    own = _seeds(out.loop.joint)
     order = sorted(range(len(names)), key=lambda i: _is_of_law(own, names[i]))
     # The log's tap sees the output, or what is behind the torque's limit where that is another.
     seen = int(experiment.tap is Tap.COMMAND and experiment.law.tap != experiment.law.output)
     commands, moved = [], []
-    for begin in range(0, max(len(names), 1), _lanes()):
-        block = [names[i] for i in order[begin : begin + _lanes()]]
-        followed = _followed(loop, experiment, values, block, out, positions)
+    for begin in range(0, max(len(names), 1), LANES):
+        block = [names[i] for i in order[begin : begin + LANES]]
+        followed = _followed(out, block, positions)
         commands.append(followed[seen][:, : len(block)])
         moved.append(followed[2][experiment.looked, ::2, : len(block)] if positions else np.empty((0, 2, len(block))))
     command, states = _joined(commands, order), _joined(moved, order)
-    flexible = loop.joint.model == "flexible"
+    torque = as_logged(experiment, command)
+    if "delay" in names and experiment.tap is Tap.MEASURED and experiment.timing is Timing.AVERAGED:
+        # An edge of the torque that moves takes its height from the mean over the sample time it stands in.
+        edges = -np.diff(acting(experiment, seen_torque(experiment, out.command, out.tapped)), prepend=out.before)
+        torque[:, list(names).index("delay")] += averages(experiment, edges)
     return Sensitivities(
         response,
-        _logged(experiment, out, command, names),
+        torque,
         states[:, 0] if positions else command[:, :0],
         states[:, 1] if positions and flexible else command[:, :0],
     )
@@ -172,59 +175,37 @@ def warm_up() -> None:
     simulate_sensitivities(*smallest(), ["inertia"])
 
 
-def _lanes() -> int:
-    from jointid.simulation.kernels import drive_sensitivities as sensitivity_kernels
-
-    return sensitivity_kernels.LANES
-
-
 def _is_of_law(own: Container[str], name: str) -> bool:
     return name not in _INITIAL and name != "delay" and name not in own
 
 
-def _logged(experiment: LoopInput, out: ClosedLoopRun, command: FloatArray, names: Sequence[str]) -> FloatArray:
-    """Return the derivatives of the torque as the log shows it, (samples, names)."""
-    torque = as_logged(experiment, command)
-    if "delay" in names and experiment.tap is Tap.MEASURED and experiment.timing is Timing.AVERAGED:
-        # An edge of the torque that moves takes its height from the mean over the sample time it stands in.
-        edges = -np.diff(acting(experiment, seen_torque(experiment, out.command, out.tapped)), prepend=out.before)
-        torque[:, list(names).index("delay")] += averages(experiment, edges)
-    return torque
-
-
-def _followed(
-    loop: ClosedLoop,
-    experiment: LoopInput,
-    values: Mapping[str, float],
-    names: Sequence[str],
-    out: ClosedLoopRun,
-    positions: bool,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _followed(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the derivatives of the output, of that behind the limit where that is another, and of the states.
 
     The first are (periods, lanes), the last (periods * parts, 4, lanes).
     """
     from jointid.simulation.kernels import drive_sensitivities as sensitivity_kernels
 
+    experiment, joint = out.experiment, out.loop.joint
     law, width = experiment.feedback, sensitivity_kernels.LANES
     seeds, weights, start = np.zeros((14, width)), np.zeros((3, width)), np.zeros((4, width))
     memory, delay, limits = np.zeros((law.order, width)), np.zeros(width), np.zeros((law.limits.size, width))
-    explicit, by_name = [], _seeds(loop.joint)
+    explicit, by_name = [], _seeds(joint)
     for j, name in enumerate(names):
         if name in by_name:
             seeds[:, j] = by_name[name]
             if out.gravity is not None:
-                weights[:, j] = gravity_seed(loop.joint, name)
+                weights[:, j] = gravity_seed(joint, name)
             if out.velocity != 0.0 or out.gravity is not None:  # else it begins where the motor is, whatever it is like
-                start[:, j] = start_slope(lambda at: loop.joint.start(at, out.position, out.velocity), values, name)
+                start[:, j] = start_slope(lambda at: joint.start(at, out.position, out.velocity), out.values, name)
         elif name in _INITIAL:
             at = _INITIAL[name]
-            start[:, j] = _moved_start(loop, values, out, *at[:2]) if any(at[:2]) else 0.0
-            memory[:, j] = _moved_memory(experiment, out, at)
+            start[:, j] = _moved_start(out, *at[:2]) if any(at[:2]) else 0.0
+            memory[:, j] = _moved_memory(out, at)
         elif name == "delay":
             delay[j] = 1.0
         else:
-            column, limits[:, j] = _explicit(loop, experiment, out, name)
+            column, limits[:, j] = _explicit(out, name)
             explicit.append(column)
     periods, elements = len(out.command), law.limits.size
     command = _FRESH.array("slopes", (width, periods))
@@ -278,9 +259,7 @@ def start_slope(
     return np.asarray((high - low) / (2 * step))
 
 
-def _moved_start(
-    loop: ClosedLoop, values: Mapping[str, float], out: ClosedLoopRun, position: float, velocity: float
-) -> FloatArray:
+def _moved_start(out: ClosedLoopRun, position: float, velocity: float) -> FloatArray:
     """Return how the first state depends on the motor's position (1, 0) or velocity (0, 1).
 
     It is affine in both, on one side of 0, but for what gravity bends.
@@ -289,20 +268,21 @@ def _moved_start(
         return np.array([0.0, 1.0, 0.0, 1.0])
     step = 1.0 if out.gravity is None else _SMALL
     by = (step * position, step * velocity * 0.5 * out.velocity)
-    moved = loop.joint.start(values, out.position + by[0], out.velocity + by[1])
-    return np.asarray((moved - loop.joint.start(values, out.position, out.velocity)) / (by[0] + by[1]))
+    start = out.loop.joint.start
+    moved = start(out.values, out.position + by[0], out.velocity + by[1])
+    return np.asarray((moved - start(out.values, out.position, out.velocity)) / (by[0] + by[1]))
 
 
-def _moved_memory(experiment: LoopInput, out: ClosedLoopRun, by: tuple[float, float, float]) -> FloatArray:
+def _moved_memory(out: ClosedLoopRun, by: tuple[float, float, float]) -> FloatArray:
     """Return how the feedback's first states depend on the motor's position and velocity, and on the torque: affine."""
     ends = []
     for size in (0.0, 1.0):
         torque = None if out.torque is None else out.torque + size * by[2]
-        ends.append(first_state(experiment, out.position + size * by[0], out.velocity + size * by[1], torque)[0])
+        ends.append(first_state(out.experiment, out.position + size * by[0], out.velocity + size * by[1], torque)[0])
     return np.asarray(ends[1] - ends[0])
 
 
-def _explicit(loop: ClosedLoop, experiment: LoopInput, out: ClosedLoopRun, name: str) -> tuple[FloatArray, FloatArray]:
+def _explicit(out: ClosedLoopRun, name: str) -> tuple[FloatArray, FloatArray]:
     """Return how the elements, (periods, elements), and their limits, (elements,), depend on a number of the law.
 
     The position, and what limits and gates take away, are held.
@@ -310,31 +290,32 @@ def _explicit(loop: ClosedLoop, experiment: LoopInput, out: ClosedLoopRun, name:
     Raises:
         MethodError: the law has another structure beside the number, as without an integral.
     """
-    value = number(loop.controller, name)
+    experiment, controller = out.experiment, out.loop.controller
+    value = number(controller, name)
     if not math.isfinite(value):  # a limit that never acts
         return np.zeros_like(out.excess), np.zeros(experiment.law.limits.size)
     unit = experiment.law.period if name.endswith("delay") else 1.0
     steps = (-_STEP * abs(value), _STEP * abs(value)) if value else (0.0, _FROM_NOTHING * unit)
     inputs = experiment.inputs.copy()
     inputs[:, POSITION] = out.states[:: experiment.lengths.size, 0]
-    held = _cut(experiment, out, inputs)
-    low, high = (experiment.law_of(with_numbers(loop.controller, {name: value + by})) for by in steps)
+    low, high = (experiment.law_of(with_numbers(controller, {name: value + by})) for by in steps)
     if high.limits.size != low.limits.size or (high.integral() is None) != (low.integral() is None):
         raise MethodError(
             f"The {name} of this controller is 0, and what it belongs to is not there, so it has no derivative; "
             "declare another."
         )
-    width = steps[1] - steps[0]
-    slope = (_answer(high, inputs, out, held) - _answer(low, inputs, out, held)) / width
+    held, width = _cut(out, inputs), steps[1] - steps[0]
+    above, below = (respond(law, inputs, _begun(law, inputs, out), held) for law in (high, low))
+    slope = (above - below) / width
     with np.errstate(invalid="ignore"):
         limits = np.where(np.isinf(low.limits), 0.0, (high.limits - low.limits) / width)
     return slope, limits
 
 
-def _cut(experiment: LoopInput, out: ClosedLoopRun, inputs: FloatArray) -> FloatArray:
+def _cut(out: ClosedLoopRun, inputs: FloatArray) -> FloatArray:
     """Return the excess over limits and gates, (periods, elements)."""
-    law = experiment.law
-    if law.limits.size > 1 or law.phases > 1 or len(experiment.kernel.driven):
+    law = out.experiment.law
+    if law.limits.size > 1 or law.phases > 1 or len(out.experiment.kernel.driven):
         return out.excess
     if not np.any(law.F):
         return np.zeros_like(out.excess)
@@ -342,11 +323,6 @@ def _cut(experiment: LoopInput, out: ClosedLoopRun, inputs: FloatArray) -> Float
     output = out.command[:, np.newaxis]
     back = replace(law, A=law.A - law.F @ law.C, B=law.B - law.F @ law.D)
     return np.asarray(output - respond(back, inputs, _begun(law, inputs, out), output))
-
-
-def _answer(law: SampledLaw, inputs: FloatArray, out: ClosedLoopRun, excess: FloatArray) -> FloatArray:
-    """Return the elements before their limits, (periods, elements), with what these take away given."""
-    return respond(law, inputs, _begun(law, inputs, out), excess)
 
 
 def _begun(law: SampledLaw, inputs: FloatArray, out: ClosedLoopRun) -> FloatArray:

@@ -9,9 +9,8 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.solvers.problem import Counted, Problem
 from jointid.solvers.regression import solution
-from jointid.solvers.solution import Solution, Status, Step, Watch
+from jointid.solvers.solve import Counted, Problem, Solution, Status, Step, Watch
 
 _ROUNDING = 1e-10  # of the measurement: an error this small is rounding
 _PATIENCE = 8  # iterations without a better one: an approximate Jacobian may well go round in circles

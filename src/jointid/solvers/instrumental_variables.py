@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.solvers.bounds import Bounds
-from jointid.solvers.problem import Counted, InstrumentProblem
-from jointid.solvers.solution import Solution, Status, Step, Watch
+from jointid.solvers.solve import Bounds, Counted, InstrumentProblem, Solution, Status, Step, Watch
 
 _TOLERANCE = 0.05  # of the deviations
 _WHOLE = 6  # steps; then halves of them, since where a direction flips they may go round in circles

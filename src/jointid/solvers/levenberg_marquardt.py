@@ -12,9 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.solvers.bounds import Bounds
-from jointid.solvers.problem import Counted, Problem
-from jointid.solvers.solution import Solution, Status, Step, Watch, explain
+from jointid.solvers.solve import Bounds, Counted, Problem, Solution, Status, Step, Watch, explain
 
 _DAMPING, _LEAST, _MOST = 1e-3, 1e-12, 1e12  # of the first step, in columns of norm 1; and its range
 _EASIER, _HARDER = 0.1, 5.0  # factors on the damping after a step that went down, and one that did not

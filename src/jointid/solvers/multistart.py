@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.solvers.problem import Counted, Problem
-from jointid.solvers.solution import Solution, Watch
-from jointid.solvers.solve import Solver
+from jointid.solvers.solve import Counted, Problem, Solution, Solver, Watch
 
 _SAME = 1e-4  # of the criterion: two ends so near are one
 

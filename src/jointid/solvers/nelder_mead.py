@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.solvers.problem import Counted, Problem
-from jointid.solvers.solution import Solution, Status, Step, Watch
+from jointid.solvers.solve import Counted, Problem, Solution, Status, Step, Watch
 
 _IMPROVED = 1e-4  # of the criterion: a restart that gains less was not needed
 

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.solvers.bounds import Bounds
-from jointid.solvers.problem import Counted, Problem
-from jointid.solvers.solution import Solution, Status, Step, Watch, explain
+from jointid.solvers.solve import Bounds, Counted, Problem, Solution, Status, Step, Watch, explain
 
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult

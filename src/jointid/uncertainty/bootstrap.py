@@ -27,8 +27,7 @@ from jointid.common.document import Document, Documented, Table
 from jointid.common.errors import MethodError
 from jointid.common.text import number
 from jointid.models.parameters import Parameter
-from jointid.solvers.problem import Problem
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import Problem, Variable, solve
 from jointid.solvers.trust_region import TrustRegion
 from jointid.uncertainty.combination import Combination
 from jointid.uncertainty.covariance import bandwidth
@@ -218,7 +217,7 @@ class _Weighted:
     by: FloatArray
 
     @property
-    def free(self) -> tuple[Parameter, ...]:
+    def free(self) -> tuple[Variable, ...]:
         return self.problem.free
 
     def residual(self, x: FloatArray) -> FloatArray:

@@ -6,13 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Protocol
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.models.parameters import Parameter, Quantity
-from jointid.solvers.problem import Problem
+from jointid.solvers.solve import Problem, Variable
 
 
 class Kind(StrEnum):
@@ -46,7 +47,7 @@ class Combination:
     kind: Kind = Kind.ASKED
     quantity: str = ""
 
-    def vector(self, parameters: Sequence[Parameter]) -> FloatArray:
+    def vector(self, parameters: Sequence[Variable]) -> FloatArray:
         """Return the weights in the order of the parameters, (parameters,).
 
         Raises:
@@ -97,6 +98,11 @@ def physical(parameters: Sequence[Parameter], units: Mapping[str, str]) -> tuple
     return tuple(found)
 
 
+class _JointProblem(Problem, Protocol):
+    @property
+    def free(self) -> tuple[Parameter, ...]: ...
+
+
 @dataclass(frozen=True, slots=True)
 class ByCompliance:
     """A problem whose stiffness is searched as the compliance 1/K, in which a nearly rigid joint is nearly linear.
@@ -109,7 +115,7 @@ class ByCompliance:
         least: the compliance that is as good as none: nothing stiffer is simulated.
     """
 
-    problem: Problem
+    problem: _JointProblem
     least: float
 
     def __post_init__(self) -> None:

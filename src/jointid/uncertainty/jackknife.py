@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.solvers.bounds import Bounds
+from jointid.solvers.solve import Bounds
 from jointid.uncertainty.covariance import Covariance, covariance_of, larger
 
 _SINGULAR = 1e-12  # of the largest: a direction of the scaled parameters that nothing tells

@@ -26,10 +26,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.text import number
-from jointid.models.parameters import Parameter
-from jointid.solvers.bounds import Bounds
-from jointid.solvers.problem import Counted, Problem
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import Bounds, Counted, Problem, Variable, solve
 from jointid.solvers.trust_region import TrustRegion
 from jointid.uncertainty.combination import Combination
 from jointid.uncertainty.covariance import Covariance, robust
@@ -141,7 +138,7 @@ class _Held:
     value: float
 
     @property
-    def free(self) -> tuple[Parameter, ...]:
+    def free(self) -> tuple[Variable, ...]:
         return self.problem.free
 
     def residual(self, x: FloatArray) -> FloatArray:

@@ -6,14 +6,14 @@ need no guess: for each of a row of motor-locked frequencies, at which the motor
 load of one unit is simulated, and everything else about the joint is then linear. The best few are refined.
 
 A motor inside a closed loop answers to what disturbs it, so its measured motion is correlated with the error, and least
-squares is biased (`instruments` tests that, and mends it where the record has a reference or an injected signal).
+squares is biased (`endogeneity` tests that, and mends it where the record has a reference or an injected signal).
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -21,26 +21,21 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.progress import Progress, silent
-from jointid.common.settings import check_settings, documented, setting
-from jointid.estimation.methods.endogeneity import Judgement, judged
-from jointid.estimation.methods.registry import Method
-from jointid.estimation.problems.drive_side import CURRENT_LAG, DriveSideProblem, motion_problem
-from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
+from jointid.common.progress import Progress
+from jointid.common.settings import documented, setting
+from jointid.estimation.methods.endogeneity import judged
+from jointid.estimation.methods.registry import Method, Task
+from jointid.estimation.problems.nuisance_parameters import LOG_DELAY, log_delay
+from jointid.estimation.problems.prescribed import CURRENT_LAG, DriveSideProblem, motion_problem
 from jointid.estimation.result.build_estimate import build_prescribed_estimate
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers import Controller
-from jointid.models.joints import Joint, acts_on_whole
+from jointid.models.joints import acts_on_whole
 from jointid.models.parameters import Parameter
-from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.drive_side import DriveSide
-from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
 from jointid.solvers.multistart import Multistart
-from jointid.solvers.solution import Solution, Step, Watch
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import Solution, Step, Watch, solve
 from jointid.uncertainty.bands import with_bands
 from jointid.uncertainty.covariance import Covariance, sandwich
 
@@ -48,7 +43,6 @@ _GUESSES = 28  # motor-locked frequencies to try, evenly on a logarithmic scale 
 _LOWEST = 0.05  # ... from this share of the cut-off up to it
 _DAMPING = 0.05  # of the load that is tried: as wide as the steps of the grid
 _REFINED, _WORSE = 3, 3.0  # valleys of the grid that are refined, at most; and how much worse than the best
-_MOST_LATE = 20.0  # samples that the log may be late, or early
 _RESTING = 0.02  # of the record: more is said
 
 
@@ -85,78 +79,45 @@ class DriveSideFit(Method):
     )
     tolerance: float = setting(1e-8, "change of the criterion or the parameters to stop at, as a share", above=0)
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
     def surroundings(self, sample_time: float) -> tuple[Parameter, ...]:
         """Return the parameters of the log, free where they are to be estimated."""
-        late = _MOST_LATE * sample_time
-        delay = replace(LOG_DELAY, free=True, lower=-late, upper=late)
-        lag = replace(CURRENT_LAG, free=True, start=0.3 * sample_time, lower=1e-3 * sample_time, upper=late)
-        return (
-            delay if self.log_delay is None else delay.fixed(self.log_delay),
-            lag if self.current_lag is None else CURRENT_LAG.fixed(self.current_lag),
+        delay = log_delay(self.log_delay, sample_time)
+        lag = replace(CURRENT_LAG, free=True, start=0.3 * sample_time, lower=1e-3 * sample_time, upper=delay.upper)
+        return delay, lag if self.current_lag is None else CURRENT_LAG.fixed(self.current_lag)
+
+    def identify(self, task: Task) -> Estimate:
+        """Identify a joint from torque and motor position, whatever its controller.
+
+        Reference and injected signal serve as instruments. The position's cut-off should be five times the free-free
+        frequency or more, the other one above it.
+
+        Raises:
+            RecordError: a channel is missing, or at another rate.
+            MethodError: no start gives a joint with positive inertias.
+        """
+        record, closing = task.record, DriveSide(task.joint)
+        record.require(closing.channels, "Drive-side identification")
+        assert record.torque is not None
+        around = self.surroundings(record.torque.sample_time)
+        problem = motion_problem(record, closing, task.filtering, task.parameters, around)
+        starts, simulations = _starts(problem, self)
+        solver = Multistart(LevenbergMarquardt(self.tolerance))
+        solution = solve(problem, solver, np.array(starts), reported(task.progress))
+        verdict = judged(record, problem, solution, self.instruments, task.progress)
+        resting = 1 - float(np.mean(problem.weights))
+        rest = f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
+        how = "least squares" if verdict.x is None else "instrumental variables"
+        evaluations = solution.evaluations + simulations + verdict.simulations
+        return build_prescribed_estimate(
+            record,
+            problem,
+            solution.x if verdict.x is None else verdict.x,
+            replace(solution, evaluations=evaluations),
+            verdict.covariance or covariance_of(solution),
+            ("torque", "motor_position", *verdict.channels),
+            ("drive_side", f"drive-side by {how}"),
+            after=(*((rest,) if resting > _RESTING else ()), *verdict.warnings),
         )
-
-    @classmethod
-    def called(cls, model: str) -> str:
-        """Return what a sentence on its needs calls it."""
-        del model
-        return "the drive side method"
-
-    @classmethod
-    def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:
-        """Return torque and motor position."""
-        del model, controller
-        return "torque", "motor_position"
-
-    def identify(
-        self,
-        record: Record,
-        joint: Joint,
-        loop: ClosedLoop | None,
-        parameters: tuple[Parameter, ...],
-        filtering: Filtering,
-        progress: Progress,
-    ) -> Estimate:
-        """Identify a joint without its controller; see `identify_drive_side`."""
-        del loop
-        return identify_drive_side(record, DriveSide(joint), parameters, filtering, self, progress)
-
-
-def identify_drive_side(
-    record: Record,
-    closing: DriveSide,
-    parameters: tuple[Parameter, ...],
-    filtering: Filtering,
-    settings: DriveSideFit | None = None,
-    progress: Progress = silent,
-) -> Estimate:
-    """Identify a joint from torque and motor position, whatever its controller.
-
-    Args:
-        record: with torque and motor position at one rate; its reference and injected signal serve as instruments.
-        closing: the joint.
-        parameters: of the joint; a start of its own replaces that of the method.
-        filtering: the position's cut-off at least five times the free-free frequency, the other one above it.
-        settings: see `DriveSideFit`.
-        progress: is told the iterations.
-
-    Raises:
-        RecordError: a channel is missing, or at another rate.
-        MethodError: no start gives a joint with positive inertias.
-    """
-    settings = settings or DriveSideFit()
-    record.require(closing.channels, "Drive-side identification")
-    assert record.torque is not None
-    around = settings.surroundings(record.torque.sample_time)
-    problem = motion_problem(record, closing, filtering, parameters, around)
-    starts, simulations = _starts(problem, settings)
-    solver = Multistart(LevenbergMarquardt(settings.tolerance))
-    solution = solve(problem, solver, np.array(starts), reported(progress))
-    solution = replace(solution, evaluations=solution.evaluations + simulations)
-    verdict = judged(record, problem, solution, settings.instruments, progress)
-    return _answer(record, problem, solution, verdict)
 
 
 def _starts(problem: DriveSideProblem, settings: DriveSideFit) -> tuple[list[FloatArray], int]:
@@ -200,7 +161,8 @@ def _linear(problem: DriveSideProblem, frequency: float | None) -> tuple[float, 
         unit |= {"load_inertia": 1.0, "stiffness": rate**2, "damping": 2 * _DAMPING * rate}
     forces = tuple(p.name for p in problem.joint.parameters if p.free and acts_on_whole(p.name))
     names = (inertia, *friction, *forces)
-    trial = replace(problem, parameters=tuple(_told(p, names, unit[p.name]) for p in problem.parameters))
+    sought = (replace(p, free=True) if p.name in names else p.fixed(unit[p.name]) for p in problem.parameters)
+    trial = replace(problem, parameters=tuple(sought))
     x = np.array([unit[p.name] for p in trial.free])
     error, J = trial.linearised(x)
     W = [-column for column in J.T]
@@ -223,42 +185,16 @@ def _linear(problem: DriveSideProblem, frequency: float | None) -> tuple[float, 
     return (float(np.linalg.norm(Y - columns @ chi)) if positive else math.inf), found
 
 
-def _told(p: Parameter, names: Sequence[str], value: float) -> Parameter:
-    """Return a parameter free where a regression finds it, else fixed."""
-    return replace(p, free=True) if p.name in names else p.fixed(value)
-
-
 def _vector(problem: DriveSideProblem, found: Mapping[str, float]) -> FloatArray:
     """Return a start: what the user gives goes before what was found."""
     given = {p.name: p.start for p in problem.parameters if p.start is not None}
     return problem.vector({**found, **given})
 
 
-def _answer(record: Record, problem: DriveSideProblem, solution: Solution, verdict: Judgement) -> Estimate:
-    """Return the estimate: of least squares, or of the instruments where these were preferred."""
-    resting = 1 - float(np.mean(problem.weights))
-    rest = f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
-    how = "least squares" if verdict.x is None else "instrumental variables"
-    return build_prescribed_estimate(
-        record,
-        problem,
-        solution.x if verdict.x is None else verdict.x,
-        replace(solution, evaluations=solution.evaluations + verdict.simulations),
-        verdict.covariance or covariance_of(solution),
-        ("torque", "motor_position", *verdict.channels),
-        ("drive_side", f"drive-side by {how}"),
-        after=(*((rest,) if resting > _RESTING else ()), *verdict.warnings),
-    )
-
-
 def covariance_of(solution: Solution) -> Covariance:
     """Return the covariance of a least-squares estimate, by rows and by bands of frequency."""
-    return with_bands(
-        sandwich(solution.jacobian, solution.jacobian, solution.residual),
-        solution.jacobian,
-        solution.jacobian,
-        solution.residual,
-    )
+    J, error = solution.jacobian, solution.residual
+    return with_bands(sandwich(J, J, error), J, J, error)
 
 
 def reported(progress: Progress) -> Watch:

@@ -22,14 +22,13 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress
-from jointid.estimation.problems.drive_side import DriveSideProblem
+from jointid.estimation.problems.prescribed import DriveSideProblem
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
 from jointid.records.signals.filtering import decimate
 from jointid.simulation.drive_side import LOAD_STATE, PARTS, prescribed_motion
 from jointid.solvers.instrumental_variables import InstrumentalSolution, InstrumentalVariables, projection
-from jointid.solvers.solution import Solution
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.bands import with_bands
 from jointid.uncertainty.covariance import Covariance, bandwidth, sandwich
 

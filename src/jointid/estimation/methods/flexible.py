@@ -20,27 +20,22 @@ from typing import Literal
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.progress import Progress, silent
-from jointid.common.settings import check_settings, documented, setting
-from jointid.estimation.methods.registry import Method
+from jointid.common.settings import documented, setting
+from jointid.estimation.methods.registry import SURROUNDINGS, Method, Task
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.result.build_estimate import build_closed_loop_estimate
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.stiffness_identifiability import Visibility, visible
-from jointid.estimation.search.exploration import rigid_estimate
+from jointid.estimation.search.flexible_search import by_least_squares, or_moving, rigid_estimate, simplex_start
 from jointid.estimation.search.history import History, Solved, free_more, least_squares
-from jointid.estimation.search.multistart import by_least_squares, or_moving, simplex_start
-from jointid.estimation.search.starts import resting_position
-from jointid.models.controllers import Controller
-from jointid.models.joints import FlexibleJoint, Joint, acts_on_whole
+from jointid.estimation.search.starts import beginning_position
+from jointid.models.joints import FlexibleJoint, acts_on_whole
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.nelder_mead import NelderMead, sizes_of
-from jointid.solvers.problem import Counted
-from jointid.solvers.solve import Solver, solve
+from jointid.solvers.solve import Counted, Solver, solve
 from jointid.uncertainty.combination import Combination, Kind
 from jointid.uncertainty.covariance import Covariance
 from jointid.uncertainty.identifiability import Known
@@ -95,15 +90,7 @@ class FlexibleDIDIM(Method):
         "whether the standard deviations are those of the output sensitivities, or the paper's of the inverse model, "
         "far too small",
     )
-    free: tuple[str, ...] = setting(
-        (),
-        "what surrounds the joint and is identified with it, by least squares from where DIDIM ends, from what is "
-        'declared: a number of the law such as "kp", "delay" or "torque_filters.0.frequency", or "log_gain", '
-        '"log_delay"',
-    )
-
-    def __post_init__(self) -> None:
-        check_settings(self)
+    free: tuple[str, ...] = setting((), SURROUNDINGS)
 
     @classmethod
     def paper(cls, frequency: float | None = 30.0) -> FlexibleDIDIM:
@@ -113,31 +100,53 @@ class FlexibleDIDIM(Method):
         """
         return cls("nelder-mead", frequency, None, 1e-4, 6000, 1, "inverse-model")
 
-    @classmethod
-    def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:
-        """Return torque, and what the controller reads."""
-        del model
-        return ("torque", *(("reference",) if controller is None else controller.channels))
+    def identify(self, task: Task) -> Estimate:
+        """Identify a flexible joint from torque and reference; its mode must lie below the cut-off.
 
-    @classmethod
-    def compared(cls, model: str) -> tuple[tuple[str, Method], ...]:
-        """Return the one run of DIDIM in a comparison."""
-        del model
-        return (("DIDIM", cls()),)
-
-    def identify(
-        self,
-        record: Record,
-        joint: Joint,
-        loop: ClosedLoop | None,
-        parameters: tuple[Parameter, ...],
-        filtering: Filtering,
-        progress: Progress,
-    ) -> Estimate:
-        """Identify a flexible joint; see `identify_flexible`."""
-        del joint
+        Raises:
+            RecordError: a channel is missing.
+            MethodError: the loop cannot be simulated at any start.
+        """
+        record, loop, progress = task.record, task.loop, task.progress
         assert loop is not None
-        return identify_flexible(record, loop, parameters, filtering, self, progress)
+        rigid = rigid_estimate(record, loop, self.rigid_cutoff, progress)
+        problem = torque_problem(record, loop, task.filtering, task.parameters, _at_rest(record, self))
+        problem = problem if loop.joint.gravity is None else _hanging(problem)
+        history = History(progress)
+        solved, simulations = _searched(problem, task, rigid, self, history)
+        starts = solved.solution.starts
+        if self.free:
+            tolerance = stopping_tolerance(self)
+            solved = free_more(solved.problem, solved.solution.x, self.free, tolerance, history)
+        problem, x = solved.problem, solved.solution.x
+        error, J = history.counted(problem).linearised(x)
+        run = problem.simulate(x)
+        history.tally.evaluations += 1
+        stop, converged = solved.solution.message, solved.solution.converged
+        if np.linalg.norm(error) > _NOTHING * problem.size:
+            stop = f"no answer: the search ended where the model explains little of the torque ({stop})"
+            converged = False
+        names = [p.name for p in problem.free]
+        known = uncertainty(J, J, error, problem.cells(run), names, problem.torque_unit)
+        paper = self.minimiser == "nelder-mead"
+        how = "Nelder-Mead" if paper else "least squares"
+        if self.statistics == "inverse-model":
+            found = build_closed_loop_estimate(record, problem, x, run, (stop, converged), known, J)
+            history.tally.evaluations += 1
+            covariance = inverse_model_covariance(problem, x, error)
+            found = _with_paper_statistics(found, covariance, len(problem.free_joint))
+        else:
+            spring = visible(problem, x, known, starts, progress)
+            history.tally.evaluations += spring.simulations
+            end = (stop, converged)
+            found = build_closed_loop_estimate(record, problem, x, run, end, known, J, spring.rigid_error)
+            found = found.amended(checks={"verdicts": (*found.checks.verdicts, spring.verdict)})
+            found = found if spring.shown else refused(found, spring)
+        variant = f"DIDIM by {how} {'from the pseudo-regular start' if paper else 'from a grid of starts'}"
+        return found.amended(
+            settings={"variant": variant},
+            fit={"trace": tuple(history.trace), "simulations": history.tally.evaluations + simulations},
+        )
 
 
 def stopping_tolerance(settings: FlexibleDIDIM) -> float:
@@ -145,81 +154,15 @@ def stopping_tolerance(settings: FlexibleDIDIM) -> float:
     return settings.tolerance or (_TOLERANCE if settings.minimiser == "least-squares" else _SIMPLEX_TOLERANCE)
 
 
-def identify_flexible(
-    record: Record,
-    loop: ClosedLoop,
-    parameters: tuple[Parameter, ...],
-    filtering: Filtering,
-    settings: FlexibleDIDIM | None = None,
-    progress: Progress = silent,
-) -> Estimate:
-    """Identify a flexible joint from torque and reference.
-
-    Args:
-        record: with the torque and what the controller reads.
-        loop: flexible joint and controller.
-        parameters: of the joint; a start of its own replaces that of the method.
-        filtering: cut-off and decimation; the mode must lie below the cut-off.
-        settings: see `FlexibleDIDIM`.
-        progress: is told the iterations.
-
-    Raises:
-        RecordError: a channel is missing.
-        MethodError: the loop cannot be simulated at any start.
-    """
-    settings = settings or FlexibleDIDIM()
-    rigid = rigid_estimate(record, loop, settings.rigid_cutoff, progress)
-    problem = torque_problem(record, loop, filtering, parameters, _at_rest(record, settings))
-    problem = problem if loop.joint.gravity is None else _hanging(problem)
-    history = History(progress)
-    solved, simulations = _searched(problem, record, loop, rigid, filtering, settings, history)
-    starts = solved.solution.starts
-    if settings.free:
-        tolerance = stopping_tolerance(settings)
-        solved = free_more(solved.problem, solved.solution.x, settings.free, tolerance, history)
-    problem, x = solved.problem, solved.solution.x
-    error, J = history.counted(problem).linearised(x)
-    run = problem.simulate(x)
-    history.tally.evaluations += 1
-    stop, converged = solved.solution.message, solved.solution.converged
-    if np.linalg.norm(error) > _NOTHING * problem.size:
-        stop, converged = f"no answer: the search ended where the model explains little of the torque ({stop})", False
-    names = [p.name for p in problem.free]
-    known = uncertainty(J, J, error, problem.cells(run), names, problem.torque_unit)
-    paper = settings.minimiser == "nelder-mead"
-    how = "Nelder-Mead" if paper else "least squares"
-    if settings.statistics == "inverse-model":
-        found = build_closed_loop_estimate(record, problem, x, run, (stop, converged), known, J)
-        history.tally.evaluations += 1
-        found = with_paper_statistics(found, inverse_model_covariance(problem, x, error), len(problem.free_joint))
-    else:
-        spring = visible(problem, x, known, starts, progress)
-        history.tally.evaluations += spring.simulations
-        found = build_closed_loop_estimate(record, problem, x, run, (stop, converged), known, J, spring.rigid_error)
-        found = found.amended(checks={"verdicts": (*found.checks.verdicts, spring.verdict)})
-        found = found if spring.shown else refused(found, spring)
-    variant = f"DIDIM by {how} {'from the pseudo-regular start' if paper else 'from a grid of starts'}"
-    return found.amended(
-        settings={"variant": variant},
-        fit={"trace": tuple(history.trace), "simulations": history.tally.evaluations + simulations},
-    )
-
-
 def _searched(
-    problem: ClosedLoopProblem,
-    record: Record,
-    loop: ClosedLoop,
-    rigid: Estimate,
-    filtering: Filtering,
-    settings: FlexibleDIDIM,
-    history: History,
+    problem: ClosedLoopProblem, task: Task, rigid: Estimate, settings: FlexibleDIDIM, history: History
 ) -> tuple[Solved, int]:
     """Return where the search ends, from a rough rigid joint or lower ones, and the simulations that these took."""
     paper, tolerance = settings.minimiser == "nelder-mead", stopping_tolerance(settings)
 
     def solved_from(rigid: Estimate) -> tuple[Solved, Solver[Counted]]:
         if not paper:
-            found = by_least_squares(problem, filtering, rigid, settings.frequency, tolerance, history)
+            found = by_least_squares(problem, task.filtering, rigid, settings.frequency, tolerance, history)
             return found, least_squares(found.problem, tolerance)
         start = simplex_start(problem, rigid, settings.frequency, history)
         simplex = NelderMead(tolerance, settings.simulations, settings.restarts, sizes_of(start), problem.size)
@@ -234,7 +177,8 @@ def _searched(
             break
         # A mode near the cut-off of the rigid start makes it a poor one, and all that is explored from it.
         history.progress("the search ended where the model explains little; beginning again, below a lower frequency")
-        rigid = rigid_estimate(record, loop, edge / lower, history.progress)
+        assert task.loop is not None
+        rigid = rigid_estimate(task.record, task.loop, edge / lower, history.progress)
         simulations += rigid.fit.simulations
         solved, solver = solved_from(rigid)
     if rigid["initial_velocity"].free:  # below its resonance the axis seemed to move at the first sample
@@ -275,7 +219,7 @@ def _sum_of(p: Parameter, unit: str) -> Combination:
     return Combination(f"total {p.name}", formula, unit, weights, Kind.SUM, p.name)
 
 
-def with_paper_statistics(estimate: Estimate, covariance: Covariance, joint: int) -> Estimate:
+def _with_paper_statistics(estimate: Estimate, covariance: Covariance, joint: int) -> Estimate:
     """Return the estimate with the deviations of the paper, and none for what surrounds the joint."""
     found, index = [], 0
     for p in estimate.params:
@@ -301,7 +245,7 @@ def _at_rest(record: Record, settings: FlexibleDIDIM) -> tuple[Parameter, ...]:
 
 def _hanging(problem: ClosedLoopProblem) -> ClosedLoopProblem:
     """Return the problem with the motor, at the first sample, where its load makes it hang."""
-    home = resting_position(problem)
+    home = beginning_position(problem)
     return problem.changed({p.name: replace(p, start=home) for p in problem.parameters if p.name == "initial_position"})
 
 

@@ -17,8 +17,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.transmission import Side
-from jointid.estimation.methods.inverse_model import InverseModel, through_window
 from jointid.estimation.methods.linear import Rows
+from jointid.estimation.problems.inverse_model import InverseModel, through_window
 from jointid.models.disturbances import Effect, PositionHarmonics, effect_columns
 from jointid.models.joints import Motion
 from jointid.models.parameters import Parameter, Quantity
@@ -85,13 +85,12 @@ def with_periods(
     Raises:
         MethodError: the axis does not travel far enough to show any period.
     """
-
-    def found(effect: Effect) -> Effect:
-        if isinstance(effect, PositionHarmonics) and effect.period is None:
-            return _searched(effect, model, rows, filtering, sample_time)
-        return effect
-
-    return tuple(found(effect) for effect in effects)
+    return tuple(
+        _searched(effect, model, rows, filtering, sample_time)
+        if isinstance(effect, PositionHarmonics) and effect.period is None
+        else effect
+        for effect in effects
+    )
 
 
 def is_searched(effect: Effect) -> bool:

@@ -1,13 +1,13 @@
 """IDIM: the inverse dynamic model regressed on measured positions, by the estimator of choice.
 
-Torque and columns are those of `inverse_model`; ordinary least squares by QR, weighted or robust least squares
-(`linear`), or instruments from a simulated loop (`instruments`).
+Torque and columns are those of `inverse_model`; the estimators, ordinary, weighted or robust least squares or
+instruments from a simulated loop, those of `linear`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Literal, TypeAlias
 
@@ -15,14 +15,20 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.progress import Progress
-from jointid.common.settings import check_settings, documented, setting
+from jointid.common.settings import documented, setting
 from jointid.estimation.methods.harmonic_period import PeriodColumn, is_searched, moved, with_periods
-from jointid.estimation.methods.instruments import Instrumented, by_instruments, simulated_instruments
-from jointid.estimation.methods.inverse_model import InverseModel, idim_channels, motion_of
-from jointid.estimation.methods.linear import Rows, Solution, ordinary, robust, weighted
-from jointid.estimation.methods.registry import Method
+from jointid.estimation.methods.linear import (
+    Rows,
+    Solution,
+    by_instruments,
+    ordinary,
+    robust,
+    simulated_instruments,
+    weighted,
+)
+from jointid.estimation.methods.registry import Method, Task
 from jointid.estimation.problems.closed_loop import require_free
+from jointid.estimation.problems.inverse_model import InverseModel, idim_channels, motion_of
 from jointid.estimation.result.build_estimate import build_data, build_rows, poor_fit
 from jointid.estimation.result.estimate import Estimate, relative_error
 from jointid.estimation.result.params import Params
@@ -33,7 +39,6 @@ from jointid.models.joints import Joint, acts_on_whole
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record, Timing
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.loop_input import ClosedLoop
 from jointid.uncertainty.covariance import words
 
 Estimator: TypeAlias = Literal["ols", "weighted", "robust", "iv"]
@@ -66,9 +71,6 @@ class IDIM(Method):
     )
     effects: tuple[Effect, ...] = ()
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
     @classmethod
     def called(cls, model: str) -> str:
         """Return what a sentence on its needs calls it: they are the joint model's."""
@@ -77,7 +79,6 @@ class IDIM(Method):
     @classmethod
     def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:
         """Return torque and motor position, and the load's where the joint is flexible."""
-        del controller
         return idim_channels(model)
 
     @classmethod
@@ -86,19 +87,50 @@ class IDIM(Method):
         weighted = (("IDIM-WLS", cls("weighted")),) if model == "flexible" else ()
         return (("IDIM-LS", cls()), *weighted, ("IDIM-IRLS", cls("robust")), ("IDIM-IV", cls("iv")))
 
-    def identify(
-        self,
-        record: Record,
-        joint: Joint,
-        loop: ClosedLoop | None,
-        parameters: tuple[Parameter, ...],
-        filtering: Filtering,
-        progress: Progress,
-    ) -> Estimate:
-        """Identify a joint; see `identify_idim`."""
-        del progress
-        delay = loop.controller.law(record.torque.sample_time).delay if loop and record.torque else 0.0
-        return identify_idim(record, joint, parameters, filtering, delay, self, loop)
+    def identify(self, task: Task) -> Estimate:
+        """Identify a joint from torque and motor position, and load position where it is flexible.
+
+        The standard deviations are those of the regression, robust to autocorrelation. What repeats with the motion is
+        not covered, nor, but by instruments, noise in the positions and disturbances that the loop carries into them.
+
+        Raises:
+            RecordError: a channel is missing or cannot be used.
+            MethodError: the record does not determine the parameters, or instruments have no loop to come from.
+        """
+        record, joint, loop = task.record, task.joint, task.loop
+        record.require(("torque",), "IDIM")
+        assert record.torque is not None
+        sample_time = record.torque.sample_time
+        delay = loop.controller.law(sample_time).delay if loop else 0.0
+        require_effects(self.effects, joint)
+        if self.estimator == "iv" and loop is None:
+            raise MethodError(
+                "IDIM-IV simulates the closed loop for its instruments, so it needs the controller; give a ClosedLoop, "
+                "or use another estimator."
+            )
+        filtering = task.filtering.resolved(sample_time, joint.model)
+
+        def regression(effects: tuple[Effect, ...]) -> _Regression:
+            model = motion_of(record, delay, filtering, joint, effects)
+            return _Regression.of((*task.parameters, *effect_parameters(effects)), model, filtering, sample_time)
+
+        def solved(effects: tuple[Effect, ...]) -> _Found:
+            made = regression(effects)
+            if self.estimator != "iv":
+                solve = {"ols": ordinary, "weighted": weighted, "robust": robust}[self.estimator]
+                return _Found(made, solve(made.rows), effects)
+            assert loop is not None
+            columns = simulated_instruments(record, loop, made.model, made.parameters, filtering, effects)
+            return _Found(made, by_instruments(made.rows, columns, made.kept, made.free), effects)
+
+        unknown = [is_searched(effect) for effect in self.effects]
+        if not any(unknown):
+            found = solved(self.effects)
+        else:
+            whole = regression(tuple(effect for effect in self.effects if not is_searched(effect)))
+            begun = with_periods(self.effects, whole.model, whole.rows, filtering, sample_time)
+            found = _with_periods(begun, unknown, solved)
+        return _answer(task, self, filtering, delay, found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,154 +139,75 @@ class _Regression:
 
     Attributes:
         parameters: of joint and effects, in the order of the model's columns.
-        effects: as they are now; their columns, and those of searched periods, follow the joint's.
         model: torque and columns, raw.
         rows: of the free parameters, the fixed ones' torque taken off.
+        free: which parameters are estimated.
+        kept: (parameters,) values of the fixed parameters, 0 for the free ones.
     """
 
     parameters: tuple[Parameter, ...]
-    effects: tuple[Effect, ...]
     model: InverseModel
     rows: Rows
+    free: list[int]
+    kept: FloatArray
 
-    @property
-    def free(self) -> list[int]:
-        """Which parameters are estimated."""
-        return [i for i, p in enumerate(self.parameters) if p.free]
-
-    def whole(self, free: FloatArray) -> FloatArray:
-        """Return the values of all parameters."""
-        values = _kept(self.parameters)
-        values[self.free] = free
-        return values
+    @classmethod
+    def of(
+        cls, parameters: tuple[Parameter, ...], model: InverseModel, filtering: Filtering, sample_time: float
+    ) -> _Regression:
+        """Return the regression of a model on its free parameters."""
+        require_free(parameters)
+        free = [i for i, p in enumerate(parameters) if p.free]
+        kept = np.array([0.0 if p.free else p.start or 0.0 for p in parameters])
+        Y, W = model.decimated(filtering, sample_time, kept)
+        rows = Rows(Y, W[:, free], tuple(parameters[i].name for i in free), len(model.torque))
+        return cls(parameters, model, rows, free, kept)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Found:
-    """A regression and its solution; `periods` that were searched for, by the name of their parameter."""
+    """A regression and its solution.
+
+    Attributes:
+        regression, solution: that belong together.
+        effects: whose columns follow the joint's, in the end with their periods.
+        periods: that were searched for, by the name of their parameter.
+    """
 
     regression: _Regression
     solution: Solution
-    instrumented: Instrumented | None
     effects: tuple[Effect, ...]
-    periods: dict[str, float]
+    periods: dict[str, float] = field(default_factory=dict)
 
 
-def identify_idim(
-    record: Record,
-    joint: Joint,
-    parameters: tuple[Parameter, ...],
-    filtering: Filtering,
-    delay: float = 0.0,
-    settings: IDIM | None = None,
-    loop: ClosedLoop | None = None,
-) -> Estimate:
-    """Identify a joint from torque and motor position, and load position where it is flexible.
-
-    Args:
-        record: with the channels, at one rate.
-        joint: rigid or flexible.
-        parameters: of the joint; free ones are estimated.
-        filtering: how the signals are filtered.
-        delay: seconds from the logged torque to the torque that acts.
-        settings: which estimator, and further columns.
-        loop: the joint under its controller, for instruments.
-
-    The standard deviations are those of the regression, robust to autocorrelation. What repeats with the motion is not
-    covered, nor, but by instruments, noise in the positions and disturbances that the loop carries into them.
-
-    Raises:
-        RecordError: a channel is missing or cannot be used.
-        MethodError: the record does not determine the parameters, or instruments have no loop to come from.
-    """
-    settings = settings or IDIM()
-    record.require(("torque",), "IDIM")
-    assert record.torque is not None
-    sample_time = record.torque.sample_time
-    require_effects(settings.effects, joint)
-    if settings.estimator == "iv" and loop is None:
-        raise MethodError(
-            "IDIM-IV simulates the closed loop for its instruments, so it needs the controller; give a ClosedLoop, or "
-            "use another estimator."
-        )
-    filtering = filtering.resolved(sample_time, joint.model)
-
-    def regression(effects: tuple[Effect, ...]) -> _Regression:
-        model = motion_of(record, delay, filtering, joint, effects)
-        every = (*parameters, *effect_parameters(effects))
-        return _Regression(every, effects, model, _rows(every, model, filtering, sample_time))
-
-    def solved(made: _Regression) -> Instrumented | Solution:
-        if settings.estimator != "iv":
-            return {"ols": ordinary, "weighted": weighted, "robust": robust}[settings.estimator](made.rows)
-        assert loop is not None
-        instruments = simulated_instruments(record, loop, made.model, made.parameters, filtering, made.effects)
-        return by_instruments(made.rows, instruments, _kept(made.parameters), made.free)
-
-    def searched(effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
-        made = regression(tuple(effect for effect in effects if not is_searched(effect)))
-        return with_periods(effects, made.model, made.rows, filtering, sample_time)
-
-    found = _found(settings.effects, searched, regression, solved)
-    driven = loop.controller.channels if loop is not None and found.instrumented is not None else ()
-    return _answer(record, joint, filtering, delay, settings, found, driven)
-
-
-def _rows(parameters: tuple[Parameter, ...], model: InverseModel, filtering: Filtering, sample_time: float) -> Rows:
-    require_free(parameters)
-    free = [i for i, p in enumerate(parameters) if p.free]
-    Y, W = model.decimated(filtering, sample_time, _kept(parameters))
-    return Rows(Y, W[:, free], tuple(parameters[i].name for i in free), len(model.torque))
-
-
-def _kept(parameters: tuple[Parameter, ...]) -> FloatArray:
-    """Return the values of the fixed parameters, 0 for the free ones, (parameters,)."""
-    return np.array([0.0 if p.free else p.start or 0.0 for p in parameters])
-
-
-def _found(
-    given: tuple[Effect, ...],
-    searched: Callable[[tuple[Effect, ...]], tuple[Effect, ...]],
-    regression: Callable[[tuple[Effect, ...]], _Regression],
-    solved: Callable[[_Regression], Instrumented | Solution],
+def _with_periods(
+    effects: tuple[Effect, ...], unknown: list[bool], solved: Callable[[tuple[Effect, ...]], _Found]
 ) -> _Found:
-    """Return the solution; where periods were searched for, they are estimated with the other parameters."""
-    unknown = [is_searched(effect) for effect in given]
-    effects = searched(given) if any(unknown) else given
-    made = regression(effects)
-    found = solved(made)
-    periods: dict[str, float] = {}
-    for _ in range(_LINEARISATIONS if any(unknown) else 0):
-        values = dict(zip(made.rows.names, _solution(found).fit.values, strict=True))
+    """Return the solution with the periods that were unknown estimated like the other parameters."""
+    found, periods = solved(effects), dict[str, float]()
+    for _ in range(_LINEARISATIONS):
+        names, solution = found.regression.rows.names, found.solution
+        values = dict(zip(names, solution.fit.values, strict=True))
         tangents = [PeriodColumn.of(effect, values) for effect, was in zip(effects, unknown, strict=True) if was]
-        made = regression((*effects, *tangents))
-        found = solved(made)
-        change = dict(zip(made.rows.names, _solution(found).fit.values, strict=True))
-        std = dict(zip(made.rows.names, _solution(found).covariance.std, strict=True))
+        found = solved((*effects, *tangents))
+        names, solution = found.regression.rows.names, found.solution
+        change = dict(zip(names, solution.fit.values, strict=True))
+        std = dict(zip(names, solution.covariance.std, strict=True))
         effects = moved(effects, tangents, change)
         periods = {tangent.name: float(tangent.period + change[tangent.name]) for tangent in tangents}
         if all(abs(change[name]) <= _SETTLED * std[name] for name in periods):
             break
-    return _Found(made, _solution(found), found if isinstance(found, Instrumented) else None, effects, periods)
+    return _Found(found.regression, found.solution, effects, periods)
 
 
-def _solution(found: Instrumented | Solution) -> Solution:
-    return found.solution if isinstance(found, Instrumented) else found
-
-
-def _answer(
-    record: Record,
-    joint: Joint,
-    filtering: Filtering,
-    delay: float,
-    settings: IDIM,
-    found: _Found,
-    driven: tuple[str, ...],
-) -> Estimate:
+def _answer(task: Task, settings: IDIM, filtering: Filtering, delay: float, found: _Found) -> Estimate:
+    record, joint, loop = task.record, task.joint, task.loop
     assert record.torque is not None
-    regression, solution, iv = found.regression, found.solution, found.instrumented
-    model, values = regression.model, regression.whole(found.solution.fit.values)
-    measured, predicted = model.torque[0], model.columns[0] @ values
+    regression, solution = found.regression, found.solution
+    values = regression.kept.copy()
+    values[regression.free] = solution.fit.values
+    measured, predicted = regression.model.torque[0], regression.model.columns[0] @ values
+    driven = loop.controller.channels if loop is not None and settings.estimator == "iv" else ()
     injected = ("injected",) if record.injected is not None else ()
     named = dict(zip((p.name for p in regression.parameters), map(float, values), strict=True)) | found.periods
     std = dict(zip(regression.rows.names, map(float, solution.covariance.std), strict=True))
@@ -274,17 +227,17 @@ def _answer(
             rows=solution.fit.residual.size,
             conditioning=solution.fit.conditioning,
             initial=None,
-            trace=iv.trace if iv else (),
-            simulations=len(iv.trace) - 1 if iv else 0,
-            stop=_stop(settings, found),
-            converged=iv.converged if iv else True,
+            trace=solution.trace,
+            simulations=max(len(solution.trace) - 1, 0),
+            stop=_stop(settings, solution),
+            converged=solution.converged,
         ),
         checks=Checks(
             warnings=(
                 *_warnings(record, filtering, solution.fit.relative_error),
                 *_like_gravity(regression.rows.names, solution.covariance.correlation),
             ),
-            tests=(iv.test,) if iv else (),
+            tests=() if solution.test is None else (solution.test,),
         ),
         data=build_data(
             record, ("torque", *driven, *idim_channels(joint.model)[1:], *injected), record.torque.sample_time
@@ -301,13 +254,10 @@ def _answer(
     )
 
 
-def _stop(settings: IDIM, found: _Found) -> str:
-    solution, iv = found.solution, found.instrumented
-    if iv is not None:
-        count = len(iv.trace) - 1
-        return (
-            f"{'converged: nothing changes any more' if iv.converged else 'still changing'} after {count} simulations"
-        )
+def _stop(settings: IDIM, solution: Solution) -> str:
+    if settings.estimator == "iv":
+        how = "converged: nothing changes any more" if solution.converged else "still changing"
+        return f"{how} after {solution.steps} simulations"
     if settings.estimator == "ols":
         return "a linear regression has one step"
     lost = 100 * float(np.mean(solution.shares == 0.0))

@@ -7,20 +7,38 @@ would pull them towards 0, by the share ``n var`` for n rows and the relative va
 equation knows their common scale: on the paper's axis by 3 to 11 %. So its size is taken large enough for the pull to
 stay below a tenth of the deviation, ``s^2 >= 10 ||r||^2 s1 / ||u||``, where u is the torque that this scale explains
 alone and s1 its error.
+
+The instruments of IDIM-IV come from the closed loop simulated at the estimate itself [Janot, Vandanjon, Gautier 2014].
+The simulated motion is driven by the reference and the known signal alone, so noise and disturbances of the record do
+not reach it; positions go through the same filters as the measured ones, and their columns are the instruments Z of
+``Z' (Y - W x) = 0``. The next estimate is simulated in turn until nothing changes: two to five simulations.
+
+Instruments need not be perfect, only free of the record's noise. So values beyond their bounds are simulated at the
+bound, and effects that the loop does not have (ripple, drift) are put on the simulated motion as columns.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.estimation.problems.inverse_model import InverseModel, inverse_model
+from jointid.estimation.result.parts import Iteration
+from jointid.models.disturbances import Effect
+from jointid.models.parameters import Parameter
+from jointid.records.record import Channel, Record
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.closed_loop import Initial, Outcome, simulate
+from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.solvers.regression import Fit, least_squares
 from jointid.uncertainty.covariance import Covariance, sandwich
+from jointid.uncertainty.endogeneity_test import ChiSquareTest, durbin_wu_hausman
 
 _PULL = 10.0  # deviations in units of which the pull of a homogeneous equation stays below one
 _NORMAL = 0.6744897501960817  # median of the absolute value of a standard normal
@@ -28,6 +46,11 @@ _HUBER, _BISQUARE = 1.345, 4.685  # both 95 % efficient for normal errors
 _SETTLED = 1e-8  # relative change of the values that ends a reweighting
 _REWEIGHTINGS = 100
 _TINY = 1e-12  # of the torque: a size that no error falls below
+_CLOSE = 1e-3  # deviations: values that change by less between two simulations have settled
+_SIMULATIONS = 25  # of instruments, at most
+
+Instruments: TypeAlias = Callable[[FloatArray], FloatArray]
+"""The columns on the motion simulated with the values of all parameters, (rows, parameters)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,23 +85,27 @@ class Solution:
     Attributes:
         fit: values, residual and conditioning; its relative error is of the rows as they are, not weighted.
         covariance: robust to autocorrelation, and to what the weights are.
-        sizes: (equations,) of the error, by which the rows were divided.
-        shares: (rows,) weight of each row beside that, from 0 to 1.
-        steps: reweightings that were made; 1 for none.
+        shares: (rows,) weight of each row beside the size of its equation, from 0 to 1.
+        steps: reweightings, or simulations of instruments, that were made; 1 for none.
+        trace: of the simulations of instruments.
+        converged: whether these were enough.
+        test: whether least squares would have done in the place of instruments.
     """
 
     fit: Fit
     covariance: Covariance
-    sizes: FloatArray
     shares: FloatArray
     steps: int
+    trace: tuple[Iteration, ...] = ()
+    converged: bool = True
+    test: ChiSquareTest | None = None
 
 
 def ordinary(rows: Rows) -> Solution:
     """Return ordinary least squares."""
     fit = least_squares(rows.W, rows.Y, rows.names)
     covariance = sandwich(rows.W, rows.W, fit.residual, rows.equations)
-    return Solution(fit, covariance, np.ones(rows.equations), np.ones(rows.Y.size), 1)
+    return Solution(fit, covariance, np.ones(rows.Y.size), 1)
 
 
 def weighted(rows: Rows) -> Solution:
@@ -130,7 +157,84 @@ def instrumental(rows: Rows, Z: FloatArray, values: FloatArray) -> Solution:
     norms = np.linalg.norm(Zs, axis=0)
     found = np.linalg.solve((Zs / norms).T @ (Ws / norms), (Zs / norms).T @ Ys) / norms
     covariance = sandwich(Zs, Ws, Ys - Ws @ found, rows.equations)
-    return Solution(_plain_fit(rows, found, Ws), covariance, sizes, np.ones(rows.Y.size), 1)
+    return Solution(_plain_fit(rows, found, Ws), covariance, np.ones(rows.Y.size), 1)
+
+
+def simulated_instruments(
+    record: Record,
+    loop: ClosedLoop,
+    model: InverseModel,
+    parameters: Sequence[Parameter],
+    filtering: Filtering,
+    effects: Sequence[Effect],
+) -> Instruments:
+    """Return what simulates the loop and gives the columns on its motion; it begins where the measured one does.
+
+    Raises:
+        RecordError: the record lacks a channel the controller reads.
+    """
+    assert record.torque is not None
+    experiment = prepare(loop, record)
+    sample_time, size = record.torque.sample_time, model.torque.shape[1]
+    initial = Initial(float(model.motor.position[0]), float(model.motor.velocity[0]))
+    names = [p.name for p in loop.joint.parameters]
+    torque = Channel(np.zeros(size), record.torque.unit, sample_time, record.torque.timing)
+
+    def columns(values: FloatArray) -> FloatArray:
+        pairs = zip(parameters, values, strict=True)
+        possible = {p.name: min(max(float(value), p.lower), p.upper) for p, value in pairs if p.name in names}
+        run = simulate(loop, experiment, possible, initial)
+        if run.outcome is not Outcome.FINISHED:
+            raise MethodError(
+                f"The instruments of IV come from a simulation, but with these values {run.outcome.value}; check the "
+                "controller's gains, or use another estimator."
+            )
+        positions = (run.motor_position, *(() if run.load_position is None else (run.load_position,)))
+        whole = tuple(np.pad(position[:size], (0, max(size - position.size, 0)), "edge") for position in positions)
+        moved = inverse_model(loop.joint, torque, whole, filtering, effects=effects)
+        return moved.thinned(moved.columns, filtering, sample_time)
+
+    return columns
+
+
+def by_instruments(rows: Rows, instruments: Instruments, kept: FloatArray, free: Sequence[int]) -> Solution:
+    """Return the fixed point of simulating and solving, from ordinary least squares.
+
+    Args:
+        rows: the regression of the free parameters.
+        instruments: as from `simulated_instruments`.
+        kept: (parameters,) values of the fixed parameters, 0 for the free ones.
+        free: which parameters are free.
+
+    Raises:
+        MethodError: a simulation fails, or the instruments do not determine the parameters.
+    """
+    solution, chosen = ordinary(rows), list(free)
+    trace = [_line(0, rows, solution, None, None)]
+    Z = rows.W
+    for number in range(1, _SIMULATIONS + 1):
+        whole = kept.copy()
+        whole[chosen] = solution.fit.values
+        Z = instruments(whole)[:, chosen]
+        before, solution = solution, instrumental(rows, Z, solution.fit.values)
+        trace.append(_line(number, rows, solution, before, trace[-1]))
+        change = np.abs(solution.fit.values - before.fit.values)
+        settled = bool(np.all(change <= _CLOSE * solution.covariance.std))
+        if settled:
+            break
+    test = durbin_wu_hausman(rows.W, rows.Y, Z, rows.equations)
+    return replace(solution, steps=len(trace) - 1, trace=tuple(trace), converged=settled, test=test)
+
+
+def _line(number: int, rows: Rows, solution: Solution, before: Solution | None, last: Iteration | None) -> Iteration:
+    values = solution.fit.values
+    norm = float(np.linalg.norm(solution.fit.residual))
+    step = change = None
+    if before is not None and last is not None:
+        size = np.where(values == 0, 1.0, np.abs(values))
+        step = float(np.max(np.abs(values - before.fit.values) / size))
+        change = abs(norm / last.residual_norm - 1.0) if last.residual_norm else 0.0
+    return Iteration(number, dict(zip(rows.names, map(float, values), strict=True)), norm, change, step, number)
 
 
 def _reweighted(
@@ -163,7 +267,7 @@ def _reweighted(
     error = (rows.Y - rows.W @ values) / scale
     Z = rows.W / scale[:, np.newaxis]
     covariance = sandwich(Z, Z * slope(error)[:, np.newaxis], error * share(error), rows.equations)
-    return Solution(_plain_fit(rows, values, Z), covariance, sizes, share(error), steps)
+    return Solution(_plain_fit(rows, values, Z), covariance, share(error), steps)
 
 
 def _plain_fit(rows: Rows, values: FloatArray, W: FloatArray) -> Fit:

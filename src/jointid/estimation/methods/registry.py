@@ -9,10 +9,13 @@ The line holds a name and an address, so that the command line can list the meth
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, TypeAlias
+
+from jointid.common.settings import check_settings
 
 if TYPE_CHECKING:
     from jointid.common.progress import Progress
@@ -47,6 +50,34 @@ MODELS = ("rigid", "flexible")
 """The models of a joint."""
 
 
+SURROUNDINGS = (
+    "what surrounds the joint and is identified with it, by least squares from where DIDIM ends, from what is "
+    'declared: a number of the law such as "kp", "delay" or "torque_filters.0.frequency", or "log_gain", "log_delay"'
+)
+"""What the methods that simulate the loop say of their setting ``free``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Task:
+    """What a method is given.
+
+    Attributes:
+        record: what was logged.
+        joint: the model.
+        loop: the joint under its controller; None where that is not known, which a method that needs it never sees.
+        parameters: of the joint; free ones are estimated. One's own start replaces that of the method.
+        filtering: how the signals are filtered.
+        progress: is told the iterations.
+    """
+
+    record: Record
+    joint: Joint
+    loop: ClosedLoop | None
+    parameters: tuple[Parameter, ...]
+    filtering: Filtering
+    progress: Progress
+
+
 class Method(Protocol):
     """One identification method: a dataclass of its settings that inherits from this.
 
@@ -64,42 +95,28 @@ class Method(Protocol):
     default_for: ClassVar[Any] = None
     needs_controller: ClassVar[bool] = False
 
+    def __post_init__(self) -> None:
+        check_settings(self)
+
     @classmethod
     def called(cls, model: str) -> str:
         """Return what a sentence on its needs calls it, for a joint of that model."""
-        del model
-        return cls.title
+        return cls.title.replace("-", " ")
 
     @classmethod
     def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:
         """Return the names of the channels that it reads; of a controller not known, only the reference."""
-        ...
+        if not cls.needs_controller:
+            return "torque", "motor_position"
+        return ("torque", *(("reference",) if controller is None else controller.channels))
 
     @classmethod
     def compared(cls, model: str) -> tuple[tuple[str, Method], ...]:
         """Return label and settings of each of its runs in a comparison of methods; the first is the usual one."""
-        del model
-        return ()
+        return ((cls.title, cls()),) if cls.needs_controller else ()
 
-    def identify(
-        self,
-        record: Record,
-        joint: Joint,
-        loop: ClosedLoop | None,
-        parameters: tuple[Parameter, ...],
-        filtering: Filtering,
-        progress: Progress,
-    ) -> Estimate:
-        """Identify a joint from a record.
-
-        Args:
-            record: what was logged.
-            joint: the model.
-            loop: the joint under its controller; None where that is not known, which a method that needs it never sees.
-            parameters: of the joint; free ones are estimated.
-            filtering: how the signals are filtered.
-            progress: is told the iterations.
-        """
+    def identify(self, task: Task) -> Estimate:
+        """Identify a joint from a record."""
         ...
 
 

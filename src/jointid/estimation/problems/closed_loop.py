@@ -15,7 +15,13 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.estimation.problems.base import FAILED, RecordProblem
-from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITIAL_TORQUE, of_law, surrounding
+from jointid.estimation.problems.nuisance_parameters import (
+    DRIVE_AND_LOG,
+    INITIAL_STATE,
+    INITIAL_TORQUE,
+    of_law,
+    surrounding,
+)
 from jointid.models.controllers import number, with_numbers
 from jointid.models.joints import Joint, RigidJoint
 from jointid.models.parameters import TORQUE_UNIT, Parameter
@@ -95,26 +101,24 @@ class ClosedLoopProblem(RecordProblem):
         """Return the loop with the controller's numbers that these parameters say."""
         return self._candidate(x).loop
 
-    def torque(self, x: FloatArray) -> FloatArray:
-        """Return the torque the log should show, raw, (samples,)."""
-        c = self._candidate(x)
-        return self._shown(simulate_torque(c.loop, c.experiment, c.values, c.initial).torque, c)
-
-    def torque_if(self, x: FloatArray, driven: Callable[[LoopInput], LoopInput]) -> FloatArray:
-        """Return the torque the log should show, raw, (samples,), if the loop were driven otherwise.
+    def torque(self, x: FloatArray, driven: Callable[[LoopInput], LoopInput] | None = None) -> FloatArray:
+        """Return the torque the log should show, raw, (samples,).
 
         Args:
             x: free parameters.
             driven: from what the loop is driven with, to what it might be.
         """
-        c = self._candidate(x)
-        return self._shown(simulate_torque(c.loop, driven(c.experiment), c.values, c.initial).torque, c)
+        return self._response(x, driven).torque
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the filtered, decimated torque error, (rows,); of a candidate that fails, something large."""
+        return self.error(self._response(x))
+
+    def _response(self, x: FloatArray, driven: Callable[[LoopInput], LoopInput] | None = None) -> Response:
         c = self._candidate(x)
-        response = simulate_torque(c.loop, c.experiment, c.values, c.initial)
-        return self.error(replace(response, torque=self._shown(response.torque, c)))
+        experiment = c.experiment if driven is None else driven(c.experiment)
+        response = simulate_torque(c.loop, experiment, c.values, c.initial)
+        return replace(response, torque=self._shown(response.torque, c))
 
     def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free), from one run."""
@@ -129,7 +133,7 @@ class ClosedLoopProblem(RecordProblem):
         """
         c = self._candidate(x)
         own = [p.name for p in self.joint.parameters]
-        names = [p.name for p in self.free if p.name not in ("drive_gain", "log_gain", "log_delay")]
+        names = [p.name for p in self.free if p.name not in DRIVE_AND_LOG]
         scaled = any(p.name == "drive_gain" for p in self.free)
         wanted = [*names, *(name for name in own if scaled and name not in names)]
         run = simulate_sensitivities(c.loop, c.experiment, c.values, wanted, c.initial)
@@ -151,24 +155,21 @@ class ClosedLoopProblem(RecordProblem):
     def positions(self, x: FloatArray) -> Sensitivities:
         """Return the derivatives of torque and positions by the joint's free parameters and its first state, raw."""
         c = self._candidate(x)
-        names = [p.name for p in self.free if p.name not in ("drive_gain", "log_gain", "log_delay")]
+        names = [p.name for p in self.free if p.name not in DRIVE_AND_LOG]
         return simulate_sensitivities(c.loop, c.experiment, c.values, names, c.initial, positions=True)
 
-    def error(self, run: Simulation | Response) -> FloatArray:
+    def error(self, run: Response) -> FloatArray:
         """Return the filtered torque error of a run; of one that failed, something large and finite."""
-        return self.filtered(self._left(run))
+        return self.seen(run)[0]
 
-    def seen(self, run: Simulation | Response, *columns: FloatArray) -> tuple[FloatArray, ...]:
+    def seen(self, run: Response, *columns: FloatArray) -> tuple[FloatArray, ...]:
         """Return the filtered torque error of a run, (rows,), and raw columns through the same filter, at once."""
-        return tuple(decimate_all([self._left(run), *columns], self.filtering, self.sample_time))
-
-    def _left(self, run: Simulation | Response) -> FloatArray:
         error = self.measured - run.torque
         if run.outcome is not Outcome.FINISHED:
             # The earlier it failed the worse: a search must see which way to go.
             size = float(np.sqrt(np.mean(self.measured**2)))
             error = np.full_like(error, FAILED * size * (2.0 - run.finished))
-        return error
+        return tuple(decimate_all([error, *columns], self.filtering, self.sample_time))
 
     def cells(self, simulation: Simulation) -> Cells:
         """Return where and how the motor was, in a simulation, when each row of the residual was taken."""
@@ -223,20 +224,16 @@ class ClosedLoopProblem(RecordProblem):
         """Return the torque with the gain of the log, and as much later as its stamps are wrong."""
         if c.log_delay == 0.0:
             return torque if c.log_gain == 1.0 else c.log_gain * torque
-        whole, part = _split(c.log_delay / self.sample_time)
+        whole = math.floor(c.log_delay / self.sample_time)
+        part = c.log_delay / self.sample_time - whole
         return c.log_gain * ((1 - part) * _shifted(torque, whole) + part * _shifted(torque, whole + 1))
 
     def _slope(self, torque: FloatArray, c: _Candidate) -> FloatArray:
         """Return the derivative of the shown torque by the log's delay."""
-        whole, _ = _split(c.log_delay / self.sample_time)
+        whole = math.floor(c.log_delay / self.sample_time)
         if c.log_delay == 0.0:  # between two samples the shown torque has one slope, on a sample the mean of two
             return c.log_gain * (_shifted(torque, 1) - _shifted(torque, -1)) / (2 * self.sample_time)
         return c.log_gain * (_shifted(torque, whole + 1) - _shifted(torque, whole)) / self.sample_time
-
-
-def _split(samples: float) -> tuple[int, float]:
-    whole = math.floor(samples)
-    return whole, samples - whole
 
 
 def _shifted(signal: FloatArray, samples: int) -> FloatArray:

@@ -38,7 +38,7 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.loop_input import ClosedLoop, prepare
-from jointid.solvers.problem import Tally
+from jointid.solvers.solve import Tally
 from jointid.uncertainty.jackknife import Sums, root_of, total
 from jointid.uncertainty.position_dependent_error import Repeatable, cells
 
@@ -187,7 +187,7 @@ class NotSimulatedError(MethodError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogProblem:
-    """A long log, window by window: a `solvers.problem.Problem` whose rows are summed as they are read.
+    """A long log, window by window: a `solvers.solve.Problem` whose rows are summed as they are read.
 
     Attributes:
         source: the log.

@@ -28,9 +28,14 @@ INITIAL_STATE = (
 )
 """The motor's state at the first sample; an axis may already move when the log begins."""
 
-DRIVE_GAIN = Parameter("drive_gain", "g", Quantity.RATIO, free=False, start=1.0, lower=1e-3)
-LOG_GAIN = Parameter("log_gain", "g log", Quantity.RATIO, free=False, start=1.0, lower=1e-3)
 LOG_DELAY = Parameter("log_delay", "d log", Quantity.TIME, free=False, start=0.0)
+
+DRIVE_AND_LOG = {
+    "drive_gain": Parameter("drive_gain", "g", Quantity.RATIO, free=False, start=1.0, lower=1e-3),
+    "log_gain": Parameter("log_gain", "g log", Quantity.RATIO, free=False, start=1.0, lower=1e-3),
+    "log_delay": LOG_DELAY,
+}
+"""What lies between the joint's torque and the log's, by name."""
 
 INITIAL_TORQUE = Parameter("initial_torque", "u(0)", Quantity.FORCE)
 """What a controller with an integral puts out at the first sample: what friction and gravity asked for until then."""
@@ -38,7 +43,7 @@ INITIAL_TORQUE = Parameter("initial_torque", "u(0)", Quantity.FORCE)
 INITIAL = tuple(p.name for p in (*INITIAL_STATE, INITIAL_TORQUE))
 """Names of what belongs to a record's first sample, and to no other record."""
 
-_DRIVE_AND_LOG = {p.name: p for p in (DRIVE_GAIN, LOG_GAIN, LOG_DELAY)}
+_MOST_LATE = 20.0  # samples that the log may be late, or early
 _INITIAL = {p.name: p for p in INITIAL_STATE}
 _PARTS = ("ki", "time_constant")  # numbers that are a part of the law: at 0 it is not there
 _POSITIVE = ("gain", "limit", "velocity_limit", "frequency", "bandwidth", "damping", "numerator_frequency")
@@ -60,11 +65,11 @@ def surrounding(name: str, controller: Controller, period: float | None = None) 
     """
     if name in _INITIAL:
         return _INITIAL[name]
-    if name in _DRIVE_AND_LOG:
-        return replace(_DRIVE_AND_LOG[name], free=True)
+    if name in DRIVE_AND_LOG:
+        return replace(DRIVE_AND_LOG[name], free=True)
     numbers = numbers_of(controller)
     if name not in numbers:
-        known = ", ".join((*_INITIAL, *_DRIVE_AND_LOG, *numbers))
+        known = ", ".join((*_INITIAL, *DRIVE_AND_LOG, *numbers))
         raise MethodError(f'Nothing around this joint is called "{name}"; what can be freed is {known}.')
     value, symbol = numbers[name], name.rpartition(".")[2]
     if not math.isfinite(value):
@@ -75,6 +80,13 @@ def surrounding(name: str, controller: Controller, period: float | None = None) 
     lower, upper = _range(symbol, value, period)
     quantity = Quantity.TIME if timed else Quantity.GAIN
     return Parameter(name, symbol, quantity, start=value, lower=lower, upper=upper)
+
+
+def log_delay(known: float | None, sample_time: float) -> Parameter:
+    """Return the log's delay as it is known, in seconds; where it is None free, within twenty samples."""
+    late = _MOST_LATE * sample_time
+    free = replace(LOG_DELAY, free=True, lower=-late, upper=late)
+    return free if known is None else free.fixed(known)
 
 
 def _range(symbol: str, value: float, period: float | None) -> tuple[float, float]:
@@ -92,4 +104,4 @@ def _range(symbol: str, value: float, period: float | None) -> tuple[float, floa
 
 def of_law(name: str) -> bool:
     """Whether a parameter of a problem that is not the joint's belongs to the controller."""
-    return name not in INITIAL and name not in _DRIVE_AND_LOG
+    return name not in INITIAL and name not in DRIVE_AND_LOG

@@ -16,10 +16,9 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.estimation.problems.base import RecordProblem
+from jointid.estimation.problems.base import RecordProblem, SumProblem, filter_rows
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.nuisance_parameters import INITIAL, of_law
-from jointid.estimation.problems.sum import SumProblem, filter_rows
 from jointid.models.joints import Joint
 from jointid.models.parameters import TORQUE_UNIT, Parameter, Quantity, unit_of
 from jointid.simulation.closed_loop import Simulation

@@ -13,9 +13,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.base import RecordProblem
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
-from jointid.estimation.problems.drive_side import DriveSideProblem
 from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
-from jointid.estimation.problems.open_loop import OpenLoopProblem
+from jointid.estimation.problems.prescribed import DriveSideProblem, OpenLoopProblem
 from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
 from jointid.estimation.result.params import EstimatedParameter, Params
 from jointid.estimation.result.parts import Checks, Data, Fit, Iteration, Settings
@@ -24,8 +23,7 @@ from jointid.records.record import Record
 from jointid.simulation.closed_loop import Simulation
 from jointid.simulation.drive_side import LOAD_STATE
 from jointid.simulation.loop_input import ClosedLoop
-from jointid.solvers.bounds import Bounds
-from jointid.solvers.solution import Solution
+from jointid.solvers.solve import Bounds, Solution
 from jointid.uncertainty.bands import band_words
 from jointid.uncertainty.covariance import Covariance, words
 from jointid.uncertainty.identifiability import identifiability

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.estimation.result.agreement import Agreement, Alone, agreement
 from jointid.models.parameters import Parameter
-from jointid.solvers.bounds import Bounds
+from jointid.solvers.solve import Bounds
 from jointid.uncertainty.covariance import covariance_of
 from jointid.uncertainty.jackknife import scale_of, step_of, total
 

@@ -31,16 +31,14 @@ from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
 from jointid.common.progress import Progress, silent
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.search.exploration import FASTEST, crossover, frequency_of
+from jointid.estimation.search.flexible_search import FASTEST, crossover, frequency_of
 from jointid.estimation.search.history import History, least_squares
 from jointid.models.joints import FlexibleJoint, split_by_mode
 from jointid.models.parameters import Parameter, Quantity
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.loop_input import ClosedLoop
-from jointid.solvers.bounds import Bounds
-from jointid.solvers.solution import Solution
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import Bounds, Solution, solve
 from jointid.solvers.trust_region import TrustRegion
 from jointid.uncertainty.combination import ByCompliance, Combination
 from jointid.uncertainty.covariance import robust, white

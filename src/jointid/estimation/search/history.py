@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,14 +11,13 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.parts import Iteration
-from jointid.solvers.problem import Counted, Tally
-from jointid.solvers.solution import Solution, Step
-from jointid.solvers.solve import Solver, solve
+from jointid.solvers.solve import Counted, Solution, Solver, Step, Tally, solve
 from jointid.solvers.trust_region import TrustRegion
 
+MOVING = 9.0  # times the residual's variance: what a velocity at the first sample must explain to be believed
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Solved:
+
+class Solved(NamedTuple):
     """A problem and where a solver ended on it."""
 
     problem: ClosedLoopProblem
@@ -46,22 +45,42 @@ class History:
         size = problem.size or 1.0
 
         def watch(step: Step) -> None:
-            self._note(problem, step, size)
+            last = None
+            if self.trace:
+                before = self.trace[-1]
+                last = problem.vector(before.values), before.residual_norm
+            number = self.note(problem, step.x, step.norm, last, np.where(step.x != 0.0, np.abs(step.x), 1.0))
+            if number % 100 == 0 or number < 10:  # a simplex takes more than a thousand steps
+                self.progress(f"iteration {number}: torque error {100 * step.norm / size:.4f} %")
 
         return Solved(problem, solve(self.counted(problem), solver, start, watch))
 
-    def _note(self, problem: ClosedLoopProblem, step: Step, size: float) -> None:
-        before = self.trace[-1] if self.trace else None
-        change = largest = None
+    def note(
+        self,
+        problem: ClosedLoopProblem,
+        x: FloatArray,
+        norm: float,
+        before: tuple[FloatArray, float] | None,
+        scales: FloatArray,
+        gain_scale: float = 1.0,
+    ) -> int:
+        """Add a line to the trace, and return its number.
+
+        Args:
+            problem: that is being solved.
+            x: (free,) where.
+            norm: of the residual there.
+            before: the same of the step before, if there was one.
+            scales: what changes of the first parameters are measured against; those of the others do not count.
+            gain_scale: see `Iteration`.
+        """
+        change = step = None
         if before is not None:
-            change = abs(step.norm - before.residual_norm) / before.residual_norm if before.residual_norm else 0.0
-            last = problem.vector(before.values)
-            largest = float(np.max(np.abs(step.x - last) / np.where(step.x != 0.0, np.abs(step.x), 1.0)))
+            change = abs(norm - before[1]) / before[1] if before[1] else 0.0
+            step = float(np.max(np.abs(x - before[0])[: scales.size] / scales))
         number = len(self.trace)
-        values = problem.values(step.x)
-        self.trace.append(Iteration(number, values, step.norm, change, largest, step.evaluations))
-        if number % 100 == 0 or number < 10:  # a simplex takes more than a thousand steps
-            self.progress(f"iteration {number}: torque error {100 * step.norm / size:.4f} %")
+        self.trace.append(Iteration(number, problem.values(x), norm, change, step, self.tally.evaluations, gain_scale))
+        return number
 
 
 def least_squares(problem: ClosedLoopProblem, tolerance: float) -> TrustRegion:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,15 +9,14 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.estimation.methods.inverse_model import InverseModel, inverse_model
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.problems.inverse_model import InverseModel, inverse_model
 from jointid.models.controllers import POSITION, REFERENCE, invert
-from jointid.models.joints import RigidJoint, acts_on_whole
+from jointid.models.joints import RigidJoint
 from jointid.records.record import Channel, Tap, Timing
 from jointid.simulation.loop_input import known_memory
 from jointid.solvers.regression import least_squares
 
-_DAMPING = 0.02  # of a flexible mode, to begin with (ours: the paper gives none)
 _SETTLED = 5.0  # periods of the position filter's cut-off after which a fault is forgotten
 _SLOPE = 20  # samples the initial velocity is first read from: the search corrects it
 
@@ -94,21 +91,15 @@ def initial_state(problem: ClosedLoopProblem, position: FloatArray) -> dict[str,
     return {"initial_position": float(value - slope * skip * sample_time), "initial_velocity": float(slope)}
 
 
-def resting_position(problem: ClosedLoopProblem) -> float:
-    """Return where a motor at rest has the controller put out the first logged torque; else its reference.
+def beginning_position(problem: ClosedLoopProblem, velocity: float = 0.0) -> float:
+    """Return where a motor that moves uniformly has the controller put out the first logged torque; else its reference.
 
     A proportional loop lets a load that weighs something sag by the torque that carries it, over its gain. A search
     that begins beside it may not find it: friction holds the motor where it begins.
-    """
-    return beginning_position(problem, 0.0)
-
-
-def beginning_position(problem: ClosedLoopProblem, velocity: float) -> float:
-    """Return where a motor that moves uniformly has the controller put out the first logged torque; else its reference.
 
     Args:
         problem: with the record's torque.
-        velocity: of the motor.
+        velocity: of the motor; at rest without it.
     """
     experiment = problem.experiment
     law = experiment.feedback
@@ -155,26 +146,6 @@ def given_start(problem: ClosedLoopProblem) -> Start:
     if given.get("inertia", 1.0) <= 0:
         raise MethodError(f"A start for the inertia must be positive; received {given['inertia']}.")
     return regular_start(problem, given)
-
-
-def pseudo_regular(rigid: Mapping[str, float], frequency: float, share: float = 0.5) -> dict[str, float]:
-    """Return the start (13): the rigid values divided between the sides, the spring from the frequency.
-
-    Args:
-        rigid: values of a rigid estimate of the joint.
-        frequency: free-free, Hz.
-        share: of the load in the inertia; the frictions are halved.
-    """
-    start = {}
-    for name, value in rigid.items():
-        if acts_on_whole(name):
-            start[name] = value
-        else:
-            start |= {f"{side}_{name}": 0.5 * value for side in ("motor", "load")}
-    whole = rigid["inertia"]
-    start |= {"motor_inertia": (1 - share) * whole, "load_inertia": share * whole}
-    reduced, rate = share * (1 - share) * whole, 2 * math.pi * frequency
-    return start | {"stiffness": reduced * rate**2, "damping": 2 * _DAMPING * reduced * rate}
 
 
 def _unlimited(problem: ClosedLoopProblem) -> NDArray[np.bool_]:

@@ -4,7 +4,7 @@ Butterworth low-pass forwards and backwards on the positions, derivatives, borde
 low-pass-and-decimate on torque and every column [P section III; EMPS report]. A rigid joint needs the motor's
 position, a flexible one the load's too: both rows of (2) are then stacked.
 
-Torque and columns are seen through one window (`signals.windowed_torque`), so that a held, averaged or delayed torque
+Torque and columns are seen through one window (`filtering.window_torque`), so that a held, averaged or delayed torque
 is compared with the motion it made. The published pipeline reads it as sampled and differentiates twice centrally.
 """
 

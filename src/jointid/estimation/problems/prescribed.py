@@ -1,29 +1,40 @@
-"""The problem of a prescribed motion: a joint's parameters in, the filtered torque error and its slopes out.
+"""The problems of a prescribed motion, whose torque is compared, and of a prescribed torque, whose motion is.
 
-The motor's motion comes from the record, filtered; the torque it takes is predicted (`simulation.drive_side`) and seen
-as the log saw it: late by ``log_delay``, and a first-order ``current_lag`` away, where these are free. Both act on the
-prediction. On the measurement they would let a fit shrink both sides to nothing.
-
+The drive side: the motor's motion comes from the record, filtered; the torque it takes is predicted
+(`simulation.drive_side`) and seen as the log saw it: late by ``log_delay``, and a first-order ``current_lag`` away,
+where these are free. Both act on the prediction. On the measurement they would let a fit shrink both sides to nothing.
 While the motor rests, its friction takes what it must and the torque says nothing; these samples weigh nothing, on
 both sides alike and before the filter, which would smear them.
+
+The open loop: nothing holds the motor, so every small force that the model lacks drifts away as the double integral of
+itself: what a position says slower than ``highpass`` is not of the joint, and is taken off both sides by one filter.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.estimation.methods.inverse_model import motor_torque
 from jointid.estimation.problems.base import FAILED, RecordProblem
 from jointid.estimation.problems.closed_loop import require_free
-from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
+from jointid.estimation.problems.inverse_model import motor_torque
+from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, LOG_DELAY, log_delay
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter, Quantity
 from jointid.records.record import Channel, Record, Tap, Timing, require_units
-from jointid.records.signals.filtering import Filtering, decimate, lowpass, thin_channel, window_parts, window_torque
+from jointid.records.signals.filtering import (
+    Filtering,
+    decimate,
+    differentiate,
+    lowpass,
+    thin_channel,
+    window_parts,
+    window_torque,
+)
 from jointid.simulation.drive_side import (
     LOAD_STATE,
     PARTS,
@@ -33,7 +44,7 @@ from jointid.simulation.drive_side import (
     prescribed_motion,
     simulate_drive_side,
 )
-from jointid.simulation.open_loop import OpenLoop
+from jointid.simulation.open_loop import OpenLoop, simulate_open_loop
 
 CURRENT_LAG = Parameter("current_lag", "T i", Quantity.TIME, free=False, start=0.0, lower=0.0)
 """Time constant between the log and the torque, beside the delay: a command is logged before the current loop that
@@ -47,27 +58,29 @@ _REST = 0.02  # of the root mean square speed: a motor slower than that ...
 _LONG = 3  # ... for so many samples rests, or sticks as it turns round: there friction takes what it must
 _REACH = 3  # samples on each side that the window smears a rest over
 
+_DRIFT = 0.03  # of the cut-off: positions slower than that are drift
+_ORDER = 4  # of the filter that takes it off, each way
+_STILL = 0.01  # of the root mean square speed: a motor slower than that at the first sample rests
+_CONSTANT = ("offset", "gravity_constant")  # forces that push the same way wherever the motor is
+_AWAY = 20.0  # times the record's travel: a motor that leaves never turns round, and knows no Coulomb friction
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DriveSideProblem(RecordProblem):
-    """The torque of one record along its own motor motion; the torque is through `signals.windowed_torque`.
+class PrescribedProblem(RecordProblem):
+    """A record whose motion or torque is prescribed, and the other simulated.
 
-    The filter's borders are left out before it is applied. Beside the joint's parameters there are those of
-    `LOAD_STATE`, ``log_delay`` and ``current_lag``.
+    The filter's borders are left out before it is applied.
 
     Attributes:
         joint: what is identified.
-        motion: of the motor, prescribed.
-        weights: (samples,) 0 where the motor rests, else 1.
-        leads: whether the log shows the torque before its ``current_lag``, as a command does; else behind it.
-        sample_time: seconds.
     """
 
     joint: Joint
-    motion: PrescribedMotion
-    weights: FloatArray
-    leads: bool
-    sample_time: float
+
+    if TYPE_CHECKING:
+
+        def simulated(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
+            """Return what `measured` should show, (samples,), its derivatives, (samples, names), and if they hold."""
 
     @property
     def inside(self) -> slice:
@@ -75,31 +88,52 @@ class DriveSideProblem(RecordProblem):
         before, after = self.filtering.borders
         return slice(before, self.measured.size - after)
 
+    def predicted(self, x: FloatArray) -> FloatArray:
+        """Return what `measured` should show, (samples,)."""
+        return self.simulated(x, ())[0]
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the filtered, decimated error, (rows,); of a candidate that fails, something large."""
+        return self._compared(x, ())[0]
+
+    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
+        return self._compared(x, tuple(p.name for p in self.free))
+
+    def _compared(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
+        prediction, slopes, finished = self.simulated(x, names)
+        error = self.measured - prediction
+        if not finished:
+            error = np.full_like(self.measured, FAILED * float(np.sqrt(np.mean(self.measured**2))))
+        seen = self.filtered(np.column_stack([error, -slopes]))
+        return seen[:, 0], seen[:, 1:]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveSideProblem(PrescribedProblem):
+    """The torque of one record along its own motor motion; the torque is through `filtering.window_torque`.
+
+    Beside the joint's parameters there are those of `LOAD_STATE`, ``log_delay`` and ``current_lag``.
+
+    Attributes:
+        motion: of the motor, prescribed.
+        weights: (samples,) 0 where the motor rests, else 1.
+        leads: whether the log shows the torque before its ``current_lag``, as a command does; else behind it.
+        sample_time: seconds.
+    """
+
+    motion: PrescribedMotion
+    weights: FloatArray
+    leads: bool
+    sample_time: float
+
     def filtered(self, columns: FloatArray) -> FloatArray:
         """Return signals, (samples,) or (samples, columns), weighted, through the problem's own filter."""
         weights = self.weights if columns.ndim == 1 else self.weights[:, np.newaxis]
         return decimate((weights * columns)[self.inside], self.filtering, self.sample_time)
 
-    def predicted(self, x: FloatArray) -> FloatArray:
-        """Return the torque that `measured` should show, (samples,)."""
-        return self._seen(x, ())[0]
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        """Return the filtered, decimated torque error, (rows,); of a candidate that fails, something large."""
-        prediction, _, finished = self._seen(x, ())
-        return self.filtered(self.measured - prediction if finished else self._failed())
-
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
-        prediction, slopes, finished = self._seen(x, tuple(p.name for p in self.free))
-        error = self.measured - prediction if finished else self._failed()
-        return self.filtered(error), -self.filtered(slopes)
-
-    def _failed(self) -> FloatArray:
-        return np.full_like(self.measured, FAILED * float(np.sqrt(np.mean(self.measured**2))))
-
-    def _seen(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
-        """Return the prediction, (samples,), its derivatives, (samples, names), and whether it could be simulated."""
+    def simulated(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
+        """Return the torque that `measured` should show, (samples,), its derivatives, and whether they hold."""
         values = self.values(x)
         inner = tuple(n for n in names if n not in (LOG_DELAY.name, CURRENT_LAG.name))
         run = simulate_drive_side(self.joint, self.motion, values, inner)
@@ -240,3 +274,104 @@ def _load_state(joint: Joint, motion: PrescribedMotion) -> tuple[Parameter, ...]
         return ()
     moving = bool(weights_of(motion)[0])
     return tuple(replace(p, free=moving, start=0.0) for p in _LOAD_PARAMETERS)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenLoopProblem(PrescribedProblem):
+    """The motor position of one record, less its drift, under its own torque.
+
+    Beside the joint's parameters there are the motor's first state and ``log_delay``.
+
+    Attributes:
+        torque: that is prescribed.
+        highpass: Hz.
+        travel: of the motor in the record, drift and all.
+    """
+
+    torque: Channel
+    highpass: float
+    travel: float
+
+    @property
+    def sample_time(self) -> float:
+        """Of torque and position, seconds."""
+        return self.torque.sample_time
+
+    def filtered(self, columns: FloatArray) -> FloatArray:
+        """Return positions without drift through the problem's own filter, decimated."""
+        return decimate(columns[self.inside], self.filtering, self.sample_time)
+
+    def simulated(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
+        """Return the position that `measured` should show, (samples,), its derivatives, and whether they hold."""
+        run = simulate_open_loop(self.joint, self.torque, self.values(x), names)
+        if not run.finished or np.ptp(run.position) > _AWAY * self.travel:
+            return np.zeros_like(self.measured), np.zeros((self.measured.size, len(names))), False
+        seen = _fast(np.column_stack([run.position, run.derivatives]), self.highpass, self.sample_time)
+        return seen[:, 0], seen[:, 1:], True
+
+
+def _fast(positions: FloatArray, highpass: float, sample_time: float) -> FloatArray:
+    """Return positions, (samples,) or (samples, columns), less what is slower than `highpass`, both ways."""
+    from scipy.signal import butter, sosfiltfilt
+
+    sections = butter(_ORDER, 2 * highpass * sample_time, "highpass", output="sos")
+    padding = min(len(positions) - 1, round(3 / (highpass * sample_time)))
+    return np.asarray(sosfiltfilt(sections, positions - positions[:1], axis=0, padlen=padding))
+
+
+def position_problem(
+    record: Record,
+    closing: OpenLoop,
+    filtering: Filtering,
+    parameters: tuple[Parameter, ...],
+    delay: float | None = None,
+    highpass: float | None = None,
+) -> OpenLoopProblem:
+    """Return the problem of reproducing a record's motor position from its torque.
+
+    Args:
+        record: with torque and motor position at one rate.
+        closing: the joint.
+        filtering: of the positions.
+        parameters: of the joint.
+        delay: seconds by which the log shows the torque later than it acts; free when None.
+        highpass: Hz, below which the position is drift; 3 % of the cut-off when None.
+
+    Raises:
+        RecordError: a channel is missing, or at another rate.
+        MethodError: no parameter of the joint is free.
+    """
+    torque, position = torque_and_position(record, closing, parameters, "Open-loop identification")
+    size, period = min(len(torque), len(position)), torque.sample_time
+    filtering = filtering.resolved(period, closing.joint.model)
+    assert filtering.cutoff is not None
+    highpass = highpass or _DRIFT * filtering.cutoff
+    most = float(np.max(np.abs(torque.values)))
+    # A constant force makes a drift, which is not compared: without a bound nothing would hold it.
+    parameters = tuple(
+        replace(p, lower=max(p.lower, -most), upper=min(p.upper, most)) if p.name in _CONSTANT and p.free else p
+        for p in parameters
+    )
+    return OpenLoopProblem(
+        (*parameters, *_first_state(position.values[:size], filtering, period), log_delay(delay, period)),
+        _fast(position.values[:size], highpass, period),
+        filtering,
+        closing.joint,
+        replace(torque, values=torque.values[:size]),
+        highpass,
+        float(np.ptp(position.values[:size])),
+    )
+
+
+def _first_state(position: FloatArray, filtering: Filtering, period: float) -> tuple[Parameter, Parameter]:
+    """Return the motor's first position, fixed, and its first velocity, free if it moves.
+
+    Where a motor begins makes no difference to where it goes; how fast it begins does. One that never turned round
+    could take any Coulomb force for a constant one, so the velocity stays within what the record shows.
+    """
+    assert filtering.position_cutoff is not None
+    speed = differentiate(lowpass(position, filtering.position_cutoff, period), period)
+    fastest = float(np.max(np.abs(speed)))
+    first = replace(INITIAL_STATE[1], start=float(speed[0]), lower=-fastest, upper=fastest)
+    resting = abs(float(speed[0])) < _STILL * float(np.sqrt(np.mean(speed**2)))
+    return INITIAL_STATE[0].fixed(float(position[0])), first.fixed(0.0) if resting else first
