@@ -21,6 +21,7 @@ import numpy as np
 
 import jointid as ji
 from jointid.paper.twin import CONTROLLERS, TABLE_2
+from jointid.simulation.closed_loop import Initial
 
 PERIOD = 1e-3  # s
 LAP, PART = 20.0, 600.0  # s, of a lap, and of what is simulated at once
@@ -37,7 +38,7 @@ def laps() -> np.ndarray:
     return np.tile(np.concatenate([lap, np.zeros(round(LAP / PERIOD) - lap.size)]), round(PART / LAP))
 
 
-def part(number: int, begin: ji.Initial, drifting: bool) -> tuple[np.ndarray, ji.Initial]:
+def part(number: int, begin: Initial, drifting: bool) -> tuple[np.ndarray, Initial]:
     """Return some minutes of the axis, and where its motor stands after them."""
     cooled = 0.2 * (1 - np.exp(-number * PART / 3600 / WARM)) if drifting else 0.0
     truth = {n: v * (1 - cooled) if n.endswith("viscous") else v for n, v in TABLE_2.items()}
@@ -51,12 +52,12 @@ def part(number: int, begin: ji.Initial, drifting: bool) -> tuple[np.ndarray, ji
     assert record.motor_position is not None
     rows = np.empty(reference.size, dtype=ROW)
     rows["torque"], rows["reference"], rows["injected"] = record.torque.values, reference, injected
-    return rows, ji.Initial(float(record.motor_position.values[-1]), 0.0)
+    return rows, Initial(float(record.motor_position.values[-1]), 0.0)
 
 
 def written(path: Path, hours: float, drifting: bool) -> None:
     """Write a record of so many hours, a part after the other."""
-    parts, state = round(hours * 3600 / PART), ji.Initial()
+    parts, state = round(hours * 3600 / PART), Initial()
     samples = parts * round(PART / PERIOD)
     with path.open("wb") as file:
         if path.suffix == ".npy":

@@ -17,7 +17,7 @@ from jointid.config import JointFile, dumps, loads, save
 from jointid.estimation.identify import identify
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import RigidJoint
-from jointid.output.json import estimate_answer, read_identified, write
+from jointid.output.json import read_identified, to_dict, write
 from jointid.records.columns import Column
 from jointid.records.reading import read
 from jointid.records.record import Record
@@ -118,7 +118,7 @@ def test_three_files_give_one_answer(folder: Path, motor: Estimate) -> None:
 
 def test_an_answer_has_both_sides_and_is_read_back(folder: Path, motor: Estimate) -> None:
     found = identified(folder, BY_THE_LOAD)
-    write(estimate_answer(found), folder / "out.json")
+    write(to_dict(found), folder / "out.json")
     answer = json.loads((folder / "out.json").read_text())
     assert answer["transmission"] == {
         "motor_per_load": pytest.approx(-R),
@@ -132,7 +132,7 @@ def test_an_answer_has_both_sides_and_is_read_back(folder: Path, motor: Estimate
     assert answer["other_side"]["side"] == "motor"
     beside = answer["other_side"]["parameters"]["inertia"]
     assert (beside["value"], beside["unit"]) == (pytest.approx(motor["inertia"].value, rel=1e-9), "kg m2")
-    assert estimate_answer(motor)["transmission"] is estimate_answer(motor)["other_side"] is None
+    assert to_dict(motor)["transmission"] is to_dict(motor)["other_side"] is None
 
     file = file_of(folder, BY_THE_LOAD)
     assert read_identified(folder / "out.json", file.joint, file.loop).values == found.values

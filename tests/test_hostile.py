@@ -24,6 +24,7 @@ from jointid.common.text import printable, short
 from jointid.config import load, loads
 from jointid.output import json as answers
 from jointid.records.formats import Table, csv, read_blocks, read_table, write_table
+from jointid.records.resampling import Resampling
 
 pytestmark = pytest.mark.hostile
 
@@ -178,7 +179,7 @@ def test_any_bytes_are_read_or_refused(spoil: Callable[..., Path], content: byte
         for block in read_blocks(path, 64):
             block.table()
     with one_sentence_each():
-        ji.read(path, {"torque": "i", "reference": "r"}, resample=ji.Resampling(1e-3, "cubic"))
+        ji.read(path, {"torque": "i", "reference": "r"}, resample=Resampling(1e-3, "cubic"))
 
 
 def test_100_000_columns_are_read_and_more_are_refused(

@@ -9,7 +9,7 @@ import os
 import re
 import sys
 from collections.abc import Iterator
-from itertools import groupby
+from itertools import groupby, starmap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +34,25 @@ REPOSITORY = {
     "examples/motorbench/README.md": "example-motorbench",
 }
 """Files of the repository that are pages, too, and what their pages are called."""
+
+BY_MODULE = (
+    "models.disturbances.Drift",
+    "models.disturbances.PositionHarmonics",
+    "models.linear.frequency_response",
+    "models.parameters.Parameter",
+    "output.export.read_estimated",
+    "output.figures.save",
+    "output.figures.tuning_figure",
+    "output.report.report.report_file",
+    "records.record.Injection",
+    "records.record.InjectionPoint",
+    "records.record.Tap",
+    "records.record.Timing",
+    "records.resampling.Resampling",
+    "simulation.closed_loop.Initial",
+    "simulation.closed_loop.simulate_many",
+)
+"""Names that fewer programs need: they are imported from their module, and stand on its folder's page."""
 
 _LINK = re.compile(r"\[(?P<text>[^\]\[]*)\]\((?!https?:|#|mailto:)(?P<target>[^)#\s]+)(?P<anchor>#[^)]*)?\)")
 _WANTED = re.compile(r"^\.\./\w+\*$\n", re.MULTILINE)
@@ -83,9 +102,16 @@ def _api() -> dict[str, str]:
 
 
 def _api_page(room: str, said: str, names: list[str]) -> str:
-    rows = "\n".join(f"| {{py:obj}}`{name} <jointid.{name}>` | {_first_line(name)} |" for name in names)
-    further = dict.fromkeys((*_bases(room, names), *_results(room)))
-    directives = [*map(_directive, names), *(f".. autoclass:: {name}" for name in further)]
+    things = {name: getattr(jointid, name) for name in names}
+    for name in BY_MODULE:
+        if name.startswith(f"{room}."):
+            module, _, own = name.rpartition(".")
+            things[name] = getattr(importlib.import_module(f"jointid.{module}"), own)
+    rows = "\n".join(
+        f"| {{py:obj}}`{name} <jointid.{name}>` | {_first_line(thing)} |" for name, thing in things.items()
+    )
+    further = {name: None for name in (*_bases(room, names), *_results(room)) if name[8:] not in BY_MODULE}
+    directives = [*starmap(_directive, things.items()), *(f".. autoclass:: {name}" for name in further)]
     entries = "\n".join(f"```{{eval-rst}}\n{directive}\n```\n" for directive in directives)
     return (
         f"# `{room}`\n\n{said}\n\n| name | what it is |\n|---|---|\n{rows}\n\n"
@@ -121,13 +147,14 @@ def _results(room: str) -> list[str]:
     ]
 
 
-def _first_line(name: str) -> str:
-    said = inspect.getdoc(getattr(jointid, name)) or ""
+def _first_line(thing: object) -> str:
+    said = inspect.getdoc(thing) or ""
     return said.split("\n\n")[0].replace("\n", " ").replace("``", "`").replace("|", "\\|")
 
 
-def _directive(name: str) -> str:
-    thing = getattr(jointid, name)
+def _directive(name: str, thing: object) -> str:
+    if inspect.ismodule(thing):
+        return f".. automodule:: {thing.__name__}"
     if inspect.isfunction(thing):
         return f".. autofunction:: jointid.{name}"
     if isinstance(thing, type):

@@ -18,33 +18,16 @@ from .estimation.methods.idim import IDIM
 from .estimation.methods.open_loop import OpenLoopFit
 from .estimation.problems.log_windows import Windowing
 from .estimation.problems.several_records import SeveralRecords
-from .estimation.result.estimate import Estimate, IdentifiedJoint
-from .models.controllers import (
-    PD,
-    PID,
-    Cascade,
-    DigitalFilter,
-    FirstOrder,
-    MovingAverage,
-    Notch,
-    SecondOrder,
-    StateSpaceController,
-)
-from .models.disturbances import Drift, PositionHarmonics
+from .estimation.result.estimate import Estimate
+from .models.controllers import PD, PID, Cascade, StateSpaceController, filters
 from .models.friction import AsymmetricFriction, SymmetricFriction
 from .models.gravity import Counterbalance, Gravity
 from .models.joints import FlexibleJoint, RigidJoint, frequencies, rigid_sums
-from .models.linear import frequency_response
-from .models.parameters import Parameter
-from .output.export.export import export, read_estimated, state_space
-from .output.export.joint_toml import JointToml
-from .output.export.linear import Matlab, StateSpaceJson
-from .output.export.mjcf import Mjcf
-from .output.figures.figures import residual_figure, save, torque_figure
-from .output.figures.tuning_figure import tuning_figure
+from .output.export import export, state_space
+from .output.figures import residual_figure, torque_figure
 from .output.json import read_report
-from .output.json.to_dict import to_dict
-from .output.report.report import Report, report_estimate, report_file
+from .output.json.documents import to_dict
+from .output.report.report import Report, report_estimate
 from .paper.twin import twin
 from .records.chunks import Log
 from .records.columns import Column
@@ -52,12 +35,11 @@ from .records.converting import convert
 from .records.drives.drive import Drive
 from .records.inspection import inspect
 from .records.reading import read
-from .records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
-from .records.resampling import Resampling
+from .records.record import Channel, Record
 from .records.signals.excitation import pulses, trapezoids
 from .records.signals.filtering import Filtering
 from .records.writing import write
-from .simulation.closed_loop import Initial, simulate, simulate_many
+from .simulation.closed_loop import simulate
 from .simulation.drive_side import DriveSide
 from .simulation.loop_input import ClosedLoop, prepare
 from .simulation.open_loop import OpenLoop
@@ -77,48 +59,29 @@ __all__ = [
     "ClosedLoop",
     "Column",
     "Counterbalance",
-    "DigitalFilter",
-    "Drift",
     "Drive",
     "DriveSide",
     "DriveSideFit",
     "Estimate",
     "ExtraError",
     "Filtering",
-    "FirstOrder",
     "FlexibleDIDIM",
     "FlexibleJoint",
     "Gravity",
-    "IdentifiedJoint",
-    "Initial",
-    "Injection",
-    "InjectionPoint",
     "JointFile",
     "JointFileError",
-    "JointToml",
     "JointidError",
     "Log",
-    "Matlab",
     "MethodError",
-    "Mjcf",
-    "MovingAverage",
-    "Notch",
     "OpenLoop",
     "OpenLoopFit",
-    "Parameter",
-    "PositionHarmonics",
     "Record",
     "RecordError",
     "Report",
-    "Resampling",
     "RigidJoint",
-    "SecondOrder",
     "SeveralRecords",
     "StateSpaceController",
-    "StateSpaceJson",
     "SymmetricFriction",
-    "Tap",
-    "Timing",
     "Transmission",
     "Tuning",
     "Validation",
@@ -130,8 +93,8 @@ __all__ = [
     "convert",
     "design_stiffness_test",
     "export",
+    "filters",
     "frequencies",
-    "frequency_response",
     "identify",
     "inspect",
     "intervals",
@@ -140,22 +103,17 @@ __all__ = [
     "prepare",
     "pulses",
     "read",
-    "read_estimated",
     "read_report",
     "report_estimate",
-    "report_file",
     "residual_figure",
     "rigid_sums",
-    "save",
     "simulate",
-    "simulate_many",
     "simulated_record",
     "state_space",
     "to_dict",
     "torque_figure",
     "trapezoids",
     "tune",
-    "tuning_figure",
     "twin",
     "validate",
     "write",

@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 
 import jointid as ji
-from jointid.output.json import dumps, estimate_answer, write
+from jointid.output.json import dumps, to_dict, write
 from tests.apps.cli.test_commands import run
 from tests.output.report import reports
 
 
 def told(estimate: ji.Estimate, folder: Path, name: str) -> Path:
     path = folder / f"{name}.json"
-    write(estimate_answer(estimate), path)
+    write(to_dict(estimate), path)
     return path
 
 
@@ -117,7 +117,7 @@ def test_a_file_that_is_no_report_is_one_sentence(text: str, words: str, tmp_pat
 
 
 def test_a_damaged_answer_is_one_sentence(tmp_path: Path) -> None:
-    answer = json.loads(dumps(estimate_answer(reports.rigid().estimate)))
+    answer = json.loads(dumps(to_dict(reports.rigid().estimate)))
     for spoil in (
         lambda a: a["parameters"].update(inertia=None),
         lambda a: a["parameters"]["inertia"].update(value="1"),

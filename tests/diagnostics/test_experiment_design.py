@@ -31,7 +31,7 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import invert
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
-from jointid.output.json import advice_answer, dumps, revealing_answer
+from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import CONTROLLERS, SAMPLE_TIME, Twin, twin
 from jointid.records.record import Channel, Record, Tap
 from jointid.records.signals.encoder import find_encoder_step
@@ -201,7 +201,7 @@ def test_the_advice_is_printed_and_written(advice: Advice) -> None:
     said = str(advice)
     assert "load encoder: steps of 5e-08 m; narrows" in said
     assert "motor encoder: steps of 5e-08 m; narrows no interval by more than a fifth" in said
-    answer = json.loads(dumps(advice_answer(advice)))
+    answer = json.loads(dumps(to_dict(advice)))
     assert answer["schema"] == "jointid.advice/1"
     assert [one["name"] for one in answer["sensors"]] == ["motor encoder", "load encoder", "both"]
     assert answer["sensors"][1]["std"]["motor_viscous"] < 0.3 * answer["parameters"]["motor_viscous"]["std"]
@@ -239,7 +239,7 @@ def test_a_refused_stiffness_is_answered_with_what_would_show_it(stiff_axis: tup
         assert (weak.mode is None) == (weak.deviation > DETECTED)
     for rung, seen in zip(answer.pulses, answer.encoder, strict=True):
         assert (seen.mode or 0.0) >= rung.softest
-    assert json.loads(dumps(revealing_answer(answer)))["schema"] == "jointid.revealing/1"
+    assert json.loads(dumps(to_dict(answer)))["schema"] == "jointid.revealing/1"
     with pytest.raises(MethodError, match="stiffness is not identifiable"):
         advise(estimate, record)
 

@@ -68,7 +68,7 @@ def test_a_record_that_cannot_be_is_refused_at_once(emps: Record) -> None:
 
 
 def test_the_answer_is_written(flexible: MethodComparison, tmp_path: Path) -> None:
-    answers.write(answers.comparison_answer(flexible), tmp_path / "out.json")
+    answers.write(answers.to_dict(flexible), tmp_path / "out.json")
     answer = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.comparison/1"
     assert answer["methods"][4]["estimate"]["tests"][0]["rejected"] is True

@@ -20,7 +20,7 @@ from jointid.estimation.methods.endogeneity import (
 )
 from jointid.estimation.problems.prescribed import DriveSideProblem, motion_problem
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
-from jointid.records.record import Channel, Record, Tap, Timing
+from jointid.records.record import Channel, Injection, Record, Tap, Timing
 from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
 from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.covariance import band_deviations, sandwich
@@ -73,7 +73,7 @@ def test_a_load_that_sticks_is_identified() -> None:
 def _driven(reference: np.ndarray, known: np.ndarray) -> Record:
     return Record(
         reference=Channel(reference, "m", 1e-3),
-        injected=ji.Injection(Channel(known, "N", 1e-3, Timing.HELD)),
+        injected=Injection(Channel(known, "N", 1e-3, Timing.HELD)),
     )
 
 
@@ -313,7 +313,7 @@ def test_an_answer_goes_to_json_and_back_but_is_not_validated(tmp_path: Path) ->
 
     record = twin("L19", noise="none").record.without("reference", "injected")
     estimate = ji.identify(record, ji.DriveSide(JOINT), ji.DriveSideFit(frequency=24.0), filtering=FILTERING)
-    answers.write(answers.estimate_answer(estimate), tmp_path / "found.json")
+    answers.write(answers.to_dict(estimate), tmp_path / "found.json")
     back = answers.read_identified(tmp_path / "found.json", JOINT, None)
     assert back.method == "drive_side"
     assert back.values == pytest.approx(estimate.values)

@@ -118,7 +118,7 @@ def test_a_notebook_shows_the_table_and_no_tag_of_a_name() -> None:
 def test_an_estimate_is_saved_as_the_command_writes_it(tmp_path: Path) -> None:
     path = ESTIMATE.save(tmp_path / "out.json")
     assert path.read_text(encoding="utf-8") == answers.dumps(ESTIMATE.to_dict())
-    assert ESTIMATE.to_dict() == answers.estimate_answer(ESTIMATE)
+    assert ESTIMATE.to_dict() == answers.to_dict(ESTIMATE)
     with pytest.raises(RecordError, match="cannot be written"):
         ESTIMATE.save(tmp_path / "nowhere" / "out.json")
 
@@ -168,7 +168,7 @@ def test_a_parameter_is_found_by_name_or_symbol() -> None:
 
 
 def test_json_says_null_and_never_nan(tmp_path: Path) -> None:
-    answer = answers.estimate_answer(ESTIMATE.amended(fit={"relative_error": float("nan")}))
+    answer = answers.to_dict(ESTIMATE.amended(fit={"relative_error": float("nan")}))
     answers.write(answer, tmp_path / "out.json")
     text = (tmp_path / "out.json").read_text(encoding="utf-8")
     read = json.loads(text)
@@ -184,7 +184,7 @@ def test_json_says_null_and_never_nan(tmp_path: Path) -> None:
 
 def test_every_key_of_the_json_is_documented() -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "answers.md").read_text(encoding="utf-8")
-    for key in answers.estimate_answer(ESTIMATE):
+    for key in answers.to_dict(ESTIMATE):
         assert f"`{key}`" in page, key
 
 
@@ -192,7 +192,7 @@ def test_an_estimate_is_read_back(tmp_path: Path) -> None:
     whole = ESTIMATE.amended(
         params={"rows": (*ESTIMATE.params[:2], parameter("coulomb", "Fc", "N", 20.1, 0.1), *ESTIMATE.params[3:])}
     )
-    answers.write(answers.estimate_answer(whole), tmp_path / "out.json")
+    answers.write(answers.to_dict(whole), tmp_path / "out.json")
     assert answers.read_identified(tmp_path / "out.json", LOOP.joint, LOOP) == whole.identified
 
 

@@ -9,6 +9,7 @@ import pytest
 
 import jointid as ji
 from jointid.paper.twin import TABLE_2
+from jointid.records.record import Timing
 from jointid.simulation.open_loop import simulate_open_loop
 
 T = 1e-3
@@ -23,7 +24,7 @@ def record(noise: float = 0.0, seed: int = 0, drift: float = 0.0) -> ji.Record:
     rng, t = np.random.default_rng(1), np.arange(12000) * T
     tones = {0.5: 60, 1: 60, 2: 40, 3: 40, 5: 40, 8: 40, 13: 40, 19: 40, 24: 40, 29: 40, 37: 40}
     force = np.sum([a * np.sin(2 * np.pi * f * t + rng.uniform(0, 6.3)) for f, a in tones.items()], axis=0)
-    torque = ji.Channel(force * np.minimum(1, t / 0.2), "N", T, ji.Timing.HELD)
+    torque = ji.Channel(force * np.minimum(1, t / 0.2), "N", T, Timing.HELD)
     position = simulate_open_loop(JOINT, torque, TRUTH | AROUND).position
     shown = position + noise * np.random.default_rng(seed).standard_normal(t.size) + drift * t**2
     return ji.Record(torque=torque, motor_position=ji.Channel(shown, "m", T), name="open loop")

@@ -17,7 +17,7 @@ from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import RigidJoint
-from jointid.output.json import LOOP_SCHEMA, dumps, loop_answer
+from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import twin
 from jointid.records.record import Record, Tap
 from jointid.simulation.loop_input import ClosedLoop
@@ -221,8 +221,8 @@ def test_what_cannot_be_told_apart_is_said() -> None:
 
 
 def test_a_check_is_written_to_json() -> None:
-    answer = json.loads(dumps(loop_answer(_check("delay", 4e-4, 2.5e-5))))
-    assert answer["schema"] == LOOP_SCHEMA
+    answer = json.loads(dumps(to_dict(_check("delay", 4e-4, 2.5e-5))))
+    assert answer["schema"] == "jointid.loop/1"
     assert answer["as_declared"] is False
     assert answer["findings"][0]["changes"]["motor_viscous"] == {"by": -59.0, "sigmas": -3.1}
     assert answer["suspects"][0]["name"] == "delay"

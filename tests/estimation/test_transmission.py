@@ -28,7 +28,7 @@ from jointid.models.friction import AsymmetricFriction, SymmetricFriction
 from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.models.refer import OtherSide
-from jointid.output.json import estimate_answer
+from jointid.output.json import to_dict
 from jointid.records.record import Channel, Record
 from jointid.records.signals.excitation import pulses, trapezoids
 from jointid.simulation.drive_side import DriveSide
@@ -176,7 +176,7 @@ def test_a_refused_stiffness_is_bounded_on_both_sides() -> None:
     heads = [line for line in lines if "motor side" in line]
     assert len(heads) == 3  # of the parameters, of their sums, of the bounds
     assert any("free-free mode [Hz]" in line for line in heads)
-    answer = estimate_answer(refused)
+    answer = to_dict(refused)
     here, there = answer["stiffness_bounds"], answer["other_side"]["stiffness_bounds"]
     assert [b["free_free_hz"] for b in here] == [b["free_free_hz"] for b in there]
     assert there[0]["stiffness"] == pytest.approx(1e-4 * here[0]["stiffness"])
@@ -229,7 +229,7 @@ def test_several_records_are_told_on_both_sides() -> None:
     assert apart(values_of(motor.params), values_of(there.other_side)) < 1e-8
     # At the bottom a last step that changes the criterion by 1e-12 is taken on one side, and made shorter on the other.
     assert abs(there.fit.simulations - motor.fit.simulations) <= 0.1 * motor.fit.simulations
-    text, answer = str(there), estimate_answer(there)
+    text, answer = str(there), to_dict(there)
     assert "values are on the load side\n" in text
     assert "0.50000 kg m2 added to the load" in text
     (row,) = (line for line in text.splitlines() if line.startswith("ZZ  "))

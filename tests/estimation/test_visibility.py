@@ -15,7 +15,7 @@ from jointid.estimation.identify import identify
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import FlexibleJoint
 from jointid.models.parameters import Parameter
-from jointid.output.json import dumps, estimate_answer
+from jointid.output.json import dumps, to_dict
 from jointid.records.record import Record
 from jointid.simulation.loop_input import ClosedLoop
 from tests.estimation.conftest import CONTROLLER
@@ -57,7 +57,7 @@ def test_an_axis_that_is_as_good_as_rigid_shows_no_spring(stiff_axis: tuple[Reco
     assert estimate.checks.known is not None
     whole = {known.combination.name: known for known in estimate.checks.known.physical}
     assert whole["total inertia"].value == pytest.approx(105.0, rel=0.05)
-    assert json.loads(dumps(estimate_answer(estimate)))["parameters"]["stiffness"]["value"] is None
+    assert json.loads(dumps(to_dict(estimate)))["parameters"]["stiffness"]["value"] is None
     with pytest.raises(MethodError, match=r"stiffness, .*cannot be told from this record"):
         validate(estimate, record)
 
@@ -67,7 +67,7 @@ def test_the_emps_axis_shows_no_spring(emps: Record) -> None:
     estimate = identify(emps.without("motor_position"), LOOP)
     require_refused(estimate)
     assert "not identifiable" in str(estimate)
-    assert json.loads(dumps(estimate_answer(estimate)))["parameters"]["stiffness"]["value"] is None
+    assert json.loads(dumps(to_dict(estimate)))["parameters"]["stiffness"]["value"] is None
     with pytest.raises(MethodError, match=r"stiffness, .*cannot be told from this record"):
         validate(estimate, emps)
 

@@ -83,7 +83,7 @@ def test_a_joint_is_simulated_identified_and_read_back_with_its_own_law(law: Fri
     record = simulated_record(loop, reference, truth, sample_time=1e-3)
     found = identify(record, loop)
     assert found.values == pytest.approx(truth, rel=1e-3, abs=1e-9)
-    answers.write(answers.estimate_answer(found), tmp_path / "out.json")
+    answers.write(answers.to_dict(found), tmp_path / "out.json")
     assert answers.read_friction(tmp_path / "out.json") == law.name
     assert answers.read_identified(tmp_path / "out.json", joint, loop).values == pytest.approx(found.values)
     lumped, directions = lumped_parameters(found), np.array(law.directions(found.values))

@@ -9,10 +9,10 @@ import pytest
 
 from jointid.common.document import Document, Heading, Paragraph, Picture, Table
 from jointid.common.errors import RecordError
+from jointid.output.figures import torque_png
 from jointid.output.report.page import page as html
 from jointid.output.report.page import save
-from jointid.output.report.reproduction import reproduction_document
-from jointid.paper.reproduce import Reproduction, reproduce
+from jointid.paper.reproduce import Reproduction, reproduce, reproduction_document
 from jointid.paper.twin import TABLE_2, TABLE_4
 
 
@@ -75,7 +75,7 @@ def test_the_relative_errors_have_both_denominators(run: Reproduction) -> None:
 
 @pytest.mark.slow
 def test_the_report_has_every_table_printed_recomputed_and_run(run: Reproduction, tmp_path: Path) -> None:
-    document = reproduction_document(run)
+    document = reproduction_document(run, torque_png)
     written = save(document, tmp_path / "out", "reproduction")
     assert {path.name for path in written} == {"reproduction.html", "reproduction.md", "figure4.png", "figure5.png"}
     page = written[0].read_text(encoding="utf-8")
@@ -90,12 +90,12 @@ def test_the_report_has_every_table_printed_recomputed_and_run(run: Reproduction
         assert {len(row) for row in table.rows} == {len(table.header)}
     assert "What we found in the paper" in page
     assert not re.search(r"\b(nan|inf|None)\b", re.sub(r'src="[^"]*"', "", page))
-    assert html(document) == html(reproduction_document(run))
+    assert html(document) == html(reproduction_document(run, torque_png))
 
 
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes(run: Reproduction) -> None:
-    assert html(reproduction_document(reproduce(seed=1))) == html(reproduction_document(run))
+    assert html(reproduction_document(reproduce(seed=1), torque_png)) == html(reproduction_document(run, torque_png))
 
 
 def test_a_document_escapes_what_it_is_given(tmp_path: Path) -> None:

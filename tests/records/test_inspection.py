@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jointid.common.errors import RecordError
-from jointid.output.figures.channels import channels_figure
+from jointid.output.figures import channels_figure
 from jointid.output.figures.figures import save
-from jointid.output.json import dumps, inspection_answer
+from jointid.output.json import dumps, to_dict
 from jointid.records.formats import Table, write_table
 from jointid.records.inspection import OutlineBuilder, draw_sparkline, inspect
 from tests.records.logged import LOGGED, ROWS
@@ -54,7 +54,7 @@ def test_every_format_is_inspected(name: str, tmp_path: Path) -> None:
     text = str(inspection)
     assert "a sample every 0.001 s" in text
     assert ("rad" in text) == (name in ("hdf5", "parquet", "tdms"))
-    assert f'"{time.name}"' in dumps(inspection_answer(inspection))
+    assert f'"{time.name}"' in dumps(to_dict(inspection))
 
 
 def test_the_picture_shows_where_a_signal_is() -> None:
@@ -106,4 +106,4 @@ def test_a_channel_without_numbers_is_shown(tmp_path: Path) -> None:
     inspection = inspect(path)
     assert inspection.channels[1].outline.minimum is None
     assert channels_figure(inspection) is not None
-    assert '"minimum": null' in dumps(inspection_answer(inspection))
+    assert '"minimum": null' in dumps(to_dict(inspection))

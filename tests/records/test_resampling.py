@@ -18,6 +18,7 @@ from jointid.config import dumps, loads
 from jointid.records.clock import measure_irregularity
 from jointid.records.formats import Table, write_table
 from jointid.records.record import Timing
+from jointid.records.resampling import Resampling
 
 T = 1e-3
 LATE = T * 0.3 * np.random.default_rng(3).random(400)
@@ -36,7 +37,7 @@ def saved(tmp_path: Path) -> Saved:
     return save
 
 
-def read(path: Path, how: ji.Resampling | None, **channels: Any) -> ji.Record:
+def read(path: Path, how: Resampling | None, **channels: Any) -> ji.Record:
     return ji.read(path, channels or {"motor_position": "q"}, resample=how)
 
 
@@ -44,7 +45,7 @@ def values(record: ji.Record, name: str = "motor_position") -> np.ndarray:
     return dict(record.items())[name].values
 
 
-def refused(path: Path, how: ji.Resampling | None, **channels: Any) -> str:
+def refused(path: Path, how: Resampling | None, **channels: Any) -> str:
     with pytest.raises(RecordError) as error:
         read(path, how, **channels)
     (said,) = error.value.faults
@@ -86,7 +87,7 @@ def test_a_uniform_clock_has_no_deviation() -> None:
 @pytest.mark.parametrize(("method", "degree"), [("hold", 0), ("linear", 1), ("cubic", 3)])
 def test_a_method_is_exact_for_its_degree_and_for_no_higher(saved: Saved, method: Any, degree: int) -> None:
     for power in range(5):
-        record = read(saved(t=STAMPS, q=(5 * STAMPS - 1) ** power), ji.Resampling(T, method))
+        record = read(saved(t=STAMPS, q=(5 * STAMPS - 1) ** power), Resampling(T, method))
         grid = record.begin + np.arange(len(values(record))) * T + STAMPS[0]
         error = np.abs(values(record) - (5 * grid - 1) ** power).max()
         assert (error < 1e-14) == (power <= degree), (method, power, error)
@@ -95,22 +96,22 @@ def test_a_method_is_exact_for_its_degree_and_for_no_higher(saved: Saved, method
 def test_a_held_channel_gives_each_of_its_values_once(saved: Saved) -> None:
     """Stamps that are late by up to 0.3 of a sample: an instant at 0.3 has its own sample behind it, not the next."""
     steps = np.random.default_rng(1).standard_normal(400)
-    record = read(saved(t=STAMPS, i=steps), ji.Resampling(T, "cubic"), torque="i")
+    record = read(saved(t=STAMPS, i=steps), Resampling(T, "cubic"), torque="i")
     np.testing.assert_array_equal(values(record, "torque"), steps[: len(values(record, "torque"))])
     assert len(values(record, "torque")) >= 399
 
 
 def test_a_held_torque_is_interpolated_only_when_that_is_asked(saved: Saved) -> None:
     path = saved(t=STAMPS, i=100 * STAMPS)
-    held = read(path, ji.Resampling(T, "linear"), torque="i")
-    asked = read(path, ji.Resampling(T, "linear", held="linear"), torque="i")
+    held = read(path, Resampling(T, "linear"), torque="i")
+    asked = read(path, Resampling(T, "linear", held="linear"), torque="i")
     assert np.ptp(np.diff(values(held, "torque"))) > 1e-2
     assert np.ptp(np.diff(values(asked, "torque"))) < 1e-12
     assert held.resampled is not None
     assert asked.resampled is not None
     assert held.torque is not None
     assert asked.torque is not None
-    assert (held.torque.timing, asked.torque.timing) == (ji.Timing.HELD, ji.Timing.SAMPLED)
+    assert (held.torque.timing, asked.torque.timing) == (Timing.HELD, Timing.SAMPLED)
     assert (held.resampled.methods, asked.resampled.methods) == ({"torque": "hold"}, {"torque": "linear"})
 
 
@@ -124,7 +125,7 @@ def test_the_means_of_an_average_add_up(seed: int, ratio: float) -> None:
     stamps = np.arange(60) * T + 0.3 * T * rng.random(60)
     means = rng.standard_normal(60)
     one = Stamped(Channel(means, "N", T, Timing.AVERAGED), stamps, "t")
-    channels, begin, _ = resample_together({"torque": one}, ji.Resampling(ratio * T, "linear"))
+    channels, begin, _ = resample_together({"torque": one}, Resampling(ratio * T, "linear"))
     found = channels["torque"]
     first = begin + stamps[0] - ratio * T
     last = first + len(found) * ratio * T
@@ -137,7 +138,7 @@ def test_resampling_uniform_samples_at_their_own_instants_changes_nothing(saved:
     time = np.arange(300) * T
     path = saved(t=time, q=np.sin(9 * time), i=np.cos(9 * time))
     for method in ("hold", "linear", "cubic"):
-        record = read(path, ji.Resampling(T, method), torque="i", motor_position="q")
+        record = read(path, Resampling(T, method), torque="i", motor_position="q")
         np.testing.assert_allclose(values(record), np.sin(9 * time), atol=1e-12)
         np.testing.assert_array_equal(values(record, "torque"), np.cos(9 * time))
 
@@ -166,14 +167,14 @@ REFUSED: dict[str, tuple[np.ndarray, dict[str, Any], str]] = {
 def test_what_cannot_be_made_up_is_refused(saved: Saved, name: str) -> None:
     stamps, how, expected = REFUSED[name]
     said = refused(
-        saved(t=stamps, q=np.arange(stamps.size)), ji.Resampling(**{"sample_time": T, "method": "cubic", **how})
+        saved(t=stamps, q=np.arange(stamps.size)), Resampling(**{"sample_time": T, "method": "cubic", **how})
     )
     assert expected in said
 
 
 def test_a_sample_that_was_logged_twice_is_left_out(saved: Saved) -> None:
     twice = np.repeat(STAMPS, np.where(np.arange(400) % 7 == 0, 2, 1))
-    once, again = (read(saved(t=t, q=t**2), ji.Resampling(T, "cubic")) for t in (STAMPS, twice))
+    once, again = (read(saved(t=t, q=t**2), Resampling(T, "cubic")) for t in (STAMPS, twice))
     np.testing.assert_array_equal(values(once), values(again))
     assert again.resampled is not None
     assert again.resampled.clocks["t"].repeats == 58
@@ -190,12 +191,12 @@ def test_a_sample_that_was_logged_twice_is_left_out(saved: Saved) -> None:
 )
 def test_settings_that_do_not_exist_are_refused(wrong: dict[str, Any], said: str) -> None:
     with pytest.raises(RecordError, match=said):
-        ji.Resampling(**{"sample_time": T, "method": "linear", **wrong})
+        Resampling(**{"sample_time": T, "method": "linear", **wrong})
 
 
 def test_a_channel_without_stamps_and_one_that_is_picked_cannot_be_resampled(saved: Saved) -> None:
     path = saved(t=STAMPS, q=STAMPS, i=STAMPS)
-    how = ji.Resampling(T, "linear")
+    how = Resampling(T, "linear")
     assert "no time stamps to be resampled by" in refused(path, how, motor_position=ji.Column("q", sample_time=T))
     assert "has an update_time" in refused(path, how, motor_position=ji.Column("q", update_time=4e-3))
 
@@ -207,7 +208,7 @@ def test_channels_of_two_clocks_keep_their_rates_until_they_are_brought_to_one(s
     slow, fast = np.arange(101) * 4e-3, np.arange(401) * 1e-3
     path = saved(ts=slow, tf=fast, i=np.cos(slow), q=fast**3)
     columns = {"torque": ji.Column("i", time="ts"), "motor_position": ji.Column("q", time="tf")}
-    apart, one = read(path, None, **columns), read(path, ji.Resampling(T, "cubic"), **columns)
+    apart, one = read(path, None, **columns), read(path, Resampling(T, "cubic"), **columns)
     assert apart.resampled is None
     assert [c.sample_time for _, c in apart.items()] == [4e-3, 1e-3]
     assert {c.sample_time for _, c in one.items()} == {T}
@@ -220,7 +221,7 @@ def test_clocks_that_begin_apart_are_refused_and_resampled_to_what_both_cover(sa
     path = saved(ta=one, tb=other, i=np.cos(one), q=other)
     columns = {"torque": ji.Column("i", time="ta"), "motor_position": ji.Column("q", time="tb")}
     assert "motor_position begins 0.0125 s after torque" in refused(path, None, **columns)
-    record = read(path, ji.Resampling(T, "linear"), **columns)
+    record = read(path, Resampling(T, "linear"), **columns)
     assert record.begin == pytest.approx(0.013)
     np.testing.assert_allclose(values(record)[0], 0.013)
     assert len(values(record)) == 287  # to the end of the one that ends first: nothing is extrapolated
@@ -241,7 +242,7 @@ motor_position = { column = "q" }
 
 def test_a_joint_file_says_it_and_is_written_back() -> None:
     file = loads(FILE)
-    assert file.source.resample == ji.Resampling(T, "cubic", longest_gap=5)
+    assert file.source.resample == Resampling(T, "cubic", longest_gap=5)
     assert file.columns["torque"].time == "t"
     assert loads(dumps(file)) == file
 
@@ -276,7 +277,7 @@ def test_every_answer_says_that_its_record_was_resampled(saved: Saved) -> None:
     at = np.floor((np.arange(1900) + late) * fine).astype(int)
     path = saved(t=at * T / fine, **{name: channel.values[at] for name, channel in made.items()})
     columns: dict[str, Any] = {"torque": "torque", "reference": ji.Column("reference", timing=Timing.HELD)}
-    record = ji.read(path, columns, resample=ji.Resampling(T, "cubic"))
+    record = ji.read(path, columns, resample=Resampling(T, "cubic"))
     estimate = ji.identify(record, loop)
     for name, value in truth.items():
         assert estimate[name].value == pytest.approx(value, rel=1e-3), name

@@ -18,6 +18,7 @@ import pytest
 import jointid as ji
 from jointid.common.errors import RecordError
 from jointid.records.formats import Table, read_blocks, read_table
+from jointid.records.record import Tap, Timing
 
 START = 132959733843760000  # a FILETIME: 2 May 2022
 HEADER = (
@@ -221,7 +222,7 @@ def test_a_recording_of_a_robot_needs_the_number_of_the_joint(tmp_path: Path, de
     assert record.channels == ("torque", "reference", "motor_position")
     assert record.torque is not None
     assert record.reference is not None
-    assert (record.torque.unit, record.torque.sample_time, record.tap) == ("N m", 2e-3, ji.Tap.MEASURED)
+    assert (record.torque.unit, record.torque.sample_time, record.tap) == ("N m", 2e-3, Tap.MEASURED)
     np.testing.assert_allclose(record.torque.values, 0.11 * CURRENTS[:, 2])
     np.testing.assert_allclose(record.reference.values, ANGLES[:, 2])
     assert len(record.other_axes) == 5
@@ -235,4 +236,4 @@ def test_two_torques_of_a_robot_are_chosen_between_by_name(tmp_path: Path) -> No
         ji.read(path, drive=drive, kind="revolute")
     record = ji.read(path, {"torque": "target_moment_0"}, drive=drive, kind="revolute")
     assert record.torque is not None
-    assert (record.torque.unit, record.torque.timing) == ("N m", ji.Timing.HELD)
+    assert (record.torque.unit, record.torque.timing) == ("N m", Timing.HELD)

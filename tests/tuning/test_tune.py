@@ -20,8 +20,8 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import PD, PID, Cascade, StateSpaceController
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint, frequencies
-from jointid.output.figures.tuning_figure import tuning_figure
-from jointid.output.json import dumps, tuning_answer
+from jointid.output.figures import tuning_figure
+from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import TABLE_2, twin
 from jointid.records.drives.drive import Drive
 from jointid.records.signals.excitation import trapezoids
@@ -247,7 +247,7 @@ def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estim
     assert found.present.estimate.stable
     assert not found.present.worst.stable
     assert "no margin of it can be stated" in str(found)
-    assert json.loads(dumps(tuning_answer(found)))["present"]["worst"]["stable"] is False
+    assert json.loads(dumps(to_dict(found)))["present"]["worst"]["stable"] is False
 
 
 def test_a_change_that_is_told_follows_from_both_records(estimate: Estimate) -> None:
@@ -261,7 +261,7 @@ def test_a_change_that_is_told_follows_from_both_records(estimate: Estimate) -> 
 
 
 def test_the_answer_is_complete_and_finite(tuned: Tuned) -> None:
-    answer = json.loads(dumps(tuning_answer(tuned)))
+    answer = json.loads(dumps(to_dict(tuned)))
     assert answer["schema"] == "jointid.tuning/1"
     assert answer["present"]["worst"]["gain"] < answer["present"]["estimate"]["gain"]
     assert answer["present"]["worst"]["reduction"] is None  # it may fall as far as it likes

@@ -26,11 +26,16 @@ import jointid as ji
 from jointid.apps.cli import main
 from jointid.diagnostics.check_loop import add_loop_verdict
 from jointid.diagnostics.report_data import collect_report_data as collect
+from jointid.models.disturbances import Drift, PositionHarmonics
+from jointid.models.linear import frequency_response
+from jointid.output.export import read_estimated
 from jointid.paper.errata import ERRATA
 from jointid.paper.published import TABLES
 from jointid.paper.recomputed import compare_table as recomputed
 from jointid.paper.recomputed import find_misprints
 from jointid.paper.reproduce import reproduce
+from jointid.records.resampling import Resampling
+from jointid.simulation.closed_loop import Initial, simulate_many
 from jointid.simulation.sensitivities import simulate_sensitivities, warm_up
 from jointid.uncertainty.bootstrap import Bootstrapping
 from studies.servo import servo_twin
@@ -902,11 +907,11 @@ KEYWORDS: Mapping[str, str] = {}
 
 _LAWS = {"cascade": ji.Cascade, "pd": ji.PD, "pid": ji.PID, "state_space": ji.StateSpaceController}
 _FILTERS = {
-    "digital": ji.DigitalFilter,
-    "moving_average": ji.MovingAverage,
-    "first_order": ji.FirstOrder,
-    "second_order": ji.SecondOrder,
-    "notch": ji.Notch,
+    "digital": ji.filters.DigitalFilter,
+    "moving_average": ji.filters.MovingAverage,
+    "first_order": ji.filters.FirstOrder,
+    "second_order": ji.filters.SecondOrder,
+    "notch": ji.filters.Notch,
 }
 
 
@@ -1013,9 +1018,9 @@ def idim(estimator: Any = "ols", *, harmonics: int = 0, period: float | None = N
     """Return settings of IDIM."""
     effects: list[Any] = []
     if harmonics:
-        effects.append(ji.PositionHarmonics(period=period, harmonics=harmonics))
+        effects.append(PositionHarmonics(period=period, harmonics=harmonics))
     if drift is not None:
-        effects.append(ji.Drift(drift))
+        effects.append(Drift(drift))
     return ji.IDIM(estimator, tuple(effects))
 
 
@@ -1070,7 +1075,7 @@ def learned(record: Any, **given: Any) -> Json:
 def run(driven: Any, record: Any, values: Mapping[str, float], initial: Sequence[float | None] | None = None) -> Json:
     """Simulate one candidate and return every signal of it."""
     made = ji.simulate(
-        driven, ji.prepare(driven, record), _valued(values), None if initial is None else ji.Initial(*initial)
+        driven, ji.prepare(driven, record), _valued(values), None if initial is None else Initial(*initial)
     )
     return {
         "outcome": code(made.outcome.name.lower()),
@@ -1088,7 +1093,7 @@ def run(driven: Any, record: Any, values: Mapping[str, float], initial: Sequence
 
 def run_many(driven: Any, record: Any, candidates: Sequence[Mapping[str, float]], workers: int | None) -> list[Json]:
     """Simulate many candidates for their torque."""
-    made = ji.simulate_many(driven, ji.prepare(driven, record), [_valued(v) for v in candidates], workers=workers)
+    made = simulate_many(driven, ji.prepare(driven, record), [_valued(v) for v in candidates], workers=workers)
     return [
         {
             "outcome": code(one.outcome.name.lower()),
@@ -1114,7 +1119,7 @@ def slopes(driven: Any, record: Any, values: Mapping[str, float], names: Sequenc
 
 def response(of: Any, values: Mapping[str, float], hertz: Any, output: Any) -> Json:
     """Return the frequency response of a joint."""
-    made = ji.frequency_response(of, _valued(values), np.asarray(hertz), output)
+    made = frequency_response(of, _valued(values), np.asarray(hertz), output)
     return {"real": numbers(made.real), "imaginary": numbers(made.imag)}
 
 
@@ -1139,7 +1144,7 @@ def matrices(found: Any, period: float | None = None, side: Any = None) -> Json:
 
 def read_export(identified: Path, joint_path: Path) -> Any:
     """Return an answer read back for export."""
-    return ji.read_estimated(identified, ji.load(joint_path).joint)
+    return read_estimated(identified, ji.load(joint_path).joint)
 
 
 def dossier(found: Any, record: Any) -> Json:
@@ -1207,7 +1212,7 @@ def by_profile(record: Any, path: Path, profile: str, columns: Mapping[str, str]
 def read_resampled(path: Path, sample_time: float, method: Any) -> Json:
     """Return a record with a clock that is not uniform, brought to one that is."""
     names = {"torque": "torque", "reference": "reference"}
-    return recorded(ji.read(path, names, resample=ji.Resampling(sample_time, method)))
+    return recorded(ji.read(path, names, resample=Resampling(sample_time, method)))
 
 
 def behind_gear(path: Path, model: str, gear: Mapping[str, Any], numbers_of_law: Mapping[str, Any]) -> tuple[Any, Any]:

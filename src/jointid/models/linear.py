@@ -195,7 +195,7 @@ def frequency_response(
     Example:
         >>> import numpy as np, jointid as ji
         >>> values = {"inertia": 2.0, "viscous": 0.0, "coulomb": 1.0, "offset": 0.0}
-        >>> response = ji.frequency_response(ji.RigidJoint(), values, np.array([1.0]))
+        >>> response = frequency_response(ji.RigidJoint(), values, np.array([1.0]))
         >>> print(round(float(abs(response[0])), 6))  # 1 / (2 pi f J)
         0.079577
     """

@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 from jointid import Filtering, FlexibleJoint, RigidJoint, frequencies, rigid_sums
+from jointid.common.document import Table
 from jointid.common.text import aligned, number
 from jointid.paper.published import REGRESSOR, SYMBOLS, TABLES, Cell, PublishedTable
 
@@ -173,14 +174,17 @@ class TableComparison:
     recomputed: tuple[str, ...]
     rows: tuple[ComparisonRow, ...]
 
+    def beside(self, run: tuple[str, ...] = (), cells: Mapping[str, tuple[str, ...]] = MappingProxyType({})) -> Table:
+        """Return it as a table, with the columns of a run: their headings, and their cells by the row's name."""
+        columns = {"printed": self.printed, "recomputed": self.recomputed, "this run": run}
+        header = tuple(f"{whose} {text}" for whose, headings in columns.items() for text in headings)
+        nothing = ("-",) * len(run)
+        rows = tuple((row.label, *row.printed, *row.recomputed, *cells.get(row.name, nothing)) for row in self.rows)
+        return Table(("", *header), rows, self.table.caption)
+
     def __str__(self) -> str:
-        header = [
-            "",
-            *(f"printed {text}" for text in self.printed),
-            *(f"recomputed {text}" for text in self.recomputed),
-        ]
-        rows = [[row.label, *row.printed, *row.recomputed] for row in self.rows]
-        return aligned(header, rows, [False, *[True] * (len(header) - 1)])
+        table = self.beside()
+        return aligned(table.header, table.rows, [False, *[True] * (len(table.header) - 1)])
 
 
 def format_printed(value: Decimal) -> str:

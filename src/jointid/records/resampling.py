@@ -48,8 +48,7 @@ class Resampling:
     An averaged channel is taken as the mean over the new periods, of values that are each the mean over their own.
 
     Example:
-        >>> import jointid as ji
-        >>> ji.Resampling(1e-3, "cubic").held
+        >>> Resampling(1e-3, "cubic").held
         'hold'
     """
 

@@ -10,7 +10,7 @@ import numpy as np
 import jointid as ji
 from jointid.models.joints import Joint
 from jointid.output.export.joint_model import JointModel, joint_model
-from jointid.output.json.parts import gravity_answer, transmission_answer
+from jointid.output.json import plain
 
 
 def answer(joint: Joint, values: Mapping[str, float | None], record: str = "run 7") -> dict[str, Any]:
@@ -21,8 +21,8 @@ def answer(joint: Joint, values: Mapping[str, float | None], record: str = "run 
         "model": joint.model,
         "kind": joint.kind,
         "friction": joint.friction.name,
-        "gravity": gravity_answer(joint),
-        "transmission": transmission_answer(joint.transmission),
+        "gravity": plain(joint.gravity),
+        "transmission": plain(joint.transmission),
         "record": {"name": record, "sample_time": 1e-3, "torque_sha256": "5f1c"},
         "parameters": {
             p.name: {

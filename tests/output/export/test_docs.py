@@ -9,7 +9,7 @@ import pytest
 
 import jointid as ji
 from jointid.apps.cli.app import main
-from jointid.output.export.export import EXPORTERS
+from jointid.output.export import LANGUAGES
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "exports.md").read_text(encoding="utf-8")
 
@@ -34,6 +34,6 @@ def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
 
 
 def test_the_page_has_every_language_with_its_endings() -> None:
-    for made in EXPORTERS:
+    for made in LANGUAGES:
         endings = ", ".join(f"`{suffix}`" for suffix in made.suffixes)
         assert f"| {endings} | `{made.name}` |" in PAGE

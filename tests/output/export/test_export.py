@@ -15,7 +15,7 @@ import jointid as ji
 from jointid.apps.cli.app import main
 from jointid.apps.cli.results import Language
 from jointid.config import loads
-from jointid.output.export.export import EXPORTERS, exporter_of
+from jointid.output.export import LANGUAGES, find_language
 from jointid.output.export.joint_model import joint_model
 from jointid.paper.twin import JOINT_FILE, TABLE_2
 from jointid.simulation.closed_loop import Simulation
@@ -51,10 +51,10 @@ def exported(folder: Path, out: str, *words: object) -> int:
 
 
 def test_every_language_has_a_name_and_an_ending_of_its_own_and_the_command_knows_it() -> None:
-    assert set(get_args(Language)) == {made.name for made in EXPORTERS}
-    suffixes = [suffix for made in EXPORTERS for suffix in made.suffixes]
+    assert set(get_args(Language)) == {made.name for made in LANGUAGES}
+    suffixes = [suffix for made in LANGUAGES for suffix in made.suffixes]
     assert len(set(suffixes)) == len(suffixes)
-    assert all(exporter_of(f"a{suffix}".upper()).name for suffix in suffixes)
+    assert all(suffix in find_language(suffix.upper()).suffixes for suffix in suffixes)
 
 
 def test_the_joint_file_keeps_its_text_and_gives_the_values_back(
@@ -109,7 +109,7 @@ def test_simulate_takes_the_joint_file_and_gives_the_torque_of_the_estimate(fold
 def test_what_a_joint_file_cannot_have_is_left_out_and_said(folder: Path) -> None:
     file = ji.load(folder / "joint.toml")
     values: dict[str, float | None] = {**TABLE_2, "stiffness": None, "motor_viscous": -4.0}
-    made = ji.export(model(file.joint, values), ji.JointToml(file))
+    made = ji.export(model(file.joint, values), "joint-file", file=file)
     assert "what the record does not tell: stiffness" in made.lost
     assert "# K12 stiffness: refused: the record does not tell it" in made.text
     assert any("motor_viscous, which is outside its bounds: -4.0000 N s/m" in one for one in made.lost)
@@ -121,17 +121,17 @@ def test_what_a_joint_file_cannot_have_is_left_out_and_said(folder: Path) -> Non
 
 def test_a_joint_file_that_was_made_by_a_program_is_written_whole() -> None:
     file = loads(JOINT_FILE)
-    made = ji.export(model(file.joint, TABLE_2), ji.JointToml(file))
+    made = ji.export(model(file.joint, TABLE_2), "joint-file", file=file)
     assert loads(made.text).values() == TABLE_2
-    with pytest.raises(ji.MethodError, match=r"give it as JointToml\(file=load"):
+    with pytest.raises(ji.MethodError, match=r"file=load\(...\)"):
         ji.export(model(file.joint, TABLE_2), "joint-file")
     with pytest.raises(ji.MethodError, match="of another joint than the estimate"):
-        ji.export(model(ji.RigidJoint(), RIGID), ji.JointToml(file))
+        ji.export(model(ji.RigidJoint(), RIGID), "joint-file", file=file)
     geared = loads(JOINT_FILE.replace("[record]", "[transmission]\nratio = 3.0\n\n[record]", 1))
     with pytest.raises(ji.MethodError, match="asked of the motor side"):
-        ji.export(model(geared.joint, TABLE_2), ji.JointToml(geared), side="motor")
+        ji.export(model(geared.joint, TABLE_2), "joint-file", file=geared, side="motor")
     with pytest.raises(ji.MethodError, match='"start" or "fixed"'):
-        ji.JointToml(file, "kept")  # type: ignore[arg-type]
+        ji.export(model(file.joint, TABLE_2), "joint-file", file=file, values="kept")
 
 
 def test_friction_that_identify_was_told_on_the_command_line_comes_into_the_joint_file(tmp_path: Path) -> None:

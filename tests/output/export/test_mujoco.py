@@ -48,12 +48,12 @@ class Plant:
 
 
 def mjcf_torque(
-    joint: Joint, values: Mapping[str, float], law: ji.Cascade, reference: np.ndarray, exporter: Any = "mjcf"
+    joint: Joint, values: Mapping[str, float], law: ji.Cascade, reference: np.ndarray, timestep: float | None = None
 ) -> np.ndarray:
     """The torque of the motor's loop around MuJoCo; joint and law are of the motor's side."""
     told = model(joint, values)
     gear = told.on("load").gear if told.side is not None else 1.0
-    plant = Plant(ji.export(told, exporter).text, float(reference[0]) / gear)
+    plant = Plant(ji.export(told, "mjcf", timestep=timestep).text, float(reference[0]) / gear)
     if joint.model == "flexible":
         plant.data.qpos[1] = joint.start(values, float(reference[0]), 0.0)[2] / gear  # where the load hangs
     return servo(law, reference, 1e-3, lambda torque: gear * plant(torque))
@@ -63,7 +63,7 @@ def test_the_twin_s_torque_is_ours_with_both_frictions_and_the_spring() -> None:
     joint, law = ji.FlexibleJoint(), CONTROLLERS["L19"]
     ours = simulated(joint, law, REFERENCE, TABLE_2)
     by_itself = apart(mjcf_torque(joint, TABLE_2, law, REFERENCE), ours)
-    fine = apart(mjcf_torque(joint, TABLE_2, law, REFERENCE, ji.Mjcf(timestep=5e-5)), ours)
+    fine = apart(mjcf_torque(joint, TABLE_2, law, REFERENCE, timestep=5e-5), ours)
     assert by_itself < 0.004  # measured: 0.0029
     assert fine < 0.0015  # measured: 0.0010
 
@@ -72,9 +72,7 @@ def test_without_coulomb_friction_only_the_steps_are_between_us() -> None:
     joint, law = ji.FlexibleJoint(), CONTROLLERS["L19"]
     values = TABLE_2 | {"motor_coulomb": 0.0, "load_coulomb": 0.0}
     ours = simulated(joint, law, REFERENCE, values)
-    coarse, fine = (
-        apart(mjcf_torque(joint, values, law, REFERENCE, ji.Mjcf(timestep=step)), ours) for step in (1e-4, 1e-5)
-    )
+    coarse, fine = (apart(mjcf_torque(joint, values, law, REFERENCE, timestep=step), ours) for step in (1e-4, 1e-5))
     assert fine < 4e-4  # measured: 3.0e-4, first order in the step
     assert fine < 0.2 * coarse
 
@@ -86,7 +84,7 @@ def test_behind_a_gear_or_a_screw_the_control_is_the_motor_s_own_torque(gear: di
     joint = ji.FlexibleJoint("revolute", transmission=transmission)
     reference = ji.trapezoids([20.0, 60.0], 800.0, 20.0, 1e-3, duration=3.0)
     ours = simulated(joint, LAW, reference, FLEXIBLE)
-    assert apart(mjcf_torque(joint, FLEXIBLE, LAW, reference, ji.Mjcf(timestep=5e-5)), ours) < 0.01
+    assert apart(mjcf_torque(joint, FLEXIBLE, LAW, reference, timestep=5e-5), ours) < 0.01
     told = ji.export(model(joint, FLEXIBLE), "mjcf").text
     (found,) = (one for one in ET.fromstring(told).iter("joint") if one.get("name") == "load" and one.get("type"))
     assert found.get("type") == {"prismatic": "slide", "revolute": "hinge"}[gear["load"]]
@@ -110,7 +108,7 @@ def test_a_link_weighs_what_it_does(ratio: float, sign: int) -> None:
     reference = ratio * ji.trapezoids([0.5, 2.0], 8.0, 1.0, 1e-3, duration=4.0)
     law = ji.Cascade(kp=30.0, kv=2.0)
     ours = simulated(joint, law, reference, LINK)
-    assert apart(mjcf_torque(joint, LINK, law, reference, ji.Mjcf(timestep=1e-4)), ours) < 0.003
+    assert apart(mjcf_torque(joint, LINK, law, reference, timestep=1e-4), ours) < 0.003
 
 
 def test_uneven_coulomb_friction_is_an_even_one_and_a_force() -> None:
@@ -131,14 +129,14 @@ def test_a_vertical_axis_with_uneven_friction_on_both_sides_loses_nothing_but_st
     weighing = ji.FlexibleJoint(gravity=ji.Gravity("constant", ji.Counterbalance(rate=40.0)))
     values = TABLE_2 | {"offset": 0.0, "gravity_constant": 35.0, "counterbalance_rate": 40.0}
     ours = simulated(weighing, law, REFERENCE, values)
-    assert apart(mjcf_torque(weighing, values, law, REFERENCE, ji.Mjcf(timestep=1e-4)), ours) < 0.003
+    assert apart(mjcf_torque(weighing, values, law, REFERENCE, timestep=1e-4), ours) < 0.003
     uneven = ji.FlexibleJoint(friction=ji.AsymmetricFriction())
     values = {name: TABLE_2[name] for name in ("motor_inertia", "stiffness", "damping", "load_inertia")}
     values |= {f"{side}_viscous_{way}": 100.0 for side in ("motor", "load") for way in ("forwards", "backwards")}
     values |= {"motor_coulomb_forwards": 14.0, "motor_coulomb_backwards": 8.0, "offset": 0.0}
     values |= {"load_coulomb_forwards": 6.0, "load_coulomb_backwards": 15.0}
     ours = simulated(uneven, law, REFERENCE, values)
-    assert apart(mjcf_torque(uneven, values, law, REFERENCE, ji.Mjcf(timestep=1e-4)), ours) < 0.003
+    assert apart(mjcf_torque(uneven, values, law, REFERENCE, timestep=1e-4), ours) < 0.003
 
 
 def test_a_rigid_urdf_gives_our_torque_but_for_what_it_says_it_lost() -> None:
@@ -190,7 +188,7 @@ def test_what_these_languages_cannot_hold_is_refused_in_a_sentence() -> None:
         with pytest.raises(ji.MethodError, match="expected a positive inertia"):
             ji.export(model(ji.RigidJoint(), values | {"inertia": -1.0}), language)
     with pytest.raises(ji.MethodError, match="time step"):
-        ji.Mjcf(timestep=0.0)
+        ji.export(model(ji.RigidJoint(), values), "mjcf", timestep=0.0)
     motor = ji.RigidJoint("revolute", gravity=ji.Gravity("link", angle=0.01))
     weighing = {**values, "gravity_cos": 1.0, "gravity_sin": 0.0}
     assert any("weight" in one for one in ji.export(model(motor, weighing), "mjcf").lost)

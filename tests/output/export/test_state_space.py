@@ -88,7 +88,7 @@ def matrices(text: str, name: str) -> dict[str, np.ndarray]:
 
 def test_a_matlab_script_has_the_same_numbers_and_only_comments_beside() -> None:
     told = model(JOINT, TABLE_2, "Achse 3 (links)", "a\n!rm -rf\n%{\nsystem('x') ...")
-    text = ji.export(told, ji.Matlab(period=2e-3, delay=1e-3)).text
+    text = ji.export(told, "matlab", period=2e-3, delay=1e-3).text
     continuous, sampled = ji.state_space(told), ji.state_space(told).sampled(2e-3, 1e-3)
     for name, system in (("Achse_3_links", continuous), ("Achse_3_links_sampled", sampled)):
         found = matrices(text, name)
@@ -138,8 +138,9 @@ def test_the_file_says_what_is_lost_and_where_its_numbers_come_from() -> None:
 
 def test_the_delay_is_that_of_the_estimate_unless_another_is_asked_for() -> None:
     told = joint_model(answer(JOINT, VISCOUS) | {"delay": 1.5e-3}, JOINT)
-    for exporter, delay in ((ji.StateSpaceJson(), 1.5e-3), (ji.StateSpaceJson(delay=0.0), 0.0)):
-        found = json.loads(ji.export(told, exporter).text)["sampled"]
+    asked: list[tuple[dict[str, float], float]] = [({}, 1.5e-3), ({"delay": 0.0}, 0.0)]
+    for settings, delay in asked:
+        found = json.loads(ji.export(told, "state-space", **settings).text)["sampled"]
         assert found["delay"] == delay
         np.testing.assert_array_equal(found["A"], ji.state_space(told).sampled(T, delay).A)
 
@@ -152,7 +153,7 @@ def test_what_cannot_be_sampled_is_refused() -> None:
     with pytest.raises(ji.MethodError, match="sampled already"):
         system.sampled(T).sampled(T)
     with pytest.raises(ji.MethodError, match="A period is a positive number"):
-        ji.StateSpaceJson(period=-1.0)
+        ji.export(model(JOINT, VISCOUS), "state-space", period=-1.0)
     several: dict[str, Any] = answer(JOINT, TABLE_2) | {
         "schema": "jointid.together/1",
         "records": [{"name": n, "sample_time": t, "torque_sha256": ""} for n, t in (("a", 1e-3), ("b", 2e-3))],
@@ -160,7 +161,7 @@ def test_what_cannot_be_sampled_is_refused() -> None:
     told = joint_model(several, JOINT)
     with pytest.raises(ji.MethodError, match="give the period"):
         ji.export(told, "state-space")
-    assert json.loads(ji.export(told, ji.StateSpaceJson(period=T)).text)["sampled"]["period"] == T
+    assert json.loads(ji.export(told, "state-space", period=T).text)["sampled"]["period"] == T
 
 
 def test_without_python_control_its_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

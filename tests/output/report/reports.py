@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import jointid as ji
+from jointid.output.report.report import Report, report_file
 
 EVIL = "<script>document.title='x'</script></script><!--[a](javascript:x)|"
 
@@ -24,21 +25,21 @@ def rigid_record(
 
 
 @cache
-def rigid() -> ji.Report:
+def rigid() -> Report:
     """Of a rigid joint by DIDIM, from a record with a hostile name."""
     record, loop = rigid_record(name=EVIL)
     return ji.report_estimate(ji.identify(record, loop), record, name=EVIL)
 
 
 @cache
-def idim() -> ji.Report:
+def idim() -> Report:
     """Of the same joint by IDIM."""
     record, loop = rigid_record()
     return ji.report_estimate(ji.identify(record, loop.joint), record)
 
 
 @cache
-def flexible() -> ji.Report:
+def flexible() -> Report:
     """Of the twin's flexible joint."""
     axis = ji.twin()
     record = axis.record.without("motor_position", "load_position")
@@ -48,7 +49,7 @@ def flexible() -> ji.Report:
 
 
 @cache
-def refused(record: Path) -> ji.Report:
+def refused(record: Path) -> Report:
     """Of the EMPS axis taken for a flexible joint, whose stiffness is refused."""
     from dataclasses import replace
 
@@ -56,4 +57,4 @@ def refused(record: Path) -> ji.Report:
     tables = file.tables()
     tables["joint"]["model"] = "flexible"
     tables["method"] = {"name": "didim"}
-    return ji.report_file(replace(type(file).of(tables, file.path)), record)
+    return report_file(replace(type(file).of(tables, file.path)), record)

@@ -15,6 +15,7 @@ import pytest
 import jointid as ji
 from jointid.common.document import inert
 from jointid.output.figures.charts import thin
+from jointid.output.report.report import Report
 from tests.apps.cli.test_commands import EMPS, run
 from tests.browser import opened
 from tests.output.report import reports
@@ -246,7 +247,7 @@ def test_a_long_record_says_what_is_left_out() -> None:
             "predicted": np.resize(told.estimate.fit.predicted, many),
         }
     )
-    longer = ji.Report(replace(told.dossier, estimate=estimate, motion=None))
+    longer = Report(replace(told.dossier, estimate=estimate, motion=None))
     assert f"of {many} samples are drawn" in longer.charts["torque"].caption
     assert "residual" not in longer.charts
 

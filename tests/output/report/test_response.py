@@ -7,6 +7,7 @@ import pytest
 
 import jointid as ji
 from jointid.diagnostics.report_data import compute_response, estimate_spectra
+from jointid.models.linear import frequency_response
 from tests.output.report import reports
 
 VALUES = {
@@ -28,7 +29,7 @@ def test_the_response_is_that_of_the_equations_of_motion() -> None:
         )
         expected = s * np.linalg.solve(matrix, [1.0, 0.0])
         found = [
-            ji.frequency_response(ji.FlexibleJoint(), v, np.array([hertz]), output)[0]
+            frequency_response(ji.FlexibleJoint(), v, np.array([hertz]), output)[0]
             for output in ("motor_velocity", "load_velocity")
         ]
         assert found == pytest.approx(list(expected), rel=1e-9)

@@ -36,7 +36,7 @@ def inspect(
         figure: also save a picture of all channels, PNG, SVG or PDF by its suffix.
     """
     from jointid import inspect as look
-    from jointid.output.figures.channels import channels_figure
+    from jointid.output.figures import channels_figure
 
     check_outputs(json, figures=(figure,))
     deliver(look(file, **_given(delimiter, decimal, header)), json, (figure, channels_figure))

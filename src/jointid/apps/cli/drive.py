@@ -67,7 +67,7 @@ def tune(
     from jointid import Tuning
     from jointid import tune as run
     from jointid.diagnostics.check_loop import add_loop_verdict
-    from jointid.output.figures.tuning_figure import tuning_figure
+    from jointid.output.figures import tuning_figure
 
     check_outputs(options.json, figures=(figure,))
     settings = Tuning(gain_margin, phase_margin, modulus, confidence, notch, false_alarm, power)

@@ -151,20 +151,19 @@ def export(
         timestep: of MJCF, in s.
     """
     from jointid.output import json as answers
-    from jointid.output.export.export import export as run
-    from jointid.output.export.export import exporter_named, exporter_of, read_estimated
-    from jointid.output.export.joint_toml import JointToml
+    from jointid.output.export import export as run
+    from jointid.output.export import find_language, read_estimated
 
     check_outputs(out)
     if out.exists() and out.samefile(estimate):
         raise RecordError(f"{out} is the estimate itself, which would be replaced; name another file.")
     given = {"values": "fixed" if fixed else None, "period": period, "delay": delay, "timestep": timestep}
     settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
-    exporter = exporter_of(out, **settings) if format is None else exporter_named(format, **settings)
+    language = find_language(format or out.suffix.lower()).name
     file = Options(changes=changes).load(joint, friction=answers.read_friction(estimate))
-    if isinstance(exporter, JointToml):
-        exporter = JointToml(file, exporter.values, out.parent)
-    exported = run(read_estimated(estimate, file.joint, file.name), exporter, side=side)
+    if language == "joint-file":
+        settings |= {"file": file, "folder": out.parent}
+    exported = run(read_estimated(estimate, file.joint, file.name), language, side=side, **settings)
     exported.save(out)
     show(exported)
     show(f"written: {out}")

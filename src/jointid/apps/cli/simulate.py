@@ -178,15 +178,16 @@ def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet:
         seed: of the noise; the same seed gives the same bytes.
         quiet: say nothing of the progress.
     """
+    from jointid.output.figures import torque_png
     from jointid.output.report.page import require_extra, save
-    from jointid.output.report.reproduction import reproduction_document
     from jointid.paper.reproduce import reproduce as run
+    from jointid.paper.reproduce import reproduction_document
 
     require_extra(plots=False)
     make_folder(out)
     ready(listen(quiet))
     found = run(seed, listen(quiet))
-    written = save(reproduction_document(found), out, "reproduction")
+    written = save(reproduction_document(found, torque_png), out, "reproduction")
     didim, best = found.first.didim, found.first.best
     for name in ("motor_inertia", "load_inertia", "stiffness"):
         value, std, truth = best.values[name], best[name].stderr or 0.0, found.first.axis.truth[name]

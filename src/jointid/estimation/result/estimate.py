@@ -213,7 +213,7 @@ class Estimate(Documented):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plots:
-    """The figures of an estimate; ``jointid.save(figure, path)`` writes one."""
+    """The figures of an estimate, of matplotlib: ``figure.savefig(path)`` writes one."""
 
     estimate: Estimate
 

@@ -3,7 +3,7 @@
 A search always ends somewhere, and its end has a stiffness. That number is reported only when
 
 - the flexible joint explains the torque significantly better than a rigid one, by a test made for a compliance that
-  cannot be negative (`uncertainty.flexible_vs_rigid_test`);
+  cannot be negative (`uncertainty.model_tests`);
 - what it explains is more than the error that repeats with the motion and remains: a model that lacks more than the
   spring gives may as well have made the spring up;
 - inertias and stiffness are told from 0, and the mode is one that a log of this rate can follow;

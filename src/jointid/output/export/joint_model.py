@@ -6,7 +6,6 @@ are read from it here, whether they come from a file or have just been found.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,8 +18,10 @@ from jointid.models.gravity import Gravity
 from jointid.models.joints import Joint
 from jointid.models.parameters import POSITION_UNIT, TORQUE_UNIT, Kind
 from jointid.models.refer import OtherSide
+from jointid.output.json import plain
 from jointid.output.json.estimates import ESTIMATE_SCHEMA, LONG_SCHEMA, TOGETHER_SCHEMA
-from jointid.output.json.parts import Json, gravity_answer, transmission_answer
+from jointid.output.json.keys import Json
+from jointid.output.json.reading import number_or_none
 
 SCHEMAS = (ESTIMATE_SCHEMA, TOGETHER_SCHEMA, LONG_SCHEMA)
 """Of the answers that say what a joint is."""
@@ -166,6 +167,12 @@ class JointModel:
         return self._mass("load_") if self.flexible else None
 
     @property
+    def masses(self) -> dict[str, Mass]:
+        """The motor and, where the joint is flexible, the load, by these names."""
+        load = self.load
+        return {"motor": self.motor} | ({} if load is None else {"load": load})
+
+    @property
     def stiffness(self) -> float:
         """Of the spring between motor and load; 0 where the joint is rigid.
 
@@ -185,9 +192,9 @@ class JointModel:
         return self.values.get("damping", 0.0)
 
     @property
-    def offset(self) -> float:
-        """The constant force on the motor."""
-        return self.values["offset"]
+    def friction_shift(self) -> float:
+        """The constant force on the motor: its offset, and what makes an even Coulomb friction an uneven one."""
+        return self.values["offset"] + self.motor.shift
 
     @property
     def weight(self) -> Weight | None:
@@ -259,15 +266,15 @@ def _read(answer: Json, joint: Joint, name: str) -> JointModel:
         joint.model,
         joint.kind,
         joint.friction.name,
-        gravity_answer(joint),
-        transmission_answer(joint.transmission),
+        plain(joint.gravity),
+        plain(joint.transmission),
     )
     told = tuple(answer[key] for key in ("model", "kind", "friction", "gravity", "transmission"))
     if answer["schema"] not in SCHEMAS or told != declared:
         raise ValueError
     found = answer["parameters"]
     records = answer["records"] if answer["schema"] == TOGETHER_SCHEMA else [answer["record"]]
-    rates = {_number(record["sample_time"]) for record in records}
+    rates = {number_or_none(record["sample_time"]) for record in records}
     return JointModel(
         name,
         joint,
@@ -276,7 +283,7 @@ def _read(answer: Json, joint: Joint, name: str) -> JointModel:
         tuple(_parameter(found[p.name], p.name, p.symbol, joint.unit(p)) for p in joint.parameters),
         joint.gravity,
         rates.pop() if len(rates) == 1 else None,
-        _number(answer.get("delay", 0.0)) or 0.0,
+        number_or_none(answer.get("delay", 0.0)) or 0.0,
         Origin(
             answer["schema"],
             str(answer.get("method", "")),
@@ -291,15 +298,6 @@ def _parameter(found: Mapping[str, Any], name: str, symbol: str, unit: str) -> E
     """Return a parameter of an answer; its symbol and its unit are the joint's own."""
     if found["unit"] != unit:
         raise ValueError
-    value, std, bound = (_number(found[key]) for key in ("value", "std", "lower_bound"))
+    value, std, bound = (number_or_none(found[key]) for key in ("value", "std", "lower_bound"))
     free, identifiable = bool(found["free"]), bool(found["identifiable"])
     return EstimatedParameter(name, symbol, unit, value, std, free, identifiable, bound)
-
-
-def _number(value: object) -> float | None:
-    """Return a number of an answer, None where it has none; a text, or what is not finite, is no number."""
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError
-    return float(value)

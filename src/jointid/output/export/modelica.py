@@ -8,15 +8,11 @@ sign, and where the push of a mass at rest exceeds the friction.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import ClassVar
 
-from jointid.common.transmission import Side
 from jointid.estimation.result.params import EstimatedParameter
 from jointid.models.friction import DIRECTIONS, PARTS
 from jointid.output.export.joint_model import JointModel
-from jointid.output.export.naming import identifier, number
-from jointid.output.export.provenance import effects_left_out, interval, remarks
+from jointid.output.export.text import effects_left_out, identifier, interval, number, remarks
 
 _RESERVED = (
     "algorithm", "and", "annotation", "block", "break", "class", "connect", "connector", "constant", "constrainedby",
@@ -29,48 +25,37 @@ _RESERVED = (
 _FUNCTIONS = {"constant": "1", "cos": "cos({})", "sin": "sin({})", "rate": "{}"}
 
 
-@dataclass(frozen=True, slots=True)
-class Modelica:
-    """Modelica 3, a model with an input for the torque."""
+def modelica(model: JointModel) -> tuple[str, tuple[str, ...]]:
+    """Return a joint as Modelica 3, a model with an input for the torque, and what is not in it.
 
-    name: ClassVar[str] = "modelica"
-    described: ClassVar[str] = "Modelica: all equations, true sticking, no library needed"
-    suffixes: ClassVar[tuple[str, ...]] = (".mo",)
-    side: ClassVar[Side | None] = None
-
-    def lost(self, model: JointModel) -> tuple[str, ...]:
-        """Return a sentence for each part of the joint that the text does not have."""
-        return effects_left_out(model)
-
-    def text(self, model: JointModel) -> str:
-        """Return the file's text.
-
-        Raises:
-            MethodError: a value is refused, or no joint can have it.
-        """
-        name = identifier(model.name, _RESERVED)
-        masses = ["motor"] if model.load is None else ["motor", "load"]
-        prefixes = {mass: f"{mass}_" if model.flexible else "" for mass in masses}
-        _ = model.motor, model.stiffness  # which refuse what no joint has
-        lines = [
-            f'model {name} "{model.kind} {model.joint.model} joint, identified"',
-            *(f"  // {line}" for line in remarks(model, self.lost(model))),
-            *(_declared(p) for p in model.parameters),
-        ]
-        if model.gravity is not None:
-            angle = number(model.gravity.angle)
-            lines.append(f'  parameter Real gravity_angle = {angle} "rad of the link per unit of the position";')
-        lines.append(f'  input Real torque(unit="{_unit(model.torque_unit)}") "of the motor{_of_side(model)}";')
-        for mass in masses:
-            lines += _variables(model, mass)
-        lines.append("initial equation")
-        for mass in masses:
-            lines.append(f"  {mass}_direction = if {mass}_velocity > 0 then 1 else if {mass}_velocity < 0 then -1")
-            lines.append(f"    else {_released(model, mass, prefixes[mass])};")
-        lines.append("equation")
-        for mass in masses:
-            lines += _equations(model, mass, prefixes[mass])
-        return "\n".join([*lines, f"end {name};", ""])
+    Raises:
+        MethodError: a value is refused, or no joint can have it.
+    """
+    name, lost = identifier(model.name, _RESERVED), effects_left_out(model)
+    prefixes = {mass: f"{mass}_" if model.flexible else "" for mass in model.masses}
+    _ = model.stiffness  # which refuses what no joint has
+    lines = [
+        f'model {name} "{model.kind} {model.joint.model} joint, identified"',
+        *(f"  // {line}" for line in remarks(model, lost)),
+        *(_declared(p) for p in model.parameters),
+    ]
+    if model.gravity is not None:
+        angle = number(model.gravity.angle)
+        lines.append(f'  parameter Real gravity_angle = {angle} "rad of the link per unit of the position";')
+    side = "" if model.side is None else f", on the {model.side} side"
+    if model.gear != 1.0:
+        side = f", seen on the load side: {number(model.gear)} times its own"
+    lines.append(f'  input Real torque(unit="{_unit(model.torque_unit)}") "of the motor{side}";')
+    for mass in prefixes:
+        lines += _variables(model, mass)
+    lines.append("initial equation")
+    for mass, prefix in prefixes.items():
+        lines.append(f"  {mass}_direction = if {mass}_velocity > 0 then 1 else if {mass}_velocity < 0 then -1")
+        lines.append(f"    else {_released(model, mass, prefix)};")
+    lines.append("equation")
+    for mass, prefix in prefixes.items():
+        lines += _equations(model, mass, prefix)
+    return "\n".join([*lines, f"end {name};", ""]), lost
 
 
 def _declared(p: EstimatedParameter) -> str:
@@ -81,11 +66,6 @@ def _declared(p: EstimatedParameter) -> str:
 def _unit(unit: str) -> str:
     """Return a unit as Modelica writes it: factors joined by points, and one stroke."""
     return unit.replace(" ", ".")
-
-
-def _of_side(model: JointModel) -> str:
-    ratio = f", seen on the load side: {number(model.gear)} times its own" if model.gear != 1.0 else ""
-    return ratio or ("" if model.side is None else f", on the {model.side} side")
 
 
 def _variables(model: JointModel, mass: str) -> Iterator[str]:

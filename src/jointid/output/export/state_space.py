@@ -1,4 +1,4 @@
-"""The linear part of a joint as a state space, continuous and sampled.
+"""The linear part of a joint as a state space, continuous and sampled; in files as JSON and as a MATLAB script.
 
 With the motor's position and velocity, and the load's, as states and the torque tau as input::
 
@@ -19,15 +19,25 @@ from typing import Any
 
 import numpy as np
 
+from jointid import __version__
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, extra
-from jointid.common.text import number
+from jointid.common.json_file import dumps
+from jointid.common.text import number as shown
 from jointid.models.linear import OUTPUTS, discretise, drive_matrices
 from jointid.models.parameters import Quantity, unit_of
 from jointid.output.export.joint_model import JointModel
-from jointid.output.export.provenance import effects_left_out, friction_shift, uneven_viscous
+from jointid.output.export.text import effects_left_out, identifier, number, remarks, uneven_viscous
+from jointid.output.json import plain
+from jointid.output.json.keys import Json
+
+STATE_SPACE_SCHEMA = "jointid.state-space/1"
 
 _MOST = 1000  # periods of delay: each is a state
+_RESERVED = (
+    "break", "case", "catch", "classdef", "continue", "else", "elseif", "end", "for", "function", "global", "if",
+    "otherwise", "parfor", "persistent", "return", "spmd", "switch", "try", "while", "ss", "struct",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,33 +122,130 @@ def linear_part(model: JointModel) -> StateSpace:
     Raises:
         MethodError: a value is refused, or no joint can have it.
     """
-    motor, load, weight = model.motor, model.load, model.weight
+    masses, weight = model.masses.values(), model.weight
     rate = 0.0 if weight is None else weight.rate
-    masses = (motor,) if load is None else (motor, load)
     A, b = drive_matrices(
         [mass.inertia for mass in masses], [mass.viscous for mass in masses], model.stiffness, model.damping, rate
     )
     states: tuple[str, ...] = OUTPUTS[: len(A)]
-    B = b[:, np.newaxis]
     quantities = (Quantity.POSITION, Quantity.VELOCITY)
     units = {name: unit_of(quantities[i % 2], model.kind, model.torque_unit) for i, name in enumerate(states)}
     units["torque"] = model.torque_unit
-    return StateSpace(A, B, np.eye(len(A)), np.zeros((len(A), 1)), units, states, ("torque",), states)
+    return StateSpace(
+        A, b[:, np.newaxis], np.eye(len(A)), np.zeros((len(A), 1)), units, states, ("torque",), states
+    )  # fmt: skip
 
 
-def not_linear(model: JointModel) -> tuple[str, ...]:
+def state_space_json(
+    model: JointModel, *, period: float | None = None, delay: float | None = None
+) -> tuple[str, tuple[str, ...]]:
+    """Return a state space as JSON, for SciPy, python-control and whatever reads numbers, and what is not in it.
+
+    Args:
+        model: the joint.
+        period: s, to sample it with; without it the record's sample time.
+        delay: s, from a sample of the torque to its effect; without it as the joint was identified with.
+
+    Raises:
+        MethodError: a time is impossible, a value is refused, no joint can have it, or nothing says the period.
+    """
+    continuous, sampled = _both(model, period, delay)
+    origin, lost = model.origin, _not_linear(model)
+    answer: Json = {
+        "schema": STATE_SPACE_SCHEMA,
+        "jointid": __version__,
+        "name": model.name,
+        "model": model.joint.model,
+        "kind": model.kind,
+        "side": model.side,
+        "motor_torque_to_input": model.gear,
+        "units": dict(continuous.units),
+        "continuous": _matrices(continuous),
+        "sampled": {"period": sampled.period, "delay": sampled.delay} | _matrices(sampled),
+        "parameters": {p.name: plain(p) for p in model.parameters},
+        "source": {
+            "schema": origin.schema,
+            "method": origin.method or None,
+            "records": [
+                {"name": name, "torque_sha256": mark or None}
+                for name, mark in zip(origin.records, origin.fingerprints, strict=True)
+            ],
+        },
+        "lost": list(lost),
+    }
+    return dumps(answer), lost
+
+
+def matlab(
+    model: JointModel, *, period: float | None = None, delay: float | None = None
+) -> tuple[str, tuple[str, ...]]:
+    """Return a MATLAB script that makes two models of the Control System Toolbox, and what is not in them.
+
+    Octave's `control` package has the same.
+
+    Args:
+        model: the joint.
+        period: s, see `state_space_json`.
+        delay: s, likewise.
+
+    Raises:
+        MethodError: see `state_space_json`.
+    """
+    continuous, sampled = _both(model, period, delay)
+    name, lost = identifier(model.name, _RESERVED), _not_linear(model)
+    units = ", ".join(f"{signal} {unit}" for signal, unit in continuous.units.items())
+    lines = [f"% {line}" for line in (*remarks(model, lost), f"Units: {units}")]
+    if model.gear != 1.0:
+        lines.append(f"% The input is {number(model.gear)} times the motor's own torque.")
+    for system, made in ((continuous, name), (sampled, f"{name}_sampled")):
+        lines += ["", f"{made} = struct();"]
+        lines += [f"{made}.{letter} = {_matrix(getattr(system, letter))};" for letter in "ABCD"]
+        given = [f"{made}.{letter}" for letter in "ABCD"] + ([] if system.period is None else [number(system.period)])
+        for key, signals in (
+            ("StateName", system.states), ("InputName", system.inputs), ("OutputName", system.outputs)
+        ):  # fmt: skip
+            given.append(f"'{key}', {{{', '.join(map(repr, signals))}}}")
+        lines.append(f"{made}.sys = ss({', '.join(given)});")
+    return "\n".join(lines) + "\n", lost
+
+
+def _both(model: JointModel, period: float | None, delay: float | None) -> tuple[StateSpace, StateSpace]:
+    """Return the linear part, continuous and sampled."""
+    if not (period is None or 0 < period < math.inf) or not (delay is None or 0 <= delay < math.inf):
+        raise MethodError(
+            f"A period is a positive number of seconds, a delay 0 or more; received {period} and {delay}."
+        )
+    continuous, period = linear_part(model), period or model.sample_time
+    if period is None:
+        raise MethodError("The records have sample times of their own; give the period to sample with.")
+    return continuous, continuous.sampled(period, model.delay if delay is None else delay)
+
+
+def _not_linear(model: JointModel) -> tuple[str, ...]:
     """Return a sentence for each part of a joint that its state space does not have."""
-    unit, weight = model.torque_unit, model.weight
-    masses = [("motor", model.motor)] if model.load is None else [("motor", model.motor), ("load", model.load)]
+    unit, weight, masses = model.torque_unit, model.weight, model.masses
     lost = [
-        f"the Coulomb friction of the {name}, {number(mass.coulomb)} {unit}, and with it all sticking"
-        for name, mass in masses
+        f"the Coulomb friction of the {name}, {shown(mass.coulomb)} {unit}, and with it all sticking"
+        for name, mass in masses.items()
         if mass.coulomb
     ]
-    constants = [("motor", friction_shift(model)), *((name, mass.shift) for name, mass in masses[1:])]
-    lost += [f"a constant force of {number(force)} {unit} on the {name}" for name, force in constants if force]
+    constants = {name: mass.shift for name, mass in masses.items()} | {"motor": model.friction_shift}
+    lost += [f"a constant force of {shown(force)} {unit} on the {name}" for name, force in constants.items() if force]
     if weight is not None and weight.constant:
-        lost.append(f"the constant load, {number(weight.constant)} {unit}")
+        lost.append(f"the constant load, {shown(weight.constant)} {unit}")
     if weight is not None and weight.turns:
         lost.append("the weight, which follows the cosine and the sine of the position")
     return (*lost, *uneven_viscous(model), *effects_left_out(model))
+
+
+def _matrices(system: StateSpace) -> Json:
+    return {
+        "states": list(system.states),
+        "inputs": list(system.inputs),
+        "outputs": list(system.outputs),
+        **{letter: getattr(system, letter).tolist() for letter in "ABCD"},
+    }
+
+
+def _matrix(values: FloatArray) -> str:
+    return f"[{'; '.join(' '.join(number(value) for value in row) for row in values)}]"

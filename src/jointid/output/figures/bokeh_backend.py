@@ -77,8 +77,8 @@ def _figure(panel: Panel, x_range: Any, columns: int, sources: _Sources) -> figu
         }
     if x_range is not None:
         scales["x_range"] = x_range
-    if panel.y_range is not None:
-        scales["y_range"] = panel.y_range
+    scales |= {key: given for key in ("x_range", "y_range") if (given := getattr(panel, key)) is not None}
+    scales["match_aspect"] = panel.equal
     if cells:
         scales |= {
             "x_range": list(cells[0].names),

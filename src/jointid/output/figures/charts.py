@@ -98,7 +98,8 @@ class Panel:
         log_x, log_y: whether an axis is logarithmic.
         height: of the panel, in pixels at a width of 900.
         group: panels of one chart with the same name move and zoom together along x.
-        y_range: where it is not to follow the data.
+        x_range, y_range: where it is not to follow the data.
+        equal: whether a unit is as long in x as in y.
     """
 
     x_label: str
@@ -110,6 +111,8 @@ class Panel:
     height: int = 300
     group: str = ""
     y_range: tuple[float, float] | None = None
+    x_range: tuple[float, float] | None = None
+    equal: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,12 +124,14 @@ class Chart:
         caption: what to see, in sentences.
         panels: from left to right, then down.
         columns: in a row.
+        title: above all panels, of a figure on paper.
     """
 
     name: str
     caption: str
     panels: tuple[Panel, ...]
     columns: int = 1
+    title: str = ""
 
 
 def said(correlation: float) -> str:

@@ -30,6 +30,8 @@ def draw(chart: Chart) -> Figure:
     figure = Figure(figsize=(width, sum(heights) / _INCH), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.subplots(len(rows), chart.columns, squeeze=False, height_ratios=heights)
+    if chart.title:
+        figure.suptitle(chart.title, fontsize=10).set_parse_math(False)
     groups: dict[str, Axes] = {}
     for i, axes in enumerate(grid.flat):
         if i >= len(chart.panels):
@@ -88,8 +90,12 @@ def _panel(axes: Axes, panel: Panel) -> None:
     axes.margins(x=0)
     for item in panel.items:
         _item(axes, item)
+    if panel.x_range is not None:
+        axes.set_xlim(*panel.x_range)
     if panel.y_range is not None:
         axes.set_ylim(*panel.y_range)
+    if panel.equal:
+        axes.set_aspect("equal")
     if any(getattr(item, "label", "") and not isinstance(item, Mark | Level) for item in panel.items):
         axes.legend(
             loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, ncols=6, fontsize=8, frameon=False,

@@ -1,24 +1,32 @@
-"""An estimate's file back, as far as a later command needs it."""
+"""An estimate back from its file, as far as a later command needs it: JSON, or the page of a report."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
+from collections.abc import Mapping
+from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 from jointid.common.errors import MethodError, RecordError
+from jointid.diagnostics.changes import ReportedEstimate, ReportedQuantity
 from jointid.estimation.methods.registry import METHODS, method_of
 from jointid.estimation.result.estimate import IdentifiedJoint
 from jointid.models.disturbances import effect_parameters
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import Joint
-from jointid.output.json.estimates import ESTIMATE_SCHEMA
-from jointid.output.json.parts import Json, gravity_answer, read_effect, transmission_answer
+from jointid.output.json.documents import plain
+from jointid.output.json.estimates import EFFECTS, ESTIMATE_SCHEMA
+from jointid.output.json.keys import Json
+from jointid.output.json.shapes import REPORT_ELEMENT, REPORT_SCHEMA
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 
-_LARGEST = 2**26  # bytes
+_LARGEST = 2**26  # bytes of a file: the page of a report on 25 s has 3 MB
+_REMEDY = "give the file that identify --json wrote"
+_REMEDY_OF_REPORT = "give what identify --json or report --html wrote"
 
 
 def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
@@ -34,7 +42,7 @@ def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> 
             refuses a value, without which no torque can be predicted.
     """
     answer = read_answer(path)
-    if (told := answer.get("transmission")) != (declared := transmission_answer(joint.transmission)):
+    if (told := answer.get("transmission")) != (declared := plain(joint.transmission)):
         raise RecordError(
             f"{path} was identified with {_geared(told)}, and this joint has {_geared(declared)}; correct "
             "[transmission], or identify with this joint file first."
@@ -89,17 +97,16 @@ def read_answer(path: str | os.PathLike[str]) -> Json:
     Raises:
         RecordError: the file cannot be read, or is no JSON object.
     """
-    remedy = "give the file that identify --json wrote"
     try:
         if (size := Path(path).stat().st_size) > _LARGEST:
-            raise RecordError(f"{path} has {size} bytes, which no answer has (at most {_LARGEST}); {remedy}.")
+            raise RecordError(f"{path} has {size} bytes, which no answer has (at most {_LARGEST}); {_REMEDY}.")
         answer = json.loads(Path(path).read_text(encoding="utf-8-sig"), parse_constant=_no_number)
     except OSError as error:
-        raise RecordError(f"{path} cannot be read ({error.strerror}); {remedy}.") from None
+        raise RecordError(f"{path} cannot be read ({error.strerror}); {_REMEDY}.") from None
     except (ValueError, RecursionError):
-        raise RecordError(f"{path} is no JSON file; {remedy}.") from None
+        raise RecordError(f"{path} is no JSON file; {_REMEDY}.") from None
     if not isinstance(answer, dict):
-        raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {remedy}.")
+        raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY}.")
     return answer
 
 
@@ -111,10 +118,10 @@ def _no_number(name: str) -> float:
 def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
     found = answer["parameters"]
     same = answer["schema"] == ESTIMATE_SCHEMA and (answer["model"], answer["kind"]) == (joint.model, joint.kind)
-    same = same and answer.get("gravity") == gravity_answer(joint)
+    same = same and answer.get("gravity") == plain(joint.gravity)
     if not same or any(found[p.name]["unit"] != joint.unit(p) for p in joint.parameters):
         raise ValueError
-    effects = tuple(read_effect(effect) for effect in answer.get("effects", []))
+    effects = tuple(EFFECTS[given.pop("kind")](**given) for given in map(dict, answer.get("effects", [])))
     every = (*joint.parameters, *effect_parameters(effects))
     values = {p.name: float(found[p.name]["value"]) for p in every}
     if not all(math.isfinite(value) for value in (*values.values(), float(answer["delay"]))):
@@ -144,3 +151,130 @@ def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identifi
         str(answer["controller_sha256"] or ""),
         effects,
     )
+
+
+class _Answer(HTMLParser):
+    """Finds the answer that a page carries along."""
+
+    def __init__(self) -> None:
+        super().__init__(convert_charrefs=False)
+        self.inside = False
+        self.text: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.inside = tag == "script" and dict(attrs).get("id") == REPORT_ELEMENT
+
+    def handle_endtag(self, tag: str) -> None:
+        self.inside = False
+
+    def handle_data(self, data: str) -> None:
+        if self.inside:
+            self.text.append(data)
+
+
+def read_report(path: str | Path) -> ReportedEstimate:
+    """Return the estimate in a file: the JSON of an estimate or of a report, or the HTML page of a report.
+
+    Raises:
+        RecordError: the file cannot be read, or holds no estimate.
+    """
+    path = Path(path)
+    answer: object = _loaded(path)
+    if isinstance(answer, dict) and answer.get("schema") == REPORT_SCHEMA:
+        answer = answer.get("estimate")
+    if not isinstance(answer, dict) or answer.get("schema") != ESTIMATE_SCHEMA:
+        raise RecordError(f"{path} holds no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY_OF_REPORT}.")
+    try:
+        return _told(answer, path.name)
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise RecordError(f"{path} is a damaged estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY_OF_REPORT}.") from None
+
+
+def _loaded(path: Path) -> Json:
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise RecordError(f"{path} has more than {_LARGEST >> 20} MB, which no report has; {_REMEDY_OF_REPORT}.")
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise RecordError(f"{path} cannot be read ({error.strerror}); {_REMEDY_OF_REPORT}.") from None
+    except UnicodeDecodeError:
+        raise RecordError(f"{path} is no text; {_REMEDY_OF_REPORT}.") from None
+    if text.lstrip()[:1] == "<":
+        page = _Answer()
+        page.feed(text)
+        text = "".join(page.text)
+    try:
+        answer = json.loads(text)
+    except (ValueError, RecursionError):
+        raise RecordError(f"{path} holds no JSON; {_REMEDY_OF_REPORT}.") from None
+    if not isinstance(answer, dict):
+        raise RecordError(f"{path} holds no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY_OF_REPORT}.")
+    return answer
+
+
+def _told(answer: Json, label: str) -> ReportedEstimate:
+    record, gear = answer["record"], answer["transmission"]
+    side = "" if gear is None else f"{gear['side']} side, {float(gear['motor_per_load']):g} motor per load"
+    filtering = answer["filtering"]
+    borders = " + ".join(str(int(border)) for border in filtering["borders"])
+    settings = {
+        "method": str(answer["variant"]),
+        "filter": f"{filtering['cutoff']} Hz, one sample in {filtering['decimation']}",
+        "samples left out": borders,
+        "controller": str(answer["controller_sha256"] or "none")[:12],
+    }
+    sums = [one for one in answer.get("combinations") or () if _of_both_sides(one["weights"])]
+    return ReportedEstimate(
+        label,
+        str(record["name"]),
+        str(record["torque_sha256"]),
+        str(answer["model"]),
+        str(answer["kind"]),
+        str(answer["friction"]),
+        side,
+        str(record["torque_unit"]),
+        settings,
+        float(answer["relative_error_percent"]) / 100,
+        tuple(_quantity(n, p) for n, p in answer["parameters"].items() if not n.startswith("initial_")),
+        tuple(
+            ReportedQuantity(
+                str(one["name"]),
+                str(one["formula"]),
+                str(one["unit"]),
+                number_or_none(one["value"]),
+                number_or_none(one["std"]),
+            )
+            for one in sums
+        ),
+    )
+
+
+def _of_both_sides(weights: Mapping[str, float]) -> bool:
+    """Return whether weights are the sum or difference of one quantity on both sides; files before 0.2 say no kind."""
+    (first, one), *rest = weights.items()
+    side, _, quantity = first.partition("_")
+    return side == "motor" and one == 1.0 and len(rest) == 1 and rest[0] in {(f"load_{quantity}", w) for w in (1, -1)}
+
+
+def _quantity(name: str, p: Mapping[str, Any]) -> ReportedQuantity:
+    return ReportedQuantity(
+        name,
+        str(p["symbol"]),
+        str(p["unit"]),
+        number_or_none(p["value"]),
+        number_or_none(p["std"]),
+        free=bool(p["free"]),
+    )
+
+
+def number_or_none(value: object) -> float | None:
+    """Return a number of a document, None for null.
+
+    Raises:
+        ValueError: it is a text, or not finite.
+    """
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError
+    return float(value)

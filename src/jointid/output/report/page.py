@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from jointid.common.document import Document, Heading, Picture, block_html, inert
 from jointid.common.errors import RecordError, extra
 from jointid.output.figures.bokeh_backend import PURPOSE, script
-from jointid.output.json.reports import REPORT_ELEMENT
+from jointid.output.json.shapes import REPORT_ELEMENT
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -1,15 +1,19 @@
-"""The figures of a report: each chart from a dossier, with a caption that says what to see."""
+"""The charts of a report, each from its data, with a caption that says what to see."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from jointid.common.arrays import FloatArray
 from jointid.common.text import number
 from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.result.estimate import Estimate
+from jointid.models.parameters import POSITION_UNIT
 from jointid.output.figures.charts import (
     ERROR,
     LOAD,
@@ -19,17 +23,168 @@ from jointid.output.figures.charts import (
     Band,
     Cells,
     Chart,
+    Dots,
     Item,
     Level,
     Line,
     Mark,
     Panel,
+    stride,
+    thin,
 )
-from jointid.output.figures.figures import torque_word
-from jointid.output.report.signals import Axes, residual_chart, torque_chart
-from jointid.uncertainty.profile import Profile
+from jointid.output.figures.figures import liveliest, torque_word
 
 _MODES = {"free_free": "free-free", "motor_locked": "motor locked", "load_locked": "load locked"}
+_SAMPLES = 30_000  # of a signal over time that are drawn: 25 s at 1 kHz are drawn as they are
+_MOVING = 4_000  # of the motion, which has no noise to be shown
+_POINTS = 4_000  # of a cloud
+_CELLS = 40  # of the mean over velocity or position
+_FEW = 5  # samples: a cell with fewer has no mean worth a line
+
+
+@dataclass(frozen=True, slots=True)
+class Axes:
+    """Names and units of the compared signal and of the motion, and the side of the transmission both are on.
+
+    `side` follows a quantity on an axis, as ", load side"; it is empty without a transmission.
+    """
+
+    quantity: str
+    unit: str
+    length: str
+    predicted: str
+    side: str = ""
+
+    @classmethod
+    def of(cls, estimate: Estimate) -> Axes:
+        """Return the names of an estimate's signals."""
+        length = POSITION_UNIT[estimate.settings.joint.kind]
+        predicted = "inverse model" if estimate.settings.method == "idim" else "simulated"
+        gear = estimate.settings.joint.transmission
+        side = "" if gear is None else f", {gear.side} side"
+        if estimate.fit.compared == "position":
+            return cls("position", length, length, predicted, side)
+        return cls(torque_word(estimate.data.torque_unit), estimate.data.torque_unit, length, predicted, side)
+
+    @property
+    def label(self) -> str:
+        """Of the compared signal's axis."""
+        return f"{self.quantity}{self.side} [{self.unit}]"
+
+
+def torque_chart(given: ReportData) -> Chart:
+    """Return measured and simulated torque, their difference, and the motion, over one time axis."""
+    estimate, motion = given.estimate, given.motion
+    names = Axes.of(estimate)
+    time = np.asarray(np.arange(estimate.fit.measured.size) * estimate.data.sample_time, dtype=np.float64)
+    error = estimate.fit.measured - estimate.fit.predicted
+    t, measured, predicted, remains = thin(time, estimate.fit.measured, estimate.fit.predicted, error, most=_SAMPLES)
+    low, high = liveliest(estimate.fit.measured)
+    near = time[low:high]
+    panels = [
+        Panel(
+            "", names.label,
+            (
+                Line(near, estimate.fit.measured[low:high], MEASURED, "measured", 1.6),
+                Line(near, estimate.fit.predicted[low:high], SIMULATED, names.predicted, 1.6),
+            ),
+            f"its liveliest part, {near[0]:.1f} to {near[-1]:.1f} s", height=260,
+        ),
+        Panel(
+            "", names.label,
+            (Line(t, measured, MEASURED, "measured"), Line(t, predicted, SIMULATED, names.predicted)),
+            "the whole record", height=280, group="time",
+        ),
+        Panel("", f"error [{names.unit}]", (Line(t, remains, ERROR, "error", 0.8),), height=190, group="time"),
+    ]  # fmt: skip
+    if motion is not None:
+        ts, velocity = thin(time, motion.velocity, most=_MOVING)
+        panels.append(
+            Panel(
+                "",
+                f"velocity{names.side} [{names.length}/s]",
+                (Line(ts, velocity, "#777777"),),
+                height=150,
+                group="time",
+            )
+        )
+    last = panels[-1]
+    panels[-1] = Panel("time [s]", last.y_label, last.items, height=last.height + 25, group="time")
+    caption = (
+        f"Measured and {names.predicted} {names.quantity} lie on each other where the model is right; below them their "
+        f"difference, {100 * estimate.fit.relative_error:.2f} % of the measured, on a scale of its own"
+        + ("" if motion is None else f", and the {given.motion_source} velocity of the motor")
+        + ". On a screen, zooming one of the last panels zooms the others."
+        + _kept(t.size, time.size)
+    )
+    return Chart("torque", caption, tuple(panels))
+
+
+def _kept(kept: int, all_of: int) -> str:
+    if kept == all_of:
+        return ""
+    return f" {kept} of {all_of} samples are drawn, the least and the largest of every stretch: no peak is lost."
+
+
+def residual_chart(given: ReportData) -> Chart | None:
+    """Return the error against velocity and position, with its mean, and its autocorrelation; None without a motion."""
+    estimate, motion = given.estimate, given.motion
+    if motion is None:
+        return None
+    names = Axes.of(estimate)
+    inside = slice(estimate.fit.borders[0], estimate.fit.measured.size - estimate.fit.borders[1])
+    error = (estimate.fit.measured - estimate.fit.predicted)[inside]
+    velocity, position = motion.velocity[inside], motion.position[inside]
+    forwards = velocity > 0.02 * float(np.max(np.abs(velocity), initial=0.0))
+    backwards = velocity < -0.02 * float(np.max(np.abs(velocity), initial=0.0))
+    everywhere = np.ones_like(forwards)
+    label = f"error [{names.unit}]"
+    panels = [
+        Panel(
+            f"velocity{names.side} [{names.length}/s]", label, _cloud(velocity, error, {"mean": everywhere}), height=280
+        ),
+        Panel(
+            f"position{names.side} [{names.length}]", label,
+            _cloud(position, error, {"mean forwards": forwards, "mean backwards": backwards}), height=280,
+        ),
+    ]  # fmt: skip
+    told = ""
+    if given.validation is not None:
+        found = given.validation
+        lags = np.arange(found.autocorrelation.size, dtype=np.float64)
+        white = np.full(lags.size, found.white_band)
+        panels.append(
+            Panel(
+                "lag [filtered samples]", "autocorrelation",
+                (Band(lags, -white, white, "#999999", "white"), Line(lags, found.autocorrelation, ERROR, dots=True)),
+                height=280,
+            )
+        )  # fmt: skip
+        told = " The last panel is the filtered error's autocorrelation, in the grey band if it were white."
+    every = -(-error.size // _POINTS)
+    drawn = "" if every == 1 else f" (one sample in {every})"
+    caption = (
+        f"The error against the {given.motion_source} velocity and position of the motor{drawn}, "
+        "with its mean over all samples. Noise alone has a mean of 0 everywhere: a mean "
+        f"that bends with velocity is friction, one that waves with position is cogging, gravity or a screw's pitch."
+        f"{told}"
+    )
+    return Chart("residual", caption, tuple(panels), columns=len(panels))
+
+
+def _cloud(x: FloatArray, error: FloatArray, of: Mapping[str, NDArray[np.bool_]]) -> tuple[Item, ...]:
+    """Return points, and their means over cells of x for each choice of samples."""
+    items: list[Item] = [Dots(stride(x, _POINTS), stride(error, _POINTS), "#888888")]
+    for (label, chosen), colour in zip(of.items(), (OTHERS[3], OTHERS[0]), strict=False):
+        if np.count_nonzero(chosen) < 2 * _FEW or np.ptp(x[chosen]) == 0:
+            continue
+        edges = np.linspace(x[chosen].min(), x[chosen].max(), _CELLS + 1)
+        cell = np.clip(np.searchsorted(edges, x[chosen], side="right") - 1, 0, _CELLS - 1)
+        count = np.bincount(cell, minlength=_CELLS)
+        mean = np.bincount(cell, error[chosen], _CELLS) / np.maximum(count, 1)
+        enough = count >= _FEW
+        items.append(Line((0.5 * (edges[:-1] + edges[1:]))[enough], mean[enough], colour, label, 2.0))
+    return tuple(items)
 
 
 def spectra_chart(given: ReportData) -> Chart | None:
@@ -52,16 +207,13 @@ def spectra_chart(given: ReportData) -> Chart | None:
         ),
         log_x=True, log_y=True, height=360,
     )  # fmt: skip
-    where = "" if not modes else " The joint's three frequencies are marked, " + ", ".join(_said_modes(modes)) + "."
+    said = ", ".join(f"{_MODES[name]} {hertz:.1f} Hz" for name, hertz in modes.items())
+    where = f" The joint's three frequencies are marked, {said}." if modes else ""
     caption = (
         f"Amplitude spectra, {found.resolution:.2g} Hz apart. Where the error lies well below the measured "
         f"{names.quantity} the model explains it; where it reaches it, nothing is explained.{where}"
     )
     return Chart("spectra", caption, (panel,))
-
-
-def _said_modes(modes: Mapping[str, float]) -> list[str]:
-    return [f"{_MODES[name]} {hertz:.1f} Hz" for name, hertz in modes.items()]
 
 
 def _marks(modes: Mapping[str, float], highest: float) -> tuple[Mark, ...]:
@@ -134,7 +286,21 @@ def profiles_chart(given: ReportData) -> Chart | None:
     shown = [one for one in given.profiles if one.points.size > 2]
     if not shown:
         return None
-    panels = tuple(_profile(one, given.estimate) for one in shown)
+    panels: list[Panel] = []
+    for one in shown:
+        risen = 2.0 * np.sqrt(np.maximum(one.rise, 0.0) / one.threshold)
+        items: list[Item] = [Line(one.points, risen, MEASURED, "", 1.6, dots=True)]
+        known = next((p for p in given.estimate.params if p.symbol == one.formula and p.stderr), None)
+        std = None if known is None else known.stderr
+        if one.name == "compliance" and given.estimate["stiffness"].stderr:
+            std = (given.estimate["stiffness"].stderr or 0.0) * one.estimate**2
+        if std:
+            inside = np.clip(one.points, one.estimate - 3 * std, one.estimate + 3 * std)
+            x = np.unique(np.array([inside.min(), one.estimate, inside.max()]))
+            items.append(Line(x, np.abs(x - one.estimate) / std, "#666666", "", 1.0, "dashed"))
+        items.append(Level(2.0, ""))
+        label = f"{one.formula} [{one.unit}]"
+        panels.append(Panel(label, "rise [sigma]", tuple(items), height=210, y_range=(0.0, 3.2)))
     caption = (
         "Each quantity held away from its estimate, all others fitted again: how many standard deviations the "
         "criterion has risen. The interval ends where the line passes 2; the dashed line is what the table's interval, "
@@ -145,22 +311,7 @@ def profiles_chart(given: ReportData) -> Chart | None:
             " Rigid DIDIM ends where the simulated motion's regressor sees nothing more in the error, which is not "
             "quite where the squares are least: a profile may go below the estimate."
         )
-    return Chart("profiles", caption, panels, columns=3)
-
-
-def _profile(one: Profile, estimate: Estimate) -> Panel:
-    risen = 2.0 * np.sqrt(np.maximum(one.rise, 0.0) / one.threshold)
-    items: list[Item] = [Line(one.points, risen, MEASURED, "", 1.6, dots=True)]
-    known = next((p for p in estimate.params if p.symbol == one.formula and p.stderr), None)
-    std = None if known is None else known.stderr
-    if one.name == "compliance" and estimate["stiffness"].stderr:
-        std = (estimate["stiffness"].stderr or 0.0) * one.estimate**2
-    if std:
-        inside = np.clip(one.points, one.estimate - 3 * std, one.estimate + 3 * std)
-        x = np.unique(np.array([inside.min(), one.estimate, inside.max()]))
-        items.append(Line(x, np.abs(x - one.estimate) / std, "#666666", "", 1.0, "dashed"))
-    items.append(Level(2.0, ""))
-    return Panel(f"{one.formula} [{one.unit}]", "rise [sigma]", tuple(items), height=210, y_range=(0.0, 3.2))
+    return Chart("profiles", caption, tuple(panels), columns=3)
 
 
 def convergence_chart(given: ReportData) -> Chart | None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from jointid.common.document import Document
 from jointid.common.errors import RecordError
+from jointid.common.json_file import dumps
 from jointid.common.progress import Progress, silent
 from jointid.config import JointFile
 from jointid.diagnostics.report_data import ReportData, collect_report_data
@@ -15,13 +16,12 @@ from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
 from jointid.output.figures.charts import Chart
 from jointid.output.figures.matplotlib_backend import png, svg
-from jointid.output.json import dumps
-from jointid.output.json.reports import report_answer
-from jointid.output.report.narrative import report_title
+from jointid.output.json import plain
+from jointid.output.json.shapes import REPORT_SCHEMA
 from jointid.output.report.page import page, write_files
 from jointid.output.report.pictures import draw_charts
 from jointid.output.report.reproducibility import Repetition
-from jointid.output.report.sections import report_blocks
+from jointid.output.report.sections import report_blocks, report_title
 from jointid.records.record import Record
 
 
@@ -102,7 +102,28 @@ class Report:
 
     def answer(self) -> str:
         """Return the JSON that the page carries along."""
-        return dumps(report_answer(self.dossier, self.repetition))
+        given, repeated = self.dossier, self.repetition
+        return dumps(
+            plain(
+                {
+                    "schema": REPORT_SCHEMA,
+                    "version": repeated.version,
+                    "estimate": given.estimate,
+                    "validation": given.validation,
+                    "checks": given.checks,
+                    "loop": given.loop,
+                    "profiles": given.profiles,
+                    "frequencies": {} if given.response is None else given.response.modes,
+                    "revealing": given.stiffness_test,
+                    "absent": given.absent,
+                    "record_file": repeated.record_name or None,
+                    "record_file_sha256": repeated.record_sha256 or None,
+                    "joint_file_name": repeated.joint_name or None,
+                    "joint_file": repeated.joint_file or None,
+                    "command": repeated.command or None,
+                }
+            )
+        )
 
     def _document(self, *, interactive: bool) -> Document:
         told = report_blocks(self.dossier, self.charts, self.repetition, interactive=interactive)

@@ -2,59 +2,51 @@
 
 from __future__ import annotations
 
+import inspect
 import os
-from dataclasses import Field, dataclass, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypeAlias
+from typing import Any
 
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.transmission import SIDES, Side
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import Joint
+from jointid.output.export.joint_file import joint_file
 from jointid.output.export.joint_model import JointModel, joint_model
-from jointid.output.export.joint_toml import JointToml
-from jointid.output.export.linear import Matlab, StateSpaceJson
-from jointid.output.export.mjcf import Mjcf
-from jointid.output.export.modelica import Modelica
-from jointid.output.export.state_space import StateSpace, linear_part
-from jointid.output.export.urdf import Urdf
-from jointid.output.json import estimate_answer
-from jointid.output.json.reading import read_answer
-
-Known: TypeAlias = Estimate | Estimate | Estimate | JointModel
-"""Results that can be exported: those that hold the parameters of a joint."""
+from jointid.output.export.modelica import modelica
+from jointid.output.export.robots import mjcf, urdf
+from jointid.output.export.state_space import StateSpace, linear_part, matlab, state_space_json
+from jointid.output.json import read_answer, to_dict
 
 
-class Exporter(Protocol):
-    """A language: a frozen dataclass whose fields are the settings of what it writes.
+@dataclass(frozen=True, slots=True)
+class Language:
+    """A language that joints are written in.
 
     Attributes:
         name: what `export` and the command line call it.
-        described: what it is, in a line.
         suffixes: the endings of its files, in lower case, with the dot.
+        write: returns the text of a `JointModel`, and a sentence for each part of the joint that the text does not
+            have; its keyword arguments are the settings.
         side: of a transmission, whose numbers it has unless another is asked for; None: those that were identified.
     """
 
-    name: ClassVar[str]
-    described: ClassVar[str]
-    suffixes: ClassVar[tuple[str, ...]]
-    side: ClassVar[Side | None]
-    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
-
-    def lost(self, model: JointModel) -> tuple[str, ...]:
-        """Return a sentence for each part of the joint that the text does not have."""
-        ...
-
-    def text(self, model: JointModel) -> str:
-        """Return the file's text.
-
-        Raises:
-            JointidError: the language cannot hold this joint.
-        """
-        ...
+    name: str
+    suffixes: tuple[str, ...]
+    write: Callable[..., tuple[str, tuple[str, ...]]]
+    side: Side | None = None
 
 
-EXPORTERS: tuple[type[Exporter], ...] = (JointToml, StateSpaceJson, Matlab, Mjcf, Urdf, Modelica)
+LANGUAGES = (
+    Language("joint-file", (".toml",), joint_file),
+    Language("state-space", (".json",), state_space_json),
+    Language("matlab", (".m",), matlab),
+    Language("mjcf", (".xml", ".mjcf"), mjcf, "load"),
+    Language("urdf", (".urdf",), urdf, "load"),
+    Language("modelica", (".mo",), modelica),
+)
 """Every language there is."""
 
 
@@ -90,19 +82,36 @@ class Export:
         )
 
 
-def export(estimate: Known, exporter: str | Exporter, *, side: Side | None = None, name: str | None = None) -> Export:
+def export(
+    estimate: Estimate | JointModel,
+    language: str,
+    *,
+    side: Side | None = None,
+    name: str | None = None,
+    **settings: Any,
+) -> Export:
     """Return an estimate in another tool's language.
+
+    - "joint-file": TOML with the values filled in. Settings: `file`, the `JointFile` it was identified with, whose text
+      is kept; `values`, "start" (where the next search begins) or "fixed" (what is kept); `folder`, where it will be.
+    - "state-space": linear, continuous and sampled, as JSON for SciPy and python-control. Settings: `period` and
+      `delay` in s, to sample with; without them the record's and the joint's.
+    - "matlab": the same as a script for MATLAB and Octave, with the same settings.
+    - "mjcf": motor and load with the spring between, friction of each, for MuJoCo. Setting: `timestep` in s.
+    - "urdf": one joint with damping and friction, without the spring, for ROS.
+    - "modelica": all equations, true sticking, no library needed.
 
     Args:
         estimate: what `identify` returned, or what `read_estimated` read.
-        exporter: the name of a language, or one with its settings: `Mjcf(timestep=1e-4)`.
+        language: its name, or the ending of its files.
         side: of a transmission, "motor" or "load", whose numbers are written; without it the load's for URDF and MJCF,
             whose joints are those of a robot's links, and else the side that was identified.
         name: what the joint is called; without it "joint", or the name it was read with.
+        settings: of the language.
 
     Raises:
-        MethodError: there is no such language or side, or the language cannot hold this joint.
-        JointFileError: see `JointToml`.
+        MethodError: there is no such language, setting or side, or the language cannot hold this joint.
+        JointFileError: the joint file cannot be read any more, or cannot say this.
 
     Example:
         >>> import jointid as ji
@@ -112,16 +121,20 @@ def export(estimate: Known, exporter: str | Exporter, *, side: Side | None = Non
         >>> print(ji.export(rigid, "urdf").lost[0][:16])
         a constant force
     """
-    made = exporter_named(exporter) if isinstance(exporter, str) else exporter
+    chosen = find_language(language)
+    known = list(inspect.signature(chosen.write).parameters)[1:]
+    unknown = [key for key in settings if key not in known]
+    if unknown:
+        has = ", ".join(known) or "none"
+        raise MethodError(f"{chosen.name} has no setting {', '.join(unknown)}; it has: {has}.")
     if side not in (None, *SIDES):
         raise MethodError(f'A side is "motor" or "load"; received "{side}".')
     model = _model(estimate, name)
-    usual = made.side if model.side is not None else None
-    model = model.on(side or usual)
-    return Export(made.name, made.text(model), made.lost(model))
+    model = model.on(side or (None if model.side is None else chosen.side))
+    return Export(chosen.name, *chosen.write(model, **settings))
 
 
-def state_space(estimate: Known, *, side: Side | None = None) -> StateSpace:
+def state_space(estimate: Estimate | JointModel, *, side: Side | None = None) -> StateSpace:
     """Return the linear part of a joint: from torque to positions and velocities; `sampled` makes it discrete.
 
     Args:
@@ -148,49 +161,24 @@ def read_estimated(path: str | os.PathLike[str], joint: Joint, name: str | None 
     return joint_model(read_answer(path), joint, name, str(path))
 
 
-def exporter_named(name: str, **settings: Any) -> Exporter:
-    """Return the language of that name, with settings.
+def find_language(name: str) -> Language:
+    """Return the language of that name, or whose files end so, in small letters or capitals.
 
     Raises:
-        MethodError: there is no such language, or it has no such setting.
+        MethodError: there is none.
     """
-    for made in EXPORTERS:
-        if made.name == name:
-            return _set(made, settings)
-    known = "; ".join(f"{made.name} ({', '.join(made.suffixes)})" for made in EXPORTERS)
+    for language in LANGUAGES:
+        if name.lower() in (language.name, *language.suffixes):
+            return language
+    known = "; ".join(f"{language.name} ({', '.join(language.suffixes)})" for language in LANGUAGES)
     raise MethodError(f'"{name}" is no language that a joint is exported to; expected one of {known}.')
 
 
-def exporter_of(path: str | os.PathLike[str], **settings: Any) -> Exporter:
-    """Return the language that the ending of a file's name means, with settings.
-
-    Raises:
-        MethodError: it means none, or the language has no such setting.
-    """
-    suffix = Path(path).suffix.lower()
-    for made in EXPORTERS:
-        if suffix in made.suffixes:
-            return _set(made, settings)
-    return exporter_named(suffix)
-
-
-def _set(made: type[Exporter], settings: dict[str, Any]) -> Exporter:
-    known = [field.name for field in fields(made)]
-    unknown = [name for name in settings if name not in known]
-    if unknown:
-        has = ", ".join(known) or "none"
-        raise MethodError(f"{made.name} has no setting {', '.join(unknown)}; it has: {has}.")
-    return made(**settings)
-
-
-def _model(estimate: Known, name: str | None) -> JointModel:
-    match estimate:
-        case JointModel():
-            return estimate if name is None else replace(estimate, name=name)
-        case Estimate():
-            answer = estimate_answer(estimate)
-        case _:
-            raise MethodError(
-                f"What is exported is an estimate, of one record or of several; received {type(estimate).__name__}."
-            )
-    return joint_model(answer, estimate.settings.joint, name)
+def _model(estimate: Estimate | JointModel, name: str | None) -> JointModel:
+    if isinstance(estimate, JointModel):
+        return estimate if name is None else replace(estimate, name=name)
+    if not isinstance(estimate, Estimate):
+        raise MethodError(
+            f"What is exported is an estimate, of one record or of several; received {type(estimate).__name__}."
+        )
+    return joint_model(to_dict(estimate), estimate.settings.joint, name)

@@ -1,0 +1,108 @@
+"""The joint file with the identified values filled in: what `identify` and `simulate` read again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+from jointid.common.errors import JointFileError, MethodError
+from jointid.config import JointFile, dumps, loads, with_parameters, with_paths
+from jointid.config.serialise import parameter_table
+from jointid.models.parameters import Parameter
+from jointid.output.export.joint_model import JointModel
+from jointid.output.export.text import effects_left_out, interval, number, remarks
+
+_STARTS = (
+    'jointid simulate takes these starts; identify begins there with method.start = "given" (rigid), or by itself.'
+)
+
+
+def joint_file(
+    model: JointModel,
+    *,
+    file: JointFile | None = None,
+    values: Literal["start", "fixed"] = "start",
+    folder: Path | None = None,
+) -> tuple[str, tuple[str, ...]]:
+    """Return the joint file of an estimate with its values, and a sentence for each value that it does not have.
+
+    Args:
+        model: the joint.
+        file: the joint file it was identified with; its text, comments too, is kept but for [parameters].
+        values: "start": where the next search begins; "fixed": what is kept.
+        folder: where it will stand, from which the paths of its records lead to the same files; the same folder where
+            None.
+
+    Raises:
+        MethodError: there are no such values, there is no joint file to fill in, or it has its numbers on the other
+            side.
+        JointFileError: the joint file cannot be read any more, or cannot say this.
+    """
+    if values not in ("start", "fixed"):
+        raise MethodError(f'The values of a joint file are "start" or "fixed"; received "{values}".')
+    file = _of_the_same_joint(file, model)
+    kept: dict[str, Parameter] = {}  # what the file says something of; what was fixed in it stays as it is
+    refused: list[str] = []
+    outside: list[str] = []
+    for declared, found in zip(file.joint.parameters, model.parameters, strict=True):
+        known, value = file.parameters.get(declared.name, declared), found.value
+        if known.free and value is None:
+            refused.append(declared.name)
+        elif known.free and value is not None and not known.lower <= value <= known.upper:
+            outside.append(f"{declared.name}, which is outside its bounds: {interval(found)}")
+        elif known.free:
+            kept[declared.name] = replace(known, free=values == "start", start=value)
+            continue
+        if declared.name in file.parameters:
+            kept[declared.name] = known
+    lost = [f"what the record does not tell: {', '.join(refused)}"] if refused else []
+    lost += [*outside, *effects_left_out(model)]
+
+    filled = replace(file, parameters=kept)
+    head = [*remarks(model, lost), *([_STARTS] if values == "start" else [])]
+    symbols = {p.name: p for p in file.joint.parameters}
+    lines = [f"{name} = {_toml(p, symbols[name])}" for name, p in kept.items()]
+    written = "\n".join(["[parameters]", *(f"# {line}" for line in head), *lines, ""])
+    before = file.path.parent
+    made = with_paths(_filled(file, filled, written), before, before if folder is None else folder)
+    loads(made)  # which refuses what could not be read again
+    return made, tuple(lost)
+
+
+def _of_the_same_joint(file: JointFile | None, model: JointModel) -> JointFile:
+    if file is None:
+        raise MethodError(
+            "A joint file is made from the one the joint was identified with, which has its record and controller; "
+            'give it as export(..., "joint-file", file=load(...)).'
+        )
+    if file.joint != model.joint:
+        raise MethodError(
+            "The joint file is of another joint than the estimate: their model, kind, friction, gravity or "
+            "transmission differ; give the one it was identified with."
+        )
+    transmission = model.joint.transmission
+    if transmission is not None and model.side != transmission.side:
+        raise MethodError(
+            f"The numbers are asked of the {model.side} side, and this joint file has them on the other; leave the "
+            "side out, or change transmission.side in it and identify again."
+        )
+    return file
+
+
+def _filled(file: JointFile, filled: JointFile, written: str) -> str:
+    """Return the file's own text with its parameters replaced, or all of it anew where that would not say the same."""
+    try:
+        text = with_parameters(file.path.read_text(encoding="utf-8-sig"), written)
+        if loads(text).tables() == filled.tables():
+            return text
+    except (OSError, JointFileError):  # it was made by a program, or changed since
+        pass
+    return with_parameters(dumps(filled), written)
+
+
+def _toml(parameter: Parameter, model: Parameter) -> str:
+    table = parameter_table(parameter, model)
+    if not isinstance(table, dict):
+        return number(table)
+    return f"{{ {', '.join(f'{key} = {number(value)}' for key, value in table.items())} }}"

@@ -1,0 +1,285 @@
+"""The shapes of all documents: for each class its keys in JSON, and where the value of each is found.
+
+A class that has no shape has its fields for keys.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from jointid.config import controller_text
+from jointid.models.controllers import Controller, numbers_of
+from jointid.output.json.estimates import estimate_shape
+from jointid.output.json.keys import Json, Shape, always, named, percent, same, take
+
+REPORT_SCHEMA = "jointid.report/1"
+REPORT_ELEMENT = "jointid-answer"
+"""The id of the element of a page that carries the document of its report."""
+
+
+def _initial(state: Any) -> Json:
+    """Return the motor's state at the first sample; its torque where it is known."""
+    torque = {} if state.torque is None else {"torque": state.torque}
+    return {"position": state.position, "velocity": state.velocity, **torque}
+
+
+def _margins(found: Any) -> Json:
+    """Return the margins of a loop; one that is not stable has none."""
+    shape: dict[str, Shape] = {
+        "gain": "gain",
+        "reduction": "reduction",
+        "phase_degrees": lambda margins: math.degrees(margins.phase),
+        "delay": "delay",
+        "distance_from_minus_one": "modulus",
+    }
+    return {"stable": found.stable} | (take(found, shape) if found.stable else dict.fromkeys(shape))
+
+
+def _law(controller: Controller) -> Json:
+    return {"name": type(controller).__name__, "numbers": numbers_of(controller)}
+
+
+SHAPES: Mapping[str, Shape] = {
+    # Estimates
+    "Estimate": estimate_shape,
+    "EstimatedParameter": {
+        **same("symbol", "value"),
+        "std": "stderr",
+        **same("unit", "free", "identifiable", "lower_bound"),
+    },
+    "Gravity": same("load", "angle"),  # its numbers are parameters
+    "Transmission": {
+        **same("motor_per_load", "lead"),
+        "motor_kind": "motor",
+        "load_kind": "load",
+        "side": "side",
+        "efficiency": always(1.0),
+    },
+    "PositionHarmonics": {"kind": always("harmonics"), **same("period", "harmonics", "side")},
+    "Drift": {"kind": always("drift"), **same("of", "side")},
+    "Initial": _initial,
+    "Resampled": {
+        **same("sample_time", "longest_gap"),
+        "channels": lambda resampled: {
+            name: {"method": method, "time": resampled.channels[name]} for name, method in resampled.methods.items()
+        },
+        "clocks": "clocks",
+    },
+    "Iteration": {
+        "iteration": "number",
+        **same("values", "residual_norm"),
+        "residual_change": "change",
+        "largest_step": "step",
+        **same("simulations", "gain_scale"),
+    },
+    "Message": same("code", "values", "words"),
+    "Verdict": same("subject", "good", "said", "status", "reasons"),
+    "Identifiability": lambda known: [*known.physical, *known.directions],
+    "Known": {
+        "name": "combination.name",
+        "formula": "combination.formula",
+        "kind": "combination.kind",
+        "weights": "combination.weights",
+        **same("value", "std"),
+        "unit": "combination.unit",
+        "known": "verdict",
+    },
+    "StiffnessBound": {"load_share": "share", "stiffness": "stiffness", "free_free_hz": "frequency"},
+    "ResidualReport": {
+        "relative_percent": percent("relative"),
+        "mean_removed_percent": percent("centred"),
+        **same("rms", "mean", "unit", "bands"),
+        "against_rigid_percent": percent("against_rigid"),
+        "whiteness_p": "whiteness.p_value",
+        "repeatable": "repeatable",
+    },
+    "Band": {
+        "low_hz": "low",
+        "high_hz": "high",
+        "error_percent": percent("error"),
+        "share_percent": percent("share"),
+    },
+    "Repeatable": {"rms": "rms", "share_percent": percent("share"), "p": "p_value"},
+    "Agreement": {
+        "sentence": str,
+        "differs": "differs",
+        "chi_square": "statistic",
+        "degrees_of_freedom": "degrees",
+        "p_value": "p_value",
+        "parameters": named("parameters"),
+    },
+    "Scatter": {
+        "records": "records",
+        "chi_square": "statistic",
+        **same("p_value", "differs"),
+        "std_between": "between",
+        "unit": "unit",
+    },
+    "Segment": {
+        **same("begin", "end", "windows", "values", "std"),
+        "filtered_error_percent": percent("filtered_error"),
+    },
+    # Diagnostics
+    "Validation": {
+        "schema": always("jointid.validation/1"),
+        **same("test", "method", "transmission", "record", "resampled", "identified_from", "channels"),
+        "relative_error_percent": percent("relative_error"),
+        "filtered_error_percent": percent("filtered_error"),
+        "tracking_error_percent": percent("tracking_error"),
+        "samples_left_out": "borders",
+        **same("autocorrelation", "white_band"),
+        "outside_band_percent": percent("outside_band"),
+        **same("initial", "simulations", "warnings"),
+    },
+    "MethodComparison": {
+        "schema": always("jointid.comparison/1"),
+        **same("record", "model", "methods", "disagreements"),
+    },
+    "LoopCheck": {
+        "schema": always("jointid.loop/1"),
+        **same("as_declared", "level", "sentences", "reasons", "findings"),
+        "suspects": "tests",
+    },
+    "Finding": {"suspect": "test", **same("value", "rivals", "changes")},
+    "FaultTest": {
+        **same("name", "alike", "declared"),
+        "more_than_declared": "size",
+        **same("std", "statistic", "p_value", "shape"),
+    },
+    "Advice": {
+        "schema": always("jointid.advice/1"),
+        **same("record", "noise", "transmission"),
+        "parameters": lambda advice: {
+            name: {"symbol": advice.symbols[name], "unit": advice.units[name], "std": std}
+            for name, std in advice.std.items()
+        },
+        **same("sensors", "tests", "sentences"),
+    },
+    "Prediction": {
+        "name": "name",
+        "described": "description",
+        "std": lambda prediction: dict(prediction.std) or None,
+    },
+    "StiffnessTestDesign": {
+        "schema": always("jointid.revealing/1"),
+        **same("record", "transmission"),
+        "pulses": {"height": "height", "width": "width", "told": "pulses"},
+        "load_encoder": {"step": "step", "told": "encoder"},
+        "sentence": str,
+    },
+    "DetectableMode": {
+        "load_share": "share",
+        "excluded_below_hz": "softest",
+        "relative_std": lambda mode: mode.deviation if math.isfinite(mode.deviation) else None,
+        "told_below_hz": "mode",
+    },
+    "EstimateComparison": {
+        "schema": always("jointid.drift/1"),
+        "a": "before",
+        "b": "after",
+        **same("same_record", "level"),
+        "quantities": lambda comparison: {
+            row.name: {
+                "symbol": row.symbol,
+                "unit": row.unit,
+                "a": row.before,
+                "b": row.after,
+                "difference": row.difference,
+                "std": row.std,
+                "p_value": row.p_value,
+                "changed": row in comparison.changed,
+                "said": row.reason or None,
+            }
+            for row in comparison.rows
+        },
+        "sentences": "sentences",
+    },
+    "ReportedEstimate": {"file": "label", "record": "record", "torque_sha256": "fingerprint"},
+    # Controller and tuning
+    "LearnedLoop": {
+        "schema": always("jointid.learned_loop/1"),
+        **same("record", "resampled"),
+        "structure": lambda learned: str(learned.structure),
+        "law": lambda learned: _law(learned.controller),
+        **same("numbers", "correlation"),
+        "equivalent": "equivalent_laws",
+        "alternatives": "alternatives",
+        "sentences": lambda learned: [str(one) for one in learned.limitations],
+        "residual": {"rms": "rms", "percent": percent("share"), "unit": "torque_unit"},
+        "noise": {"torque": "torque_noise", "position": "position_noise", "heard_up_to_hz": "band"},
+        "table": lambda learned: controller_text(learned.controller, learned.transmission),
+    },
+    "Alternative": {
+        "structure": lambda alternative: str(alternative.structure),
+        "law": lambda alternative: _law(alternative.controller),
+        "worse": "worse",
+        "apart_percent": percent("apart"),
+        "alike": "alike",
+    },
+    "Tuned": {
+        "schema": always("jointid.tuning/1"),
+        **same("record", "model", "transmission", "interval"),
+        "asked": {
+            "gain_margin": "settings.gain_margin",
+            "phase_margin_degrees": "settings.phase_margin",
+            "distance_from_minus_one": "settings.modulus",
+            "confidence": "settings.confidence",
+        },
+        **same("present", "proposed", "gains", "notch", "feedforward", "detectable", "notes"),
+    },
+    "LoopMargins": {
+        **same("estimate", "worst"),
+        "crossover_hz": "crossover",
+        "response": {
+            "hertz": "response.hertz",
+            "size": lambda loop: abs(loop.response.nominal),
+            "smallest": lambda loop: loop.response.size[0],
+            "largest": lambda loop: loop.response.size[1],
+            "phase_lowest_degrees": lambda loop: [math.degrees(angle) for angle in loop.response.phase[0]],
+            "phase_highest_degrees": lambda loop: [math.degrees(angle) for angle in loop.response.phase[1]],
+        },
+    },
+    "Margins": _margins,
+    "ProposedNotch": {
+        "frequency": "notch.frequency",
+        "bandwidth": "notch.bandwidth",
+        "depth": "notch.depth",
+        **same("period", "numerator", "denominator"),
+    },
+    "MinimumDetectableChange": same("false_alarm", "power", "changes"),
+    # Files and reports
+    "Inspection": {
+        "schema": always("jointid.inspection/1"),
+        **same("file", "format"),
+        "bytes": "size",
+        **same("channels", "scalars"),
+        "not_read": "passed",
+    },
+    "InspectedChannel": {
+        "name": "name",
+        "rows": "outline.rows",
+        "unit": "unit",
+        "minimum": "outline.minimum",
+        "maximum": "outline.maximum",
+        "missing": "outline.missing",
+        **same("time", "sample_time", "jitter"),
+    },
+    "Simulation": {
+        "samples": "torque.size",
+        "sample_time": "sample_time",
+        "outcome": lambda simulation: simulation.outcome.name.lower(),
+        "explanation": "outcome.value",
+        "events": "events",
+        "at_limit_percent": percent("at_limit"),
+        "peak_torque": lambda simulation: float(abs(simulation.torque).max()),
+    },
+    "Profile": {
+        **same("name", "formula", "unit", "estimate", "level", "interval", "reached"),
+        "values": "points",
+        **same("rise", "threshold"),
+        "estimate_was_minimum": lambda profile: not profile.improved,
+    },
+}
+"""By the name of the class: what a document has of an object of it."""
