@@ -20,7 +20,7 @@ from jointid.estimation.several_records.heterogeneity import Agreement
 from jointid.estimation.streaming.drift import DriftTest
 from jointid.models.disturbances import Effect
 from jointid.models.joints import Joint
-from jointid.models.refer import OtherSide, other_side
+from jointid.models.transmission import OtherSide, other_side
 from jointid.records.signals.filtering import Filtering
 from jointid.records.time_base.uniformity import Resampled
 from jointid.simulation.closed_loop import Initial
