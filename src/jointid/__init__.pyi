@@ -63,7 +63,7 @@ from .simulation.drive_side import DriveSide
 from .simulation.loop_input import ClosedLoop, prepare
 from .simulation.open_loop import OpenLoop
 from .simulation.synthesis import simulated_record
-from .tuning.settings import Tuning
+from .tuning.proposals import Tuning
 from .tuning.tune import tune
 
 __version__: str

@@ -26,8 +26,7 @@ from jointid.models.disturbances import Drift, PositionHarmonics
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
 from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
-from jointid.models.transmission import OtherSide
-from jointid.models.transmission import Side, Transmission
+from jointid.models.transmission import OtherSide, Side, Transmission
 from jointid.output.json import estimate_answer
 from jointid.records.record import Channel, Record
 from jointid.records.signals.excitation import pulses, trapezoids

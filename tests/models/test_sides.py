@@ -8,8 +8,7 @@ import pytest
 from jointid.models.disturbances import Drift, PositionHarmonics, effect_parameters
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
-from jointid.models.transmission import OtherSide
-from jointid.models.transmission import Transmission
+from jointid.models.transmission import OtherSide, Transmission
 from jointid.records.record import Channel, Timing
 from jointid.records.refer import refer_channel
 from tests.geared import TURNED_SCREW

@@ -33,7 +33,6 @@ from jointid.controller_id.structures import (
 from jointid.controller_id.structures import CONSTANT as BALANCE
 from jointid.models.controllers import DIRECTION, INJECTED, POSITION, REFERENCE, REFERENCE_VELOCITY
 from jointid.models.controllers.filters import Filter, as_filter
-from jointid.records.record import Timing
 
 _LEAD = 64  # samples of straight motion before the first, in which the filters settle
 _ROUNDING = 1e-14  # of the reference
@@ -80,23 +79,14 @@ def columns(log: LoopRecord, structure: Structure, numbers: Mapping[str, float])
         e, speed[:, 0], fed, speed[:, 1], e_sum, fed_sum, speed_sum, w, w_sum,
         viscous, bent, direction, np.ones(r.size),
     ])  # fmt: skip
-    return _as_logged(log, _filter_signals(torque, found, period)[lead:], rate)
+    return log.as_logged(_filter_signals(torque, found, period)[lead:], rate)
 
 
 def injected_torque(log: LoopRecord, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
     """Return the torque injected before the limit, as the log would show it, (samples, 1)."""
     rate, (_, torque) = structure.rate, filters_of(structure, numbers)
     signal = log.inputs(rate, structure.curved)[:, [INJECTED]]
-    return _as_logged(log, _filter_signals(torque, signal, log.period / rate), rate)
-
-
-def _as_logged(log: LoopRecord, signals: FloatArray, rate: int) -> FloatArray:
-    """Return signals of the law as the log shows them, (samples, signals)."""
-    assert log.record.torque is not None
-    if log.record.torque.timing is not Timing.AVERAGED:
-        return signals[::rate]
-    means = signals.reshape(-1, rate, signals.shape[1]).mean(axis=1)
-    return np.concatenate([means[:1], means[:-1]])
+    return log.as_logged(_filter_signals(torque, signal, log.period / rate), rate)
 
 
 def response(log: LoopRecord, structure: Structure, numbers: Mapping[str, float], gains: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -10,21 +11,23 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.controller_id.fitting import FittedLaw, Task, order_rates
-from jointid.controller_id.learned import Alternative, LearnedLoop, LearnedNumber
-from jointid.controller_id.limitations import (
-    ALIKE,
+from jointid.controller_id.learned import (
+    Alternative,
+    Equivalence,
+    LearnedLoop,
+    LearnedNumber,
     Limitation,
     LimitationCode,
-    list_equivalents,
-    list_limitations,
 )
 from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.search import Rival, search
+from jointid.controller_id.structures import VELOCITY, Structure
 from jointid.models.controllers import Controller, numbers_of, shift_start, with_numbers
 from jointid.models.transmission import Transmission
-from jointid.records.record import Record
+from jointid.records.record import Record, Tap
 from jointid.uncertainty.covariance import Covariance, covariance_of, larger, robust
 
+ALIKE = 10.0  # of the criterion: a smaller difference does not distinguish two laws
 SAME = 1e-5  # of the torque's rms: laws that differ by less are one equation
 _GAINS = ("kp", "kv", "kd", "time_constant", "frequency")  # the last two of filters
 _EXPLAINED = 0.5  # of the torque: what leaves more is no law of this record
@@ -75,9 +78,9 @@ def learn_loop(
     if not (math.isfinite(gain) and gain > 0):
         raise MethodError(f"The gain of a drive's chain is a positive number; received {gain}.")
     task = Task(prepare_loop_record(record), gain)
-    found = search(task, progress)
-    _require_explained(task, found.best, record.name)
-    return _build_result(task, order_rates(task, found.best), found.rivals, transmission, declared)
+    best, rivals = search(task, progress)
+    _require_explained(task, best, record.name)
+    return _build_result(task, order_rates(task, best), rivals, transmission, declared)
 
 
 def _require_explained(task: Task, best: FittedLaw, name: str) -> None:
@@ -161,6 +164,50 @@ def _build_result(
         transmission=transmission,
         resampled=record.resampled,
     )
+
+
+def list_equivalents(structure: Structure) -> Iterator[Equivalence]:
+    """Yield the other forms of a law: the same equation with its gains combined otherwise."""
+    plain = structure.velocity_filter == "none" and structure.every == 1
+    if structure.law == "P-P" and structure.reference_velocity == "none" and structure.every == 1:
+        yield Equivalence.PD
+    if structure.law == "P-P" and structure.reference_velocity == "full" and plain:
+        yield Equivalence.PD_ON_DIFFERENCE
+    if structure.law == "P-P" and structure.reference_velocity == "share":
+        yield Equivalence.VISCOUS_FEEDFORWARD
+    if structure.law == "P-PI" and structure.reference_velocity == "full" and plain:
+        yield Equivalence.PID_ON_DIFFERENCE
+    if not structure.cascade and VELOCITY in structure.feedforward and structure.reference_velocity == "difference":
+        yield Equivalence.REFERENCE_VELOCITY_WEIGHT
+
+
+def list_limitations(task: Task, best: FittedLaw, alike: tuple[Structure, ...]) -> Iterator[Limitation]:
+    """Yield what a record leaves open about a law.
+
+    Args:
+        task: the record.
+        best: the law.
+        alike: the structures that the record does not distinguish from it.
+    """
+    structure, log, code = best.structure, task.log, LimitationCode
+    if not structure.integrates:
+        yield Limitation(code.NO_INTEGRAL)
+    if not structure.limited:
+        unit = log.record.torque.unit if log.record.torque is not None else ""
+        yield Limitation(code.LIMIT_NOT_REACHED, {"torque": float(abs(log.torque).max()), "unit": unit})
+    elif structure.integrates:
+        yield Limitation(code.ANTI_WINDUP_NOT_TESTED)
+    if structure.torque_filter == "none":
+        yield Limitation(code.TORQUE_FILTER_HIDDEN)
+    if log.record.tap is Tap.COMMAND:
+        yield Limitation(code.DELAY_NOT_VISIBLE)
+        if structure.late:
+            yield Limitation(code.TORQUE_LOGGED_LATE, {"samples": structure.late})
+    if structure.rate > 1 or any(other.rate != structure.rate for other in alike):
+        yield Limitation(code.PERIOD_UNCERTAIN)
+        yield Limitation(code.INTERPOLATION_ASSUMED)
+    if alike:
+        yield Limitation(code.INDISTINGUISHABLE, {"structures": alike})
 
 
 def _build_controller(task: Task, one: FittedLaw) -> Controller:

@@ -1,17 +1,121 @@
-"""The result of learning a controller: the law, its numbers with intervals, its alternatives and its limitations."""
+"""The result of learning a controller: the law, its numbers with intervals, its alternatives and its limitations.
+
+What a law is equivalent to, and what the record leaves open about it, are codes with their values; the words follow.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum, auto
+from typing import TypeAlias
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph, Table, common_facts
 from jointid.common.text import number
-from jointid.controller_id.limitations import Equivalence, Limitation
 from jointid.controller_id.structures import Structure
 from jointid.models.controllers import Controller
 from jointid.models.transmission import Transmission
 from jointid.records.time_base.uniformity import Resampled
+
+Value: TypeAlias = float | int | str | Mapping[str, float] | tuple[Structure, ...]
+
+
+class Equivalence(StrEnum):
+    """Another form of the same equation, its gains combined otherwise."""
+
+    PD = auto()
+    PD_ON_DIFFERENCE = auto()
+    VISCOUS_FEEDFORWARD = auto()
+    PID_ON_DIFFERENCE = auto()
+    REFERENCE_VELOCITY_WEIGHT = auto()
+
+    @property
+    def description(self) -> str:
+        """The law, and its gains in terms of those that were found."""
+        return _FORMS[self]
+
+
+_FORMS: Mapping[Equivalence, str] = {
+    Equivalence.PD: 'PD with reference_velocity = "none", its kp = kp kv and kd = kv',
+    Equivalence.PD_ON_DIFFERENCE: 'PD with reference_velocity = "difference", its kp = kp kv and kd = kv',
+    Equivalence.VISCOUS_FEEDFORWARD: "P-P with viscous_feedforward = kv velocity_feedforward instead",
+    Equivalence.PID_ON_DIFFERENCE: (
+        'PID with reference_velocity = "difference", its kp = kv (kp + ki), kd = kv (1 - ki T), ki = kv kp ki'
+    ),
+    Equivalence.REFERENCE_VELOCITY_WEIGHT: "the same with a larger weight of the reference's velocity",
+}
+
+
+class LimitationCode(StrEnum):
+    """What a record leaves open about the controller."""
+
+    NO_INTEGRAL = auto()
+    LIMIT_NOT_REACHED = auto()
+    ANTI_WINDUP_NOT_TESTED = auto()
+    TORQUE_FILTER_HIDDEN = auto()
+    DELAY_NOT_VISIBLE = auto()
+    TORQUE_LOGGED_LATE = auto()
+    PERIOD_UNCERTAIN = auto()
+    INTERPOLATION_ASSUMED = auto()
+    INDISTINGUISHABLE = auto()
+    AS_DECLARED = auto()
+
+
+_SENTENCES: Mapping[LimitationCode, str] = {
+    LimitationCode.NO_INTEGRAL: (
+        "No integral action is visible in this record: it contributes less than 0.1 % of the torque, or there is none."
+    ),
+    LimitationCode.LIMIT_NOT_REACHED: (
+        "The limit is not reached in this record; it is above {torque} {unit}, the largest torque."
+    ),
+    LimitationCode.ANTI_WINDUP_NOT_TESTED: (
+        "The behaviour of the integral at the limit (anti_windup) was not tested; it is assumed to stop."
+    ),
+    LimitationCode.TORQUE_FILTER_HIDDEN: "A torque filter whose effect is below the noise cannot be detected.",
+    LimitationCode.DELAY_NOT_VISIBLE: (
+        'A delay between the controller\'s output and the acting torque is not visible at the tap "command"; take '
+        "delay from the drive's documentation."
+    ),
+    LimitationCode.TORQUE_LOGGED_LATE: (
+        "The log shows the torque {samples} samples later than the position it depends on; declare "
+        'tap = "measured" for the torque, so that the delay is visible in it, or shift the log.'
+    ),
+    LimitationCode.PERIOD_UNCERTAIN: (
+        "The loop's period follows only from the lag of its velocity; a velocity filter may have the same effect."
+    ),
+    LimitationCode.INTERPOLATION_ASSUMED: (
+        "Between the log's samples the reference is assumed to follow the controller's interpolation, and the position "
+        "a cubic spline. Where that is wrong, the errors are larger than the intervals."
+    ),
+    LimitationCode.INDISTINGUISHABLE: "This record does not distinguish this law from: {structures}.",
+    LimitationCode.AS_DECLARED: "As declared, and not from this record: {numbers}.",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Limitation:
+    """One thing that a record leaves open about the controller.
+
+    Attributes:
+        code: what it is.
+        values: that belong to it, by name.
+    """
+
+    code: LimitationCode
+    values: Mapping[str, Value] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        """Return the sentence."""
+        return _SENTENCES[self.code].format(**{name: _text(value) for name, value in self.values.items()})
+
+
+def _text(value: Value) -> str:
+    if isinstance(value, Mapping):
+        return " and ".join(f"{name} = {one:g}" for name, one in value.items())
+    if isinstance(value, tuple):
+        return "; ".join(map(str, value))
+    return number(value, 4) if isinstance(value, float) else str(value)
 
 
 @dataclass(frozen=True, slots=True)

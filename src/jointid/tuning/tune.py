@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,31 +10,36 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.text import number
-from jointid.diagnostics.minimum_detectable_change import compute_minimum_detectable_change
 from jointid.estimation.problems.nuisance_parameters import of_law
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import PD, PID, Cascade, Controller, ServoController
 from jointid.models.joints import MODE_DAMPING, FlexibleJoint, RigidJoint, acts_on_whole, frequencies
-from jointid.models.linear import ComplexArray, linear_joints
+from jointid.models.linear import ComplexArray, linear_joints, state_response
 from jointid.models.parameters import POSITION_UNIT
 from jointid.records.drives.drive import Drive
-from jointid.tuning.feedforward import feedforward
-from jointid.tuning.interval import Interval, flexible_of, joint_with_mode, lowest_mode, possible_joints
-from jointid.tuning.lumped import lumped_parameters
-from jointid.tuning.margins import crossover, margins_from_row
-from jointid.tuning.proposals import Layout, find_stiffest_loop, meets_margins
-from jointid.tuning.settings import Tuning
+from jointid.tuning.feedforward import feedforward, lumped_parameters
+from jointid.tuning.interval import (
+    Interval,
+    find_worst_case,
+    flexible_of,
+    joint_with_mode,
+    lowest_mode,
+    possible_joints,
+)
+from jointid.tuning.margins import Margins, crossover, joint_set
+from jointid.tuning.minimum_detectable_change import compute_minimum_detectable_change
+from jointid.tuning.proposals import Layout, StiffestLoop, Tuning, meets_margins
 from jointid.tuning.tuned import Gain, LoopMargins, ProposedNotch, ResponseBand, Tuned
-from jointid.tuning.worst_case import find_worst_case, joint_set
-from jointid.uncertainty.verdict import Subject
 
 _ROUNDS = 5  # of a proposal, and of looking for a joint that it fails
 _NEARLY = 0.995  # of a margin
 _DRAWN = 600  # frequencies that are kept of a response
 _DOUBTED = {
-    Subject.FIT: "the model does not explain the torque, so all of this may be of another joint",
-    Subject.LOOP: "loop or log are not as declared, and all of this is of the declared one",
+    "fit": "the model does not explain the torque, so all of this may be of another joint",
+    "loop": "loop or log are not as declared, and all of this is of the declared one",
 }
+"""What a verdict of that subject, where it is not good, says of a tuning."""
+
 _SHARES, _MODES = (0.3, 0.5, 0.7), 60  # of a spring that a rigid joint may have
 
 
@@ -52,16 +56,11 @@ class _Case:
         """Return the margins of a loop at the estimate, and the worst."""
         law = controller.law(self.estimate.data.sample_time)
         at = joint_set(self.interval.joint, [self.interval.nominal], law).margins(law)[0]
-        found = find_worst_case(self.interval, law, self.points, self.settings.seed)
-        looked = joint_set(self.interval.joint, [*self.interval.at(self.points), *self.interval.others], law)
+        worst, _ = find_worst_case(self.interval, law, self.points, self.settings.seed)
+        looked = self.interval.sample(self.points, law)
         response = looked.response(law)
-        return LoopMargins(
-            controller,
-            margins_from_row(at),
-            margins_from_row(found.margins),
-            crossover(response, looked.hertz),
-            _band(looked.hertz, response),
-        )
+        highest, band = crossover(response, looked.hertz), _band(looked.hertz, response)
+        return LoopMargins(controller, Margins(*at.tolist()), Margins(*worst.tolist()), highest, band)
 
 
 def tune(
@@ -137,21 +136,20 @@ def _proposed(
         kind = type(controller).__name__
         return None, None, [f"no gains are proposed for a {kind}: only a cascade, a PD or a PID has gains to lay out"]
     progress("looking for the stiffest gains that keep the margins")
-    inertia = lumped_parameters(estimate)["inertia"].value
+    inertia, sample_time = lumped_parameters(estimate)["inertia"].value, estimate.data.sample_time
     flexible = isinstance(estimate.settings.joint, FlexibleJoint)
     band = None if flexible else estimate.settings.filtering.cutoff
     mode = frequencies(interval.nominal)["free_free"] if flexible and interval.names and settings.notch else None
     points = case.points
     for _ in range(_ROUNDS):
-        law = controller.law(estimate.data.sample_time)
-        seen = joint_set(interval.joint, [*interval.at(points), *interval.others], law)
-        layout = find_stiffest_loop(seen, controller, inertia, estimate.data.sample_time, settings, band, mode)
+        seen = interval.sample(points, controller.law(sample_time))
+        layout = StiffestLoop(seen, inertia, sample_time, settings, band).find(controller, mode)
         if layout is None:
             break
-        found = find_worst_case(interval, layout.controller.law(estimate.data.sample_time), case.points, settings.seed)
-        if meets_margins(found.margins[np.newaxis], settings, _NEARLY):
+        worst, at = find_worst_case(interval, layout.controller.law(sample_time), case.points, settings.seed)
+        if meets_margins(worst[np.newaxis], settings, _NEARLY):
             return layout, case.evaluate(layout.controller), []
-        points = np.concatenate([points, found.points])
+        points = np.concatenate([points, at])
     said = "no gains of this structure were found that keep the asked margins for all joints of the interval"
     return None, None, [f"{said}; ask for less, or narrow the interval (jointid diagnose sensors says how)"]
 
@@ -261,11 +259,7 @@ def _band(hertz: FloatArray, response: ComplexArray) -> ResponseBand:
 def _joint_band(case: _Case, hertz: FloatArray) -> ResponseBand:
     """Return the response from torque to the motor's velocity, in continuous time."""
     joints = linear_joints(case.interval.joint, [*case.interval.at(case.points), *case.interval.others])
-    s = 2j * math.pi * hertz
-    eye = np.eye(joints.A.shape[1])
-    found = np.empty((len(joints.A), hertz.size), dtype=np.complex128)
-    for i, (A, B) in enumerate(zip(joints.A, joints.B, strict=True)):
-        found[i] = np.linalg.solve(
-            s[:, np.newaxis, np.newaxis] * eye - A, np.broadcast_to(B[:, np.newaxis], (hertz.size, B.size, 1))
-        )[:, 1, 0]
-    return _band(hertz, found)
+    found = [
+        state_response(A, B, np.asarray(2j * np.pi * hertz))[:, 1] for A, B in zip(joints.A, joints.B, strict=True)
+    ]
+    return _band(hertz, np.array(found))

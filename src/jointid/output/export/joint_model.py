@@ -17,8 +17,7 @@ from jointid.models.friction import Directions
 from jointid.models.gravity import Gravity
 from jointid.models.joints import Joint
 from jointid.models.parameters import POSITION_UNIT, TORQUE_UNIT, Kind
-from jointid.models.transmission import OtherSide
-from jointid.models.transmission import Side
+from jointid.models.transmission import OtherSide, Side
 from jointid.output.json.estimates import ESTIMATE_SCHEMA, LONG_SCHEMA, TOGETHER_SCHEMA
 from jointid.output.json.parts import Json, gravity_answer, transmission_answer
 

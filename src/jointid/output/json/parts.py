@@ -10,8 +10,7 @@ from jointid.common.errors import MethodError
 from jointid.estimation.result.params import EstimatedParameter, on_other_side
 from jointid.models.disturbances import Drift, Effect, PositionHarmonics
 from jointid.models.joints import Joint
-from jointid.models.transmission import OtherSide
-from jointid.models.transmission import Transmission
+from jointid.models.transmission import OtherSide, Transmission
 from jointid.records.signals.filtering import Filtering
 from jointid.records.time_base.uniformity import Resampled
 from jointid.simulation.closed_loop import Initial

@@ -11,7 +11,6 @@ from jointid.diagnostics.compare_estimates import EstimateComparison
 from jointid.diagnostics.experiment_design import Advice
 from jointid.diagnostics.loop_check import LoopCheck
 from jointid.diagnostics.method_comparison import MethodComparison
-from jointid.diagnostics.minimum_detectable_change import MinimumDetectableChange
 from jointid.diagnostics.stiffness_test_design import StiffnessTestDesign
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
@@ -29,6 +28,7 @@ from jointid.output.json.parts import Json
 from jointid.output.json.reported import drift_answer
 from jointid.output.json.tuning import detectable_answer, tuning_answer
 from jointid.records.files.inspection import Inspection
+from jointid.tuning.minimum_detectable_change import MinimumDetectableChange
 from jointid.tuning.tuned import Tuned
 
 _WRITERS: Mapping[type, Callable[[Any], Json]] = {

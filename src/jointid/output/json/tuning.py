@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 
-from jointid.diagnostics.minimum_detectable_change import MinimumDetectableChange
 from jointid.output.json.parts import Json, transmission_answer
 from jointid.tuning.margins import Margins
+from jointid.tuning.minimum_detectable_change import MinimumDetectableChange
 from jointid.tuning.tuned import LoopMargins, Tuned
 
 TUNING_SCHEMA = "jointid.tuning/1"
