@@ -23,7 +23,7 @@ from jointid.models.controllers import (
 )
 from jointid.records.record import InjectionPoint, Record, Tap, Timing
 from jointid.records.signals.encoder_step import find_encoder_step
-from jointid.simulation.loop_input import at_period, known_memory, law_inputs
+from jointid.records.signals.law_inputs import at_period, law_inputs
 
 _NEEDED = ("torque", "reference", "motor_position")
 _FEWEST = 500  # samples
@@ -109,7 +109,7 @@ class LoopRecord:
         inputs = self.inputs(rate, curved)
         position = inputs[: 5 * rate + 1, POSITION]
         slope = (position[-1] - position[0]) / (5 * self.period)
-        state = known_memory(law, inputs) + law.memory(POSITION, float(position[0]), float(slope))
+        state = law.known_memory(inputs) + law.memory(POSITION, float(position[0]), float(slope))
         integral = law.integral()
         if integral is not None:
             state = state + integral * content

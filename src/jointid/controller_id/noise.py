@@ -216,7 +216,8 @@ def band_power(signal: FloatArray) -> FloatArray:
 
 def band_widths(size: int) -> NDArray[np.intp]:
     """Return the number of frequencies in each band of a real transform of that size, from its second on."""
-    return np.diff(np.unique(np.linspace(1, size, _BINS + 1).astype(np.intp)))
+    edges: NDArray[np.intp] = np.unique(np.linspace(1, size, _BINS + 1).astype(np.intp))
+    return np.asarray(edges[1:] - edges[:-1])
 
 
 def band_means(values: FloatArray) -> FloatArray:

@@ -34,7 +34,7 @@ from jointid.simulation.closed_loop import (
     smallest,
 )
 from jointid.simulation.log_output import acting, as_logged, averages, seen_torque
-from jointid.simulation.loop_input import ClosedLoop, LoopInput, known_memory
+from jointid.simulation.loop_input import ClosedLoop, LoopInput
 
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
@@ -352,7 +352,7 @@ def _answer(law: SampledLaw, inputs: FloatArray, out: ClosedLoopRun, excess: Flo
 
 def _begun(law: SampledLaw, inputs: FloatArray, out: ClosedLoopRun) -> FloatArray:
     """Return all states of a law at the first period of a run, (states,)."""
-    state = known_memory(law, inputs) + law.memory(POSITION, out.position, out.velocity)
+    state = law.known_memory(inputs) + law.memory(POSITION, out.position, out.velocity)
     integral = law.integral() if out.torque is not None else None
     if integral is None or out.torque is None:
         return state

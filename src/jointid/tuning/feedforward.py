@@ -23,7 +23,6 @@ from jointid.models.controllers import ServoController
 from jointid.models.friction import PARTS
 from jointid.models.parameters import Quantity, unit_of
 from jointid.models.transmission import Transmission
-from jointid.records.drives.drive import Drive
 
 _ROWS: tuple[tuple[str, str, Quantity, str, int], ...] = (
     ("inertia", "acceleration_feedforward", Quantity.INERTIA, "J / (g r^2)", 2),
@@ -92,7 +91,10 @@ class FeedForward:
 
 
 def feedforward(
-    estimate: Estimate, controller: ServoController, whole: Mapping[str, LumpedParameter], drive: Drive | None = None
+    estimate: Estimate,
+    controller: ServoController,
+    whole: Mapping[str, LumpedParameter],
+    drive: units.DriveUnits | None = None,
 ) -> tuple[FeedForward, ...]:
     """Return the feed-forwards of an estimate.
 
@@ -119,7 +121,7 @@ def feedforward(
     return tuple(found)
 
 
-def _in_drive(name: str, value: float, estimate: Estimate, drive: Drive | None) -> tuple[float | None, str]:
+def _in_drive(name: str, value: float, estimate: Estimate, drive: units.DriveUnits | None) -> tuple[float | None, str]:
     """Return a feed-forward in the drive's own units on the motor's side, and their name."""
     joint = estimate.settings.joint
     if drive is None or estimate.data.torque_unit not in ("N", "N m"):

@@ -10,13 +10,13 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.text import number
+from jointid.common.units import DriveUnits
 from jointid.estimation.problems.nuisance_parameters import of_law
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import PD, PID, Cascade, Controller, ServoController
 from jointid.models.joints import MODE_DAMPING, FlexibleJoint, RigidJoint, acts_on_whole, frequencies
 from jointid.models.linear import ComplexArray, linear_joints, state_response
 from jointid.models.parameters import POSITION_UNIT
-from jointid.records.drives.drive import Drive
 from jointid.tuning.feedforward import feedforward, lumped_parameters
 from jointid.tuning.interval import (
     Interval,
@@ -64,14 +64,14 @@ class _Case:
 
 
 def tune(
-    estimate: Estimate, settings: Tuning | None = None, *, drive: Drive | None = None, progress: Progress = silent
+    estimate: Estimate, settings: Tuning | None = None, *, drive: DriveUnits | None = None, progress: Progress = silent
 ) -> Tuned:
     """Return the margins of an estimate's loop over its interval, and what to set in the drive.
 
     Args:
         estimate: with the loop, its deviations and correlations: by DIDIM with least squares, rigid or flexible.
         settings: the margins that are asked; see `Tuning`.
-        drive: with rated torque and encoder counts, to have feed-forward in these, too.
+        drive: a `Drive` with rated torque and encoder counts, to have feed-forward in these, too.
         progress: is told each step.
 
     Returns:
@@ -106,6 +106,7 @@ def tune(
     progress("margins of the loop as it is")
     present = case.evaluate(controller)
     layout, proposed, refusal = _proposed(case, controller, present, progress)
+    notch = None if layout is None else layout.notch
     whole = lumped_parameters(estimate)
     notes = [*refusal, *_notes(case, present, proposed)]
     return Tuned(
@@ -117,7 +118,7 @@ def tune(
         present=present,
         proposed=proposed,
         gains=() if layout is None else _gains(estimate, controller, layout),
-        notch=None if layout is None or layout.notch is None else _notch(layout, period),
+        notch=None if notch is None else ProposedNotch(notch, *notch.coefficients(period), period),
         feedforward=feedforward(estimate, controller, whole, drive),
         detectable=compute_minimum_detectable_change(estimate, false_alarm=settings.false_alarm, power=settings.power),
         joint=_joint_band(case, present.response.hertz),
@@ -170,21 +171,13 @@ def _gains(estimate: Estimate, before: Controller, layout: Layout) -> tuple[Gain
     return tuple(Gain(key, formula, unit, getattr(before, key), getattr(after, key)) for key, formula, unit in rows)
 
 
-def _notch(layout: Layout, period: float) -> ProposedNotch:
-    assert layout.notch is not None
-    return ProposedNotch(layout.notch, *layout.notch.coefficients(period), period)
-
-
 def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> list[str]:
     """Return the limits of the result, in sentences."""
     estimate, found = case.estimate, []
     if not estimate.fit.converged:
         found.append("the identification did not end well, so all of this is of a joint that may be another one")
-    found += [
-        f"{_DOUBTED[v.subject]}: {v.said}"
-        for v in estimate.checks.verdicts
-        if v.good is False and v.subject in _DOUBTED
-    ]
+    doubted = [v for v in estimate.checks.verdicts if v.good is False and v.subject in _DOUBTED]
+    found += [f"{_DOUBTED[v.subject]}: {v.said}" for v in doubted]
     if estimate.checks.bounds:
         found.append(
             'the stiffness is refused: what stands "at the estimate" is of the softest spring it leaves possible, and '
@@ -206,11 +199,9 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
         found.append(
             f"a rigid joint says nothing beyond the band it was compared in{upto}: no mode is in these margins"
         )
-        loops = [
-            ("the loop as it is stays stable", present, False),
-            ("the proposed loop keeps the asked margins", proposed, True),
-        ]
-        found += [_with_a_mode(case, said, loop, asked) for said, loop, asked in loops if loop is not None]
+        found.append(_with_a_mode(case, "the loop as it is stays stable", present, asked=False))
+        if proposed is not None:
+            found.append(_with_a_mode(case, "the proposed loop keeps the asked margins", proposed, asked=True))
     if joint.gravity is not None and joint.gravity.varies:
         found.append("gravity that follows the position is left out of the loop and of the constant feed-forward")
     if present.controller.law(estimate.data.sample_time).phases > 1:
@@ -220,7 +211,7 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
     return found
 
 
-def _with_a_mode(case: _Case, said: str, loop: LoopMargins, asked: bool) -> str:
+def _with_a_mode(case: _Case, said: str, loop: LoopMargins, *, asked: bool) -> str:
     """Return the lowest first mode with which a rigid joint's loop would keep its margins, in a sentence."""
     estimate = case.estimate
     assert isinstance(estimate.settings.joint, RigidJoint)
@@ -228,10 +219,8 @@ def _with_a_mode(case: _Case, said: str, loop: LoopMargins, asked: bool) -> str:
     values = estimate.values
     friction = {n: v for n, v in values.items() if n != "inertia" and not acts_on_whole(n)}
     common = {n: v for n, v in values.items() if acts_on_whole(n)}
-    modes = [
-        float(f)
-        for f in np.geomspace(min(max(loop.crossover, 1e-3 / law.period), 0.4 / law.period), 0.5 / law.period, _MODES)
-    ]
+    first = min(max(loop.crossover, 1e-3 / law.period), 0.4 / law.period)
+    modes = np.geomspace(first, 0.5 / law.period, _MODES).tolist()
     made = [joint_with_mode(common, friction, values["inertia"], share, mode) for mode in modes for share in _SHARES]
     margins = joint_set(flexible_of(estimate.settings.joint), made, law).margins(law).reshape(_MODES, len(_SHARES), -1)
     least = 0.98 * case.settings.asked if asked else np.zeros(margins.shape[-1])

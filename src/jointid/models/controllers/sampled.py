@@ -116,6 +116,15 @@ class SampledLaw:
         memory[moving] = _solved(rest, still[moving] + change)
         return memory
 
+    def known_memory(self, inputs: FloatArray) -> FloatArray:
+        """Return the states that all inputs, (periods, INPUTS), but the position leave when they moved uniformly."""
+        first = inputs[0]
+        slope = (inputs[1, REFERENCE] - first[REFERENCE]) / self.period if len(inputs) > 1 else 0.0
+        values, slopes = np.zeros(INPUTS), np.zeros(INPUTS)
+        known = [REFERENCE, REFERENCE_VELOCITY, DIRECTION, CONSTANT]
+        values[known], slopes[REFERENCE] = first[known], slope
+        return self.memories(values, slopes)
+
     def integral(self) -> FloatArray | None:
         """Return the states at rest, by an integrator's content, in which the output is 1; None without integrator."""
         integrators = np.flatnonzero(self._integrators())
