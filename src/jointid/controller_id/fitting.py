@@ -107,15 +107,7 @@ class Task:
 
 
 def fit(task: Task, structure: Structure, start: Mapping[str, float], noise: Noise, steps: int = 8) -> FittedLaw | None:
-    """Return a structure's numbers of least cost near a start; None where the law cannot be, or runs away.
-
-    Args:
-        task: what is fitted to.
-        structure: of the law.
-        start: its numbers.
-        noise: what the residual is whitened by.
-        steps: at most.
-    """
+    """Return a structure's numbers of least cost near a start, None where the law cannot be, or runs away."""
     names, period = structure.names, task.log.period
     limits = Bounds(*np.array([bounds(name, period, structure.rate) for name in names]).T)
     x = limits.clip(np.array([start[name] for name in names], dtype=np.float64))

@@ -182,13 +182,7 @@ def list_equivalents(structure: Structure) -> Iterator[Equivalence]:
 
 
 def list_limitations(task: Task, best: FittedLaw, alike: tuple[Structure, ...]) -> Iterator[Limitation]:
-    """Yield what a record leaves open about a law.
-
-    Args:
-        task: the record.
-        best: the law.
-        alike: the structures that the record does not distinguish from it.
-    """
+    """Yield what a record leaves open about a law; `alike` are the structures that it does not distinguish from it."""
     structure, log, code = best.structure, task.log, LimitationCode
     if not structure.integrates:
         yield Limitation(code.NO_INTEGRAL)
@@ -232,15 +226,11 @@ def covariance(task: Task, best: FittedLaw) -> Covariance:
 
 
 def covariance_by_frequency(J: FloatArray, white: FloatArray) -> Covariance:
-    """Return the covariance from the scores of each frequency alone.
+    """Return the covariance from the scores of each frequency alone: J (samples, numbers), the rest (samples,) white.
 
     An encoder's rounding stands still where the motor does, so that it is loudest where the motion is slow, as the
     motion itself is: a spectrum that is smoothed, or a few neighbouring rows, would miss that. Heteroscedasticity
     over frequencies needs neither (White 1980, of the real transform).
-
-    Args:
-        J: (samples, numbers), the sensitivities of the prediction.
-        white: (samples,) what remains.
     """
     norms = column_norms(J)
     products = np.fft.rfft(J / norms, axis=0).conj() * np.fft.rfft(white)[:, np.newaxis]

@@ -75,12 +75,7 @@ class CompressedFrame:
     late: tuple[int, ...]
 
     def costs(self, structure: Structure, ki: float | None) -> FloatArray:
-        """Return a law's cost after one Gauss-Newton step of its parameters, for each delay.
-
-        Args:
-            structure: of the law.
-            ki: of a cascade's integral.
-        """
+        """Return a law's cost after one Gauss-Newton step of its parameters, for each delay."""
         mixed = _gain_columns(structure, ki or 0.0)
         X, moves = self.blocks[0] @ mixed, [block @ mixed for block in self.blocks[1:]]
         if ki:
@@ -183,14 +178,7 @@ class Regression:
     def refine(
         self, one: RegressionFit, weighting: Weighting, free: bool = True, evaluations: int = _EVALUATIONS
     ) -> RegressionFit:
-        """Return a structure with its numbers where it explains most.
-
-        Args:
-            one: the structure, and where to begin.
-            weighting: what it is judged under.
-            free: whether all coefficients are free.
-            evaluations: at most, beside those of the derivatives.
-        """
+        """Return a structure with its numbers where it explains most, `free` of a law's own coefficients or not."""
         from scipy.optimize import least_squares  # itself: `solvers` search for an end, and this stops long before
 
         names = list(one.numbers)
@@ -242,12 +230,7 @@ def initial_weighting(regression: Regression) -> Weighting:
 
 
 def law_numbers(one: RegressionFit, gain: float) -> dict[str, float]:
-    """Return the numbers of a law from what its own regression found.
-
-    Args:
-        one: what was found.
-        gain: torque per controller unit.
-    """
+    """Return the numbers of a law from what its own regression found, `gain` the torque per controller unit."""
     structure, ki = one.structure, one.numbers.get("ki", 0.0)
     parts = coefficient_columns(structure, ki)
     values = np.linalg.lstsq(np.column_stack(list(parts.values())), one.gains / gain, rcond=None)[0]

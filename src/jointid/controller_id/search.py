@@ -360,15 +360,7 @@ def screen_frames(regression: Regression, progress: Progress = silent) -> tuple[
 def rank_candidates(
     regression: Regression, weighting: Weighting, late: Sequence[int], channel: bool, progress: Progress = silent
 ) -> list[NumberedStructure]:
-    """Return all laws in all frames, each where it begins best, the likeliest first.
-
-    Args:
-        regression: on a stretch of a record.
-        weighting: what they are judged under.
-        late: the log's delays that are tried.
-        channel: whether the record has the reference's velocity.
-        progress: is told the turns.
-    """
+    """Return all laws in all frames, each where it begins best, the likeliest first."""
     progress("screening all laws with all clocks and filters")
     rows = weighting.noise.rows
     begun = _begin_all_laws(regression, weighting, late, channel)
@@ -395,14 +387,7 @@ def _begin_all_laws(
 def start_law(
     regression: Regression, law: Structure, begun: Iterable[Mapping[str, float]], weighting: Weighting
 ) -> NumberedStructure | None:
-    """Return the best starting point of a law; None if it is impossible.
-
-    Args:
-        regression: on a stretch of a record.
-        law: the law.
-        begun: numbers to begin from.
-        weighting: what it is judged under.
-    """
+    """Return the best starting point of a law, of some numbers; None if it is impossible."""
     found = []
     for numbers in begun:
         ki = numbers.get("ki") if law.cascade else None

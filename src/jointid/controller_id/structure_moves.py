@@ -77,12 +77,7 @@ def list_simpler(structure: Structure) -> Iterator[Structure]:
 
 
 def list_neighbours(structure: Structure, channel: bool) -> Iterator[Structure]:
-    """Yield the structures that differ from one in a single part, each under its canonical name.
-
-    Args:
-        structure: the one.
-        channel: whether the record has the reference's velocity.
-    """
+    """Yield the structures that differ from one in a single part, each under its canonical name."""
     seen = {structure}
     for one in map(canonical, _changes(structure, channel)):
         if one not in seen:
@@ -91,12 +86,7 @@ def list_neighbours(structure: Structure, channel: bool) -> Iterator[Structure]:
 
 
 def list_laws(frame: Structure, channel: bool) -> Iterator[Structure]:
-    """Yield all laws with a frame's clocks and filters and all feed-forwards, each under its canonical name.
-
-    Args:
-        frame: with the clocks and filters.
-        channel: whether the record has the reference's velocity.
-    """
+    """Yield all laws with a frame's clocks and filters and all feed-forwards, each under its canonical name."""
     seen = set[Structure]()
     for law in _other_laws(replace(frame, feedforward=frozenset(FEEDFORWARDS)), channel):
         for one in (law, replace(law, reference_delay=True)):

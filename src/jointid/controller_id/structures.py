@@ -122,9 +122,6 @@ class Structure:
 
         Of clocks there are many, and the best of many explains more by chance: a clock is charged the 2 log(choices) of
         the extended criterion as well (Chen and Chen 2008, Biometrika 95(3)).
-
-        Args:
-            rows: independent numbers in the residual.
         """
         choices = (len(RATES) * 2, self.rate > 1), (sum(SLOWER), self.every > 1), (len(LATE), self.late > 0)
         return self.parts * math.log(rows) + sum(2.0 * math.log(number) for number, chosen in choices if chosen)
@@ -204,13 +201,7 @@ def _filter_names(place: str, kind: str) -> list[str]:
 
 
 def starts(structure: Structure, known: Mapping[str, float], sample_time: float) -> Iterator[dict[str, float]]:
-    """Yield where to look for the numbers that a law is not linear in: as known of a similar structure, or on a grid.
-
-    Args:
-        structure: that they are for.
-        known: numbers of a similar one.
-        sample_time: of the log, seconds.
-    """
+    """Yield where to look for the numbers a law is not linear in: as known of a similar structure, or on a grid."""
     places: list[Iterable[dict[str, float]]] = []
     for place, kind in (("velocity_filter", structure.velocity_filter), ("torque_filters.0", structure.torque_filter)):
         names = _filter_names(place, kind)
@@ -234,12 +225,7 @@ def starts(structure: Structure, known: Mapping[str, float], sample_time: float)
 
 
 def convert_numbers(structure: Structure, known: Mapping[str, float]) -> dict[str, float]:
-    """Return a law's numbers from those of a similar one; ``kp kv`` of a cascade is the kp of a PD.
-
-    Args:
-        structure: of the law; what is not known of it is 0.
-        known: numbers of the other.
-    """
+    """Return a law's numbers from those of a similar one, else 0; ``kp kv`` of a cascade is the kp of a PD."""
     given = dict(known)
     if structure.cascade and "kd" in given:
         given["kv"] = given.pop("kd")
@@ -260,13 +246,7 @@ def _dimensioned(name: str, value: float, sample_time: float) -> float:
 
 
 def bounds(name: str, sample_time: float, rate: int) -> tuple[float, float]:
-    """Return the bounds of a parameter.
-
-    Args:
-        name: of the number.
-        sample_time: of the log, seconds.
-        rate: of the law, in periods per sample of the log.
-    """
+    """Return the bounds of a parameter of a law with `rate` periods per sample of the log (`sample_time`, s)."""
     period = sample_time / rate
     last = name.rpartition(".")[2]
     if name in SIGNED:
@@ -282,14 +262,7 @@ def bounds(name: str, sample_time: float, rate: int) -> tuple[float, float]:
 
 
 def controller(structure: Structure, numbers: Mapping[str, float], period: float, gain: float) -> Controller:
-    """Return the law of a structure.
-
-    Args:
-        structure: of the law.
-        numbers: those the structure leaves open.
-        period: of the log, seconds.
-        gain: torque per controller unit.
-    """
+    """Return the law of a structure; `period` of the log, in seconds, `gain` the torque per controller unit."""
     own = {name: value for name, value in numbers.items() if "." not in name and name not in (INTEGRAL, "limit")}
     settings: dict[str, Any] = {"gain": gain, **own}
     if structure.limited:
