@@ -9,14 +9,15 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
+from jointid.common.message import Message
 from jointid.common.progress import Progress, silent
+from jointid.common.text import number
 from jointid.controller_id.fitting import FittedLaw, Task, order_rates
 from jointid.controller_id.learned import (
     Alternative,
     Equivalence,
     LearnedLoop,
     LearnedNumber,
-    Limitation,
     LimitationCode,
 )
 from jointid.controller_id.loop_record import prepare_loop_record
@@ -112,7 +113,7 @@ def _require_significant(task: Task, best: FittedLaw, known: Covariance) -> None
         )
 
 
-def _keep_declared(made: Controller, declared: Controller | None) -> tuple[Controller, tuple[Limitation, ...]]:
+def _keep_declared(made: Controller, declared: Controller | None) -> tuple[Controller, tuple[Message, ...]]:
     """Return a law with the declared limit and delay where the record does not show them, and that limitation."""
     said = {} if declared is None else numbers_of(declared)
     open_ones = {"limit": math.inf, "delay": 0.0}
@@ -120,7 +121,9 @@ def _keep_declared(made: Controller, declared: Controller | None) -> tuple[Contr
     kept = {n: said[n] for n, free in open_ones.items() if n in said and own.get(n) == free != said[n]}
     if not kept:
         return made, ()
-    return with_numbers(made, kept), (Limitation(LimitationCode.AS_DECLARED, {"numbers": kept}),)
+    listed = " and ".join(f"{name} = {value:g}" for name, value in kept.items())
+    words = f"As declared, and not from this record: {listed}."
+    return with_numbers(made, kept), (Message(LimitationCode.AS_DECLARED, words, {"numbers": kept}),)
 
 
 def _build_result(
@@ -166,42 +169,75 @@ def _build_result(
     )
 
 
-def list_equivalents(structure: Structure) -> Iterator[Equivalence]:
-    """Yield the other forms of a law: the same equation with its gains combined otherwise."""
+def list_equivalents(structure: Structure) -> Iterator[Message]:
+    """Yield the other forms of a law: the same equation, its gains in terms of those that were found."""
+    code, velocity = Equivalence, structure.reference_velocity
     plain = structure.velocity_filter == "none" and structure.every == 1
-    if structure.law == "P-P" and structure.reference_velocity == "none" and structure.every == 1:
-        yield Equivalence.PD
-    if structure.law == "P-P" and structure.reference_velocity == "full" and plain:
-        yield Equivalence.PD_ON_DIFFERENCE
-    if structure.law == "P-P" and structure.reference_velocity == "share":
-        yield Equivalence.VISCOUS_FEEDFORWARD
-    if structure.law == "P-PI" and structure.reference_velocity == "full" and plain:
-        yield Equivalence.PID_ON_DIFFERENCE
-    if not structure.cascade and VELOCITY in structure.feedforward and structure.reference_velocity == "difference":
-        yield Equivalence.REFERENCE_VELOCITY_WEIGHT
+    if structure.law == "P-P" and velocity == "none" and structure.every == 1:
+        yield Message(code.PD, 'PD with reference_velocity = "none", its kp = kp kv and kd = kv')
+    if structure.law == "P-P" and velocity == "full" and plain:
+        yield Message(code.PD_ON_DIFFERENCE, 'PD with reference_velocity = "difference", its kp = kp kv and kd = kv')
+    if structure.law == "P-P" and velocity == "share":
+        yield Message(code.VISCOUS_FEEDFORWARD, "P-P with viscous_feedforward = kv velocity_feedforward instead")
+    if structure.law == "P-PI" and velocity == "full" and plain:
+        yield Message(
+            code.PID_ON_DIFFERENCE,
+            'PID with reference_velocity = "difference", its kp = kv (kp + ki), kd = kv (1 - ki T), ki = kv kp ki',
+        )
+    if not structure.cascade and VELOCITY in structure.feedforward and velocity == "difference":
+        yield Message(code.REFERENCE_VELOCITY_WEIGHT, "the same with a larger weight of the reference's velocity")
 
 
-def list_limitations(task: Task, best: FittedLaw, alike: tuple[Structure, ...]) -> Iterator[Limitation]:
+def list_limitations(task: Task, best: FittedLaw, alike: tuple[Structure, ...]) -> Iterator[Message]:
     """Yield what a record leaves open about a law; `alike` are the structures that it does not distinguish from it."""
     structure, log, code = best.structure, task.log, LimitationCode
     if not structure.integrates:
-        yield Limitation(code.NO_INTEGRAL)
+        yield Message(
+            code.NO_INTEGRAL,
+            "No integral action is visible in this record: it contributes less than 0.1 % of the torque, or there is "
+            "none.",
+        )
     if not structure.limited:
-        unit = log.record.torque.unit if log.record.torque is not None else ""
-        yield Limitation(code.LIMIT_NOT_REACHED, {"torque": float(abs(log.torque).max()), "unit": unit})
+        assert log.record.torque is not None
+        largest, unit = float(abs(log.torque).max()), log.record.torque.unit
+        yield Message(
+            code.LIMIT_NOT_REACHED,
+            f"The limit is not reached in this record; it is above {number(largest, 4)} {unit}, the largest torque.",
+            {"torque": largest, "unit": unit},
+        )
     elif structure.integrates:
-        yield Limitation(code.ANTI_WINDUP_NOT_TESTED)
+        yield Message(
+            code.ANTI_WINDUP_NOT_TESTED,
+            "The behaviour of the integral at the limit (anti_windup) was not tested; it is assumed to stop.",
+        )
     if structure.torque_filter == "none":
-        yield Limitation(code.TORQUE_FILTER_HIDDEN)
+        yield Message(code.TORQUE_FILTER_HIDDEN, "A torque filter whose effect is below the noise cannot be detected.")
     if log.record.tap is Tap.COMMAND:
-        yield Limitation(code.DELAY_NOT_VISIBLE)
+        yield Message(
+            code.DELAY_NOT_VISIBLE,
+            'A delay between the controller\'s output and the acting torque is not visible at the tap "command"; take '
+            "delay from the drive's documentation.",
+        )
         if structure.late:
-            yield Limitation(code.TORQUE_LOGGED_LATE, {"samples": structure.late})
+            yield Message(
+                code.TORQUE_LOGGED_LATE,
+                f"The log shows the torque {structure.late} samples later than the position it depends on; declare "
+                'tap = "measured" for the torque, so that the delay is visible in it, or shift the log.',
+                {"samples": structure.late},
+            )
     if structure.rate > 1 or any(other.rate != structure.rate for other in alike):
-        yield Limitation(code.PERIOD_UNCERTAIN)
-        yield Limitation(code.INTERPOLATION_ASSUMED)
+        yield Message(
+            code.PERIOD_UNCERTAIN,
+            "The loop's period follows only from the lag of its velocity; a velocity filter may have the same effect.",
+        )
+        yield Message(
+            code.INTERPOLATION_ASSUMED,
+            "Between the log's samples the reference is assumed to follow the controller's interpolation, and the "
+            "position a cubic spline. Where that is wrong, the errors are larger than the intervals.",
+        )
     if alike:
-        yield Limitation(code.INDISTINGUISHABLE, {"structures": alike})
+        said = f"This record does not distinguish this law from: {'; '.join(map(str, alike))}."
+        yield Message(code.INDISTINGUISHABLE, said, {"structures": alike})
 
 
 def _build_controller(task: Task, one: FittedLaw) -> Controller:

@@ -1,24 +1,18 @@
-"""The result of learning a controller: the law, its numbers with intervals, its alternatives and its limitations.
-
-What a law is equivalent to, and what the record leaves open about it, are codes with their values; the words follow.
-"""
+"""The result of learning a controller: the law, its numbers with intervals, its alternatives and its limitations."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum, auto
-from typing import TypeAlias
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph, Table, common_facts
+from jointid.common.message import Message
 from jointid.common.text import number
 from jointid.controller_id.structures import Structure
 from jointid.models.controllers import Controller
 from jointid.models.transmission import Transmission
 from jointid.records.time_base.uniformity import Resampled
-
-Value: TypeAlias = float | int | str | Mapping[str, float] | tuple[Structure, ...]
 
 
 class Equivalence(StrEnum):
@@ -29,22 +23,6 @@ class Equivalence(StrEnum):
     VISCOUS_FEEDFORWARD = auto()
     PID_ON_DIFFERENCE = auto()
     REFERENCE_VELOCITY_WEIGHT = auto()
-
-    @property
-    def description(self) -> str:
-        """The law, and its gains in terms of those that were found."""
-        return _FORMS[self]
-
-
-_FORMS: Mapping[Equivalence, str] = {
-    Equivalence.PD: 'PD with reference_velocity = "none", its kp = kp kv and kd = kv',
-    Equivalence.PD_ON_DIFFERENCE: 'PD with reference_velocity = "difference", its kp = kp kv and kd = kv',
-    Equivalence.VISCOUS_FEEDFORWARD: "P-P with viscous_feedforward = kv velocity_feedforward instead",
-    Equivalence.PID_ON_DIFFERENCE: (
-        'PID with reference_velocity = "difference", its kp = kv (kp + ki), kd = kv (1 - ki T), ki = kv kp ki'
-    ),
-    Equivalence.REFERENCE_VELOCITY_WEIGHT: "the same with a larger weight of the reference's velocity",
-}
 
 
 class LimitationCode(StrEnum):
@@ -60,62 +38,6 @@ class LimitationCode(StrEnum):
     INTERPOLATION_ASSUMED = auto()
     INDISTINGUISHABLE = auto()
     AS_DECLARED = auto()
-
-
-_SENTENCES: Mapping[LimitationCode, str] = {
-    LimitationCode.NO_INTEGRAL: (
-        "No integral action is visible in this record: it contributes less than 0.1 % of the torque, or there is none."
-    ),
-    LimitationCode.LIMIT_NOT_REACHED: (
-        "The limit is not reached in this record; it is above {torque} {unit}, the largest torque."
-    ),
-    LimitationCode.ANTI_WINDUP_NOT_TESTED: (
-        "The behaviour of the integral at the limit (anti_windup) was not tested; it is assumed to stop."
-    ),
-    LimitationCode.TORQUE_FILTER_HIDDEN: "A torque filter whose effect is below the noise cannot be detected.",
-    LimitationCode.DELAY_NOT_VISIBLE: (
-        'A delay between the controller\'s output and the acting torque is not visible at the tap "command"; take '
-        "delay from the drive's documentation."
-    ),
-    LimitationCode.TORQUE_LOGGED_LATE: (
-        "The log shows the torque {samples} samples later than the position it depends on; declare "
-        'tap = "measured" for the torque, so that the delay is visible in it, or shift the log.'
-    ),
-    LimitationCode.PERIOD_UNCERTAIN: (
-        "The loop's period follows only from the lag of its velocity; a velocity filter may have the same effect."
-    ),
-    LimitationCode.INTERPOLATION_ASSUMED: (
-        "Between the log's samples the reference is assumed to follow the controller's interpolation, and the position "
-        "a cubic spline. Where that is wrong, the errors are larger than the intervals."
-    ),
-    LimitationCode.INDISTINGUISHABLE: "This record does not distinguish this law from: {structures}.",
-    LimitationCode.AS_DECLARED: "As declared, and not from this record: {numbers}.",
-}
-
-
-@dataclass(frozen=True, slots=True)
-class Limitation:
-    """One thing that a record leaves open about the controller.
-
-    Attributes:
-        code: what it is.
-        values: that belong to it, by name.
-    """
-
-    code: LimitationCode
-    values: Mapping[str, Value] = field(default_factory=dict)
-
-    def __str__(self) -> str:
-        """Return the sentence."""
-        return _SENTENCES[self.code].format(**{name: _text(value) for name, value in self.values.items()})
-
-
-def _text(value: Value) -> str:
-    if isinstance(value, Mapping):
-        return " and ".join(f"{name} = {one:g}" for name, one in value.items())
-    if isinstance(value, tuple):
-        return "; ".join(map(str, value))
-    return number(value, 4) if isinstance(value, float) else str(value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,9 +84,9 @@ class LearnedLoop(Documented):
         structure: of the law; its text is the description.
         numbers: those that were learned.
         correlation: of their errors, in that order.
-        equivalent: forms of the same equation, and structures with the same torque to rounding.
+        equivalent: forms of the same equation, by `Equivalence`, and structures with the same torque to rounding.
         alternatives: other structures, the likeliest first.
-        limitations: what the record leaves open about the law; the text of each is its sentence.
+        limitations: what the record leaves open about the law, by `LimitationCode`.
         rms: of the residual, in the torque's unit. share: of the torque's rms.
         torque_noise: standard deviation of the torque's error, in its unit. position_noise: of the position's.
         band: highest informative frequency (the torque exceeds the noise there), Hz.
@@ -179,9 +101,9 @@ class LearnedLoop(Documented):
     structure: Structure
     numbers: tuple[LearnedNumber, ...]
     correlation: FloatArray
-    equivalent: tuple[Equivalence | Structure, ...]
+    equivalent: tuple[Message | Structure, ...]
     alternatives: tuple[Alternative, ...]
-    limitations: tuple[Limitation, ...]
+    limitations: tuple[Message, ...]
     rms: float
     share: float
     torque_noise: float
@@ -209,7 +131,7 @@ class LearnedLoop(Documented):
     @property
     def equivalent_laws(self) -> tuple[str, ...]:
         """The descriptions of the equivalent laws."""
-        return tuple(one.description if isinstance(one, Equivalence) else str(one) for one in self.equivalent)
+        return tuple(map(str, self.equivalent))
 
     def document(self, *, details: bool = False) -> Document:
         """Return the numbers, the other structures, and what the record cannot tell; there are no further details."""
