@@ -140,7 +140,13 @@ def _build_result(
     made, declared_ones = _keep_declared(_build_controller(task, best), declared)
     residual = task.residual(best.structure, best.numbers)
     rms = float(np.sqrt(np.sum(residual**2) / np.sum(task.log.kept)))
-    others = tuple(_alternative(task, rival) for rival in rivals)
+    others = tuple(
+        Alternative(
+            rival.fitted.structure, _build_controller(task, rival.fitted), rival.worse, rival.apart,
+            alike=rival.worse < ALIKE or rival.apart < SAME,
+        )
+        for rival in rivals
+    )  # fmt: skip
     named = tuple(other.structure for other in others if other.apart < SAME)
     alike = tuple(o.structure for o in others if o.alike and o.apart >= SAME)
     informative = np.flatnonzero(best.noise.informative)
@@ -243,13 +249,6 @@ def list_limitations(task: Task, best: FittedLaw, alike: tuple[Structure, ...]) 
 def _build_controller(task: Task, one: FittedLaw) -> Controller:
     """Return a law that counts from the first sample of the record's file, as controllers do."""
     return shift_start(task.controller(one.structure, one.numbers), -task.log.record.begin)
-
-
-def _alternative(task: Task, rival: Rival) -> Alternative:
-    one = rival.fitted
-    made = _build_controller(task, one)
-    alike = rival.worse < ALIKE or rival.apart < SAME
-    return Alternative(one.structure, made, rival.worse, rival.apart, alike)
 
 
 def covariance(task: Task, best: FittedLaw) -> Covariance:

@@ -172,19 +172,14 @@ def linear_joints(joint: Joint, candidates: Sequence[Mapping[str, float]]) -> Li
         joint: the model.
         candidates: every parameter of it by name, one mapping for each joint.
     """
-    ways = (0, 1) if joint.friction.depends_on_direction("viscous") else (0,)
+    ways = (0, 1) if joint.friction.depends_on_direction("viscous") else (0,)  # forwards, backwards
+    masses = 2 if isinstance(joint, FlexibleJoint) else 1
     made = [
-        _linear(joint.coefficients(values), way, isinstance(joint, FlexibleJoint))
-        for values in candidates
+        drive_matrices((c[0], c[1])[:masses], (c[4 + way], c[8 + way])[:masses], c[2], c[3])
+        for c in map(joint.coefficients, candidates)
         for way in ways
     ]
     return LinearJoints(np.array([A for A, _ in made]), np.array([B for _, B in made]))
-
-
-def _linear(c: FloatArray, way: int, flexible: bool) -> tuple[FloatArray, FloatArray]:
-    """Return the matrices of a drive (`Joint.coefficients`) that moves forwards (0) or backwards (1)."""
-    masses = 2 if flexible else 1
-    return drive_matrices((c[0], c[1])[:masses], (c[4 + way], c[8 + way])[:masses], c[2], c[3])
 
 
 def frequency_response(
