@@ -36,7 +36,8 @@ FAULTS = (
 
 TESTS = (
     "tests/solvers", "tests/estimation/test_problem_base.py", "tests/estimation/test_sum_problem.py",
-    "tests/estimation/test_recovery.py", "tests/estimation/test_together.py", "tests/estimation/test_flexible.py",
+    "tests/estimation/test_recovery.py", "tests/estimation/test_several_records.py",
+    "tests/estimation/test_flexible.py",
 )  # fmt: skip
 """Of the default tests, those of the solvers and the problems."""
 

@@ -16,9 +16,9 @@ from .estimation.methods.drive_side import DriveSideFit
 from .estimation.methods.flexible import FlexibleDIDIM
 from .estimation.methods.idim import IDIM
 from .estimation.methods.open_loop import OpenLoopFit
+from .estimation.problems.log_windows import Windowing
+from .estimation.problems.several_records import SeveralRecords
 from .estimation.result.estimate import Estimate, IdentifiedJoint
-from .estimation.several_records.settings import SeveralRecords
-from .estimation.streaming.settings import Windowing
 from .models.controllers import (
     PD,
     PID,
@@ -41,7 +41,7 @@ from .output.export.export import export, read_estimated, state_space
 from .output.export.joint_toml import JointToml
 from .output.export.linear import Matlab, StateSpaceJson
 from .output.export.mjcf import Mjcf
-from .output.figures.figures import save, torque_figure
+from .output.figures.figures import residual_figure, save, torque_figure
 from .output.figures.tuning_figure import tuning_figure
 from .output.json import read_report
 from .output.json.to_dict import to_dict
@@ -145,6 +145,7 @@ __all__ = [
     "read_report",
     "report_estimate",
     "report_file",
+    "residual_figure",
     "rigid_sums",
     "save",
     "simulate",

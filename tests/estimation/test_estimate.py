@@ -9,20 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import jointid as ji
 from jointid.common.errors import ExtraError, RecordError
 from jointid.common.text import interval, number
-from jointid.estimation.result.estimate import (
-    Checks,
-    Data,
-    Estimate,
-    Fit,
-    Iteration,
-    Settings,
-    fingerprint,
-    law_fingerprint,
-    relative_error,
-)
+from jointid.estimation.result.estimate import Estimate, fingerprint, law_fingerprint, relative_error
 from jointid.estimation.result.params import EstimatedParameter, Params
+from jointid.estimation.result.parts import Checks, Data, Fit, Iteration, Settings
 from jointid.models.controllers import Cascade
 from jointid.models.joints import RigidJoint
 from jointid.output import json as answers
@@ -148,6 +140,17 @@ def test_without_pandas_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_the_figure_of_the_torque_is_at_hand() -> None:
     assert [axes.get_ylabel() for axes in ESTIMATE.plot.torque().axes] == ["force [N]", "force [N]"]
+
+
+def test_the_residual_and_the_report_are_a_word_away() -> None:
+    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(kp=100.0, kv=2000.0))
+    reference = ji.trapezoids(speeds=(0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
+    truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+    record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
+    estimate = ji.identify(record, loop)
+    assert [axes.get_xlabel() for axes in estimate.plot.residual(record).axes][:2] == ["velocity [m/s]", "position [m]"]
+    report = estimate.report(record, name="axis 1", profiles=())
+    assert isinstance(report, ji.Report)
 
 
 def test_conditioning_is_printed_three_ways() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointid.estimation.several_records.heterogeneity import Agreement, Alone, agreement
+from jointid.estimation.result.agreement import Agreement, Alone, agreement
 from jointid.uncertainty.covariance import covariance_of
 
 NAMES = ("inertia", "viscous", "coulomb")

@@ -18,9 +18,9 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.open_loop import OpenLoopFit
+from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.params import EstimatedParameter, bounds_on_other_side, known_on_other_side
-from jointid.estimation.several_records.settings import SeveralRecords
 from jointid.models.controllers import Cascade
 from jointid.models.disturbances import Drift, PositionHarmonics
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction

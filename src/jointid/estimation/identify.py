@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
+from jointid.estimation.identify_log import identify_log
 from jointid.estimation.identify_record import identify_record
+from jointid.estimation.identify_several import identify_several
 from jointid.estimation.methods.registry import Method
+from jointid.estimation.problems.log_windows import Windowing
+from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.several_records.identify_several import identify_several
-from jointid.estimation.several_records.settings import SeveralRecords
-from jointid.estimation.streaming.identify_log import identify_log
-from jointid.estimation.streaming.settings import Windowing
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
 from jointid.records.reading.chunks import InMemory, LongRecord
@@ -91,9 +91,11 @@ def identify(
     if isinstance(record, Sequence):
         if windows is not None:
             raise MethodError("Several records are identified whole; give one record or log, or leave out windows.")
-        return identify_several(
-            record, _loops(model), several or SeveralRecords(), method, filtering, parameters, progress
-        )
+        if not isinstance(model, ClosedLoop | Sequence):
+            raise MethodError(
+                "Several records are identified by simulating their loop; give a ClosedLoop, with the controller."
+            )
+        return identify_several(record, model, several or SeveralRecords(), method, filtering, parameters, progress)
     if several is not None:
         raise MethodError("SeveralRecords is about a list of records; received one record: give a list of them.")
     if isinstance(record, Record) and windows is None:
@@ -104,13 +106,3 @@ def identify(
         raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop, with the controller.")
     source = InMemory(record) if isinstance(record, Record) else record
     return identify_log(source, model, windows or Windowing(), method, filtering, parameters, progress)
-
-
-def _loops(
-    model: ClosedLoop | DriveSide | OpenLoop | Joint | Sequence[ClosedLoop],
-) -> ClosedLoop | Sequence[ClosedLoop]:
-    if isinstance(model, ClosedLoop | Sequence):
-        return model
-    raise MethodError(
-        "Several records are identified by simulating their loop; give a ClosedLoop, with the controller."
-    )

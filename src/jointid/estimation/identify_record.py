@@ -38,57 +38,28 @@ def identify_record(
     chosen = method or default_method(model, joint.model)()
     wanted = adjusted(joint.parameters, parameters or {})
     check_record(record)
-    estimate = _identified(record, joint, loop, chosen, filtering or Filtering(), wanted, progress)
+    _require_fit(chosen, joint, loop)
     bounds: list[str] = []
-    simulations = estimate.fit.simulations
-    while (beyond := _beyond(record, estimate, wanted)) is not None:
-        value, p = beyond
+    simulations = 0
+    while True:
+        estimate = chosen.identify(record, joint, loop, wanted, filtering or Filtering(), progress)
+        simulations += estimate.fit.simulations
+        p = _find_beyond(record, estimate, wanted)
+        if p is None:
+            break
+        value = estimate.values[p.name]
         bounds.append(f"{p.name} is at its bound: without it, it would be {value:.4g} {joint.unit(p)}")
         progress(bounds[-1])
-        wanted = tuple(_at_bound(q, value) if q.name == p.name else q for q in wanted)
-        estimate = _identified(record, joint, loop, chosen, filtering or Filtering(), wanted, progress)
-        simulations += estimate.fit.simulations
+        held = p.fixed(p.lower if value < p.lower else p.upper)
+        wanted = tuple(held if q.name == p.name else q for q in wanted)
     warnings = (*bounds, *estimate.checks.warnings, *record_warnings(record, estimate))
     return estimate.amended(
         fit={"simulations": simulations}, checks={"warnings": warnings}, data={"resampled": record.resampled}
     )
 
 
-def _beyond(record: Record, estimate: Estimate, wanted: tuple[Parameter, ...]) -> tuple[float, Parameter] | None:
-    """Return the free parameter that is farthest beyond its bounds, in its own deviations, with its value.
-
-    Raises:
-        MethodError: an inertia is not positive, for which no bound is a remedy.
-    """
-    found = [(estimate.values[p.name], p) for p in wanted if p.free and p.name in estimate.values]
-    for value, p in found:
-        if p.quantity is Quantity.INERTIA and value <= 0:
-            known = "".join(f"; {note}" for note in find_record_warnings(record, estimate.data.channels))
-            raise MethodError(
-                f"The record gives {p.name} = {value:.4g}, which no joint has: the torque or the motion has the wrong "
-                f"sign (set sign = -1), or they do not belong together{known}."
-            )
-    outside = [(value, p) for value, p in found if not p.lower <= value <= p.upper]
-    return max(outside, key=lambda pair: _excess(pair[0], pair[1], estimate), default=None)
-
-
-def _excess(value: float, p: Parameter, estimate: Estimate) -> float:
-    return max(p.lower - value, value - p.upper) / (estimate[p.name].stderr or abs(value) or 1.0)
-
-
-def _at_bound(p: Parameter, value: float) -> Parameter:
-    return p.fixed(p.lower if value < p.lower else p.upper)
-
-
-def _identified(
-    record: Record,
-    joint: Joint,
-    loop: ClosedLoop | None,
-    method: Method,
-    filtering: Filtering,
-    parameters: tuple[Parameter, ...],
-    progress: Progress,
-) -> Estimate:
+def _require_fit(method: Method, joint: Joint, loop: ClosedLoop | None) -> None:
+    """Refuse a method that is not for this joint, or needs a controller where none is known."""
     if method.needs_controller and loop is None:
         raise MethodError(
             f"{method.title} simulates the closed loop, so it needs the controller; give a ClosedLoop, or use IDIM "
@@ -98,4 +69,26 @@ def _identified(
         other = method_of(method.name, joint.model)
         remedy = other if joint.model in other.models else default_method(loop or joint, joint.model)
         raise MethodError(f"{type(method).__name__} is not for a {joint.model} joint; use {remedy.__name__}.")
-    return method.identify(record, joint, loop, parameters, filtering, progress)
+
+
+def _find_beyond(record: Record, estimate: Estimate, wanted: tuple[Parameter, ...]) -> Parameter | None:
+    """Return the free parameter that is farthest beyond its bounds, in its own deviations.
+
+    Raises:
+        MethodError: an inertia is not positive, for which no bound is a remedy.
+    """
+    values = estimate.values
+
+    def excess(p: Parameter) -> float:
+        value = values[p.name]
+        return max(p.lower - value, value - p.upper) / (estimate[p.name].stderr or abs(value) or 1.0)
+
+    found = [p for p in wanted if p.free and p.name in values]
+    for p in found:
+        if p.quantity is Quantity.INERTIA and values[p.name] <= 0:
+            known = "".join(f"; {note}" for note in find_record_warnings(record, estimate.data.channels))
+            raise MethodError(
+                f"The record gives {p.name} = {values[p.name]:.4g}, which no joint has: the torque or the motion has "
+                f"the wrong sign (set sign = -1), or they do not belong together{known}."
+            )
+    return max((p for p in found if not p.lower <= values[p.name] <= p.upper), key=excess, default=None)

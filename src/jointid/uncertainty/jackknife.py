@@ -48,6 +48,11 @@ class Sums:
         """Return those of rows: a residual, (rows,), its derivatives, (rows, free), and what was measured, (rows,)."""
         return cls(J.T @ J, J.T @ error, float(error @ error), float(measured @ measured), error.size)
 
+    @property
+    def relative_error(self) -> float:
+        """Norm of the residual over that of what was measured; 0 of nothing."""
+        return float(np.sqrt(self.square / self.size)) if self.size > 0 else 0.0
+
     def __add__(self, other: Sums) -> Sums:
         """Return those of the rows of both."""
         return Sums(

@@ -24,7 +24,7 @@ from jointid.common.settings import check_settings, documented, setting
 from jointid.common.text import number
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.result.closed_loop_estimate import build_closed_loop_estimate
+from jointid.estimation.result.build_estimate import build_closed_loop_estimate
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.search.history import History, free_more
 from jointid.estimation.search.search import End, Search, State, Step, require_simulated

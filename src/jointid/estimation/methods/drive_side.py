@@ -27,8 +27,8 @@ from jointid.estimation.methods.endogeneity import Judgement, judged
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.drive_side import CURRENT_LAG, DriveSideProblem, motion_problem
 from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
+from jointid.estimation.result.build_estimate import build_prescribed_estimate
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.prescribed_estimate import build_prescribed_estimate
 from jointid.models.controllers import Controller
 from jointid.models.joints import Joint, acts_on_whole
 from jointid.models.parameters import Parameter

@@ -25,7 +25,7 @@ from jointid.common.settings import check_settings, documented, setting
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
-from jointid.estimation.result.closed_loop_estimate import build_closed_loop_estimate
+from jointid.estimation.result.build_estimate import build_closed_loop_estimate
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.stiffness_identifiability import Visibility, visible
 from jointid.estimation.search.exploration import rigid_estimate

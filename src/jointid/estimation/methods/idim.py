@@ -23,16 +23,10 @@ from jointid.estimation.methods.inverse_model import InverseModel, idim_channels
 from jointid.estimation.methods.linear import Rows, Solution, ordinary, robust, weighted
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import require_free
-from jointid.estimation.result.build_estimate import build_data, build_rows
-from jointid.estimation.result.estimate import (
-    Checks,
-    Estimate,
-    Fit,
-    Settings,
-    poor_fit,
-    relative_error,
-)
+from jointid.estimation.result.build_estimate import build_data, build_rows, poor_fit
+from jointid.estimation.result.estimate import Estimate, relative_error
 from jointid.estimation.result.params import Params
+from jointid.estimation.result.parts import Checks, Fit, Settings
 from jointid.models.controllers import Controller
 from jointid.models.disturbances import Effect, effect_parameters, require_effects
 from jointid.models.joints import Joint, acts_on_whole

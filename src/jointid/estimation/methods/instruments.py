@@ -19,7 +19,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.inverse_model import InverseModel, inverse_model
 from jointid.estimation.methods.linear import Rows, Solution, instrumental, ordinary
-from jointid.estimation.result.estimate import Iteration
+from jointid.estimation.result.parts import Iteration
 from jointid.models.disturbances import Effect
 from jointid.models.parameters import Parameter
 from jointid.records.record import Channel, Record

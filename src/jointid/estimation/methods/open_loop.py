@@ -18,8 +18,8 @@ from jointid.estimation.methods.drive_side import DriveSideFit, covariance_of, i
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.closed_loop import initial_of
 from jointid.estimation.problems.open_loop import OpenLoopProblem, position_problem
+from jointid.estimation.result.build_estimate import build_prescribed_estimate
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.prescribed_estimate import build_prescribed_estimate
 from jointid.models.controllers import Controller
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter

@@ -7,20 +7,181 @@ what makes its noise white (`whitening`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.estimation.problems.base import RecordProblem
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.nuisance_parameters import INITIAL, of_law
 from jointid.estimation.problems.sum import SumProblem, filter_rows
-from jointid.models.parameters import Parameter
+from jointid.models.joints import Joint
+from jointid.models.parameters import TORQUE_UNIT, Parameter, Quantity, unit_of
 from jointid.simulation.closed_loop import Simulation
+from jointid.simulation.loop_input import ClosedLoop
 
 _WHITE = 0.01  # of a residual's variance
+
+Weighting: TypeAlias = Literal["spectrum", "level"]
+
+
+@dataclass(frozen=True, slots=True)
+class SeveralRecords:
+    """How several records of one joint belong together.
+
+    Attributes:
+        added_inertia: for each record, the known inertia added to the load: kg, or kg m2; None for none.
+        own: for each record, names of parameters of its own, which the others do not share: friction, say, which a
+            load changes. The motor's state at the first sample is always its own.
+        free: names of nuisance parameters to identify too: "drive_gain", the torque that acts over the torque in the
+            log, which needs an added inertia; "kp", "log_delay", ...
+        weighting: of the rows: by the "spectrum" of each record's residual, unless it repeats with the motion, or by
+            its "level" alone.
+
+    Raises:
+        MethodError: the weighting is not one of the two.
+    """
+
+    added_inertia: Sequence[float] | None = None
+    own: Sequence[Sequence[str]] | None = None
+    free: Sequence[str] = ()
+    weighting: Weighting = "spectrum"
+
+    def __post_init__(self) -> None:
+        if self.weighting not in ("spectrum", "level"):
+            raise MethodError(f'The weighting is one of spectrum, level; received "{self.weighting}".')
+
+
+@dataclass(frozen=True, slots=True)
+class RecordLayout:
+    """What several records share and what is known to differ, checked and of one length.
+
+    Attributes:
+        loops: one for each record.
+        added: for each record, what is known to come on top of the shared parameters, by name.
+        free: names of what surrounds the joint and is identified too.
+    """
+
+    loops: tuple[ClosedLoop, ...]
+    added: tuple[dict[str, float], ...]
+    free: tuple[str, ...]
+
+    @classmethod
+    def of(cls, count: int, loops: ClosedLoop | Sequence[ClosedLoop], settings: SeveralRecords) -> RecordLayout:
+        """Return the layout of so many records under one loop, or one for each.
+
+        Raises:
+            MethodError: a list is not as long as the records, or an added inertia is impossible.
+        """
+        if count < 2:
+            raise MethodError(f"Two or more records are identified together; received {count}: use identify for one.")
+        each = (loops,) * count if isinstance(loops, ClosedLoop) else tuple(loops)
+        more = tuple(map(float, settings.added_inertia or [0.0] * count))
+        own = settings.own or [()] * count
+        for name, given in (("loops", each), ("added_inertia", more), ("own", own)):
+            if len(given) != count or any(isinstance(one, str) for one in given):
+                raise MethodError(
+                    f"{name} has one entry for each of the {count} records (a list of names, of what is a record's "
+                    f"own); received {given!r}."
+                )
+        if any("drive_gain" in mine for mine in own):
+            raise MethodError("The gain of the drive is one for all records; leave drive_gain out of own.")
+        if not all(math.isfinite(m) and m >= 0.0 for m in more):
+            raise MethodError(f"An added inertia is 0 or more; received {more}: subtract the smallest from all.")
+        joint = each[0].joint
+        if joint.torque_unit and any(more) and "drive_gain" not in settings.free:
+            raise MethodError(
+                f"An added inertia is in SI units, but the joint's are per {joint.torque_unit}; free drive_gain, which "
+                "the added inertia tells, or give the torque in SI units."
+            )
+        name = next(p.name for p in reversed(joint.parameters) if p.quantity is Quantity.INERTIA)
+        return cls(each, tuple({name: m} if m else {} for m in more), tuple(settings.free))
+
+    @property
+    def joint(self) -> Joint:
+        """The joint; they are of one model."""
+        return self.loops[0].joint
+
+    @property
+    def torque_unit(self) -> str:
+        """In which the parameters come."""
+        own = None if "drive_gain" in self.free else self.joint.torque_unit
+        return own or TORQUE_UNIT[self.joint.kind]
+
+    def unit(self, parameter: Parameter) -> str:
+        """Return the unit of a parameter of the answer."""
+        if parameter.name.startswith("drive_gain") and self.joint.torque_unit:
+            return f"{self.torque_unit}/{self.joint.torque_unit}"
+        return unit_of(parameter.quantity, self.joint.kind, self.torque_unit)
+
+    def changes(self, parameters: Mapping[str, Parameter], number: int, *, acting: bool) -> dict[str, Parameter]:
+        """Return the changes to the parameters of one record: what was added is in its starts, values and bounds.
+
+        Where the gain of the drive is not known, a record by itself has them per torque of its log, not per torque
+        that is `acting`, and no bound can be moved.
+        """
+        found = dict(parameters)
+        for name, more in self.added[number].items():
+            p = found.get(name) or next(q for q in self.joint.parameters if q.name == name)
+            start = None if p.start is None else p.start + more
+            moved = more if acting or "drive_gain" not in self.free else 0.0
+            found[name] = replace(p, start=start, lower=p.lower + moved, upper=p.upper + moved)
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordsProblem(RecordProblem):
+    """Several records as one problem: what they share, fixed parameters too, then what is each record's own.
+
+    Attributes:
+        layout: how they belong together.
+        criterion: what is solved.
+    """
+
+    layout: RecordLayout
+    criterion: SumProblem[ClosedLoopProblem]
+
+    @classmethod
+    def of(cls, layout: RecordLayout, criterion: SumProblem[ClosedLoopProblem]) -> RecordsProblem:
+        """Return the problem of records that were added up."""
+        first, added, free = criterion.problems[0], layout.added[0], {p.name: p for p in criterion.free}
+        shared = {
+            p.name: free.get(p.name) or p.fixed((p.start or 0.0) - added.get(p.name, 0.0))
+            for p in first.parameters
+            if p.name in free or not (p.free or p.name in INITIAL)
+        }
+        measured = np.concatenate([problem.measured for problem in criterion.problems])
+        return cls(tuple((shared | free).values()), measured, first.filtering, layout, criterion)
+
+    @property
+    def joint(self) -> Joint:
+        """What is identified."""
+        return self.layout.joint
+
+    @property
+    def sample_time(self) -> float:
+        """Of the first record's torque, seconds."""
+        return self.criterion.problems[0].sample_time
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Of every parameter, by name."""
+        return {p.name: self.layout.unit(p) for p in self.parameters}
+
+    def filtered(self, columns: FloatArray) -> FloatArray:
+        """Return signals of all records, (samples,) or (samples, columns), each through its own filter."""
+        borders = np.cumsum([problem.measured.size for problem in self.criterion.problems])[:-1]
+        parts = zip(self.criterion.problems, np.split(columns, borders), strict=True)
+        return np.concatenate([problem.filtered(part) for problem, part in parts])
+
+    def of_record(self, number: int) -> tuple[Parameter, ...]:
+        """Return the free parameters that a record has, numbered from 0: shared ones, and ``name@number`` its own."""
+        return tuple(self.criterion.free[i] for i in self.criterion.places[number])
 
 
 def several(
@@ -55,10 +216,19 @@ def several(
     members: dict[str, list[Parameter]] = {name: [] for name in order}
     for problem, each, more in zip(problems, labels, added, strict=True):
         for p, label in zip(problem.free, each, strict=True):
-            members[label].append(_less(p, more.get(p.name, 0.0)))
+            known = more.get(p.name, 0.0)
+            start = None if p.start is None else p.start - known
+            members[label].append(replace(p, start=start, lower=p.lower - known, upper=p.upper - known))
+
+    def common(label: str, each: Sequence[Parameter]) -> Parameter:
+        """Return the parameter that records share: within the bounds of all of them."""
+        symbol = each[0].symbol + label.removeprefix(each[0].name)
+        lower, upper = max(p.lower for p in each), min(p.upper for p in each)
+        return replace(each[0], name=label, symbol=symbol, lower=lower, upper=upper)
+
     return SumProblem(
         tuple(problems),
-        tuple(_common(label, members[label]) for label in order),
+        tuple(common(label, members[label]) for label in order),
         tuple(np.array([order.index(label) for label in each], dtype=np.intp) for each in labels),
         tuple(np.array([more.get(p.name, 0.0) for p in q.free]) for q, more in zip(problems, added, strict=True)),
         (np.ones(1),) * len(problems),
@@ -110,21 +280,6 @@ def _apart(problems: Sequence[ClosedLoopProblem], own: Sequence[Sequence[str]]) 
         if len(sharing) == 1:
             apart[sharing[0]].add(name)
     return apart
-
-
-def _less(p: Parameter, added: float) -> Parameter:
-    """Return a record's parameter without what is known to have been added."""
-    start = None if p.start is None else p.start - added
-    return replace(p, start=start, lower=p.lower - added, upper=p.upper - added)
-
-
-def _common(label: str, members: Sequence[Parameter]) -> Parameter:
-    """Return the parameter that records share: within the bounds of all of them."""
-    first, (_, _, number) = members[0], label.partition("@")
-    lower, upper = max(p.lower for p in members), min(p.upper for p in members)
-    return replace(
-        first, name=label, symbol=f"{first.symbol}@{number}" if number else first.symbol, lower=lower, upper=upper
-    )
 
 
 def whitening(error: FloatArray, level: float, order: int) -> FloatArray:

@@ -1,22 +1,121 @@
-"""What every method writes alike in an estimate: the rows of its parameters, its record, and what it warns of."""
+"""The builder of an estimate: what every problem's solution says alike, with the differences as arguments.
+
+Rigid or flexible, of one record, of several or of a long log, an answer has a row for each parameter, says how well the
+torque is explained, and what its reader must be warned of.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
+import numpy as np
+
 from jointid.common.arrays import FloatArray
-from jointid.estimation.result.estimate import Data, fingerprint
-from jointid.estimation.result.params import EstimatedParameter
+from jointid.estimation.problems.base import RecordProblem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
+from jointid.estimation.problems.drive_side import DriveSideProblem
+from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
+from jointid.estimation.problems.open_loop import OpenLoopProblem
+from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
+from jointid.estimation.result.params import EstimatedParameter, Params
+from jointid.estimation.result.parts import Checks, Data, Fit, Iteration, Settings
 from jointid.models.parameters import Parameter, Quantity
 from jointid.records.record import Record
+from jointid.simulation.closed_loop import Simulation
+from jointid.simulation.drive_side import LOAD_STATE
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.bounds import Bounds
+from jointid.solvers.solution import Solution
+from jointid.uncertainty.bands import band_words
+from jointid.uncertainty.covariance import Covariance, words
+from jointid.uncertainty.identifiability import identifiability
+from jointid.uncertainty.position_dependent_error import Uncertainty
+from jointid.uncertainty.residual_tests import residual_report
+from jointid.uncertainty.verdict import (
+    bounds_verdict,
+    fit_verdict,
+    identifiability_verdict,
+    residual_verdicts,
+    solver_verdict,
+)
 
 NOT_CONVERGED = "the search did not converge; the values are where it stopped"
 
 _PHYSICAL = (Quantity.INERTIA, Quantity.STIFFNESS)  # what no joint has none of
 _AT_LIMIT = 0.01  # of the periods: more is said
 _INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
+_NEAR = 1e-6  # of a value: how near to a bound is at it
+_POOR = 0.15  # of the filtered torque: the EMPS axis leaves 0.045, the paper's 0.08
+
+
+def build_estimate(
+    problem: RecordProblem,
+    x: FloatArray,
+    covariance: Covariance,
+    basis: str,
+    method: tuple[str, str],
+    *,
+    fit: Fit,
+    checks: Checks,
+    data: Data,
+    shown: Sequence[Parameter] | None = None,
+    lost: Collection[str] = (),
+    loop: ClosedLoop | None = None,
+    delay: float = 0.0,
+) -> Estimate:
+    """Return the estimate that a problem's solution makes.
+
+    Args:
+        problem: that was solved: of one record, of several, or of a window of a log.
+        x: its free parameters.
+        covariance: of their errors.
+        basis: how that was obtained, in a sentence.
+        method: its name, as in a joint file, and how it was run, in words.
+        fit: see `build_fit`.
+        checks: what speaks for the estimate and against it.
+        data: see `build_data`.
+        shown: the parameters in the table; all of them when None.
+        lost: names of free ones that the record does not determine.
+        loop: that was simulated.
+        delay: seconds from the logged torque to the torque that acts.
+    """
+    joint, units, names = problem.joint, problem.units, tuple(p.name for p in problem.free)
+    spread = dict(zip(names, map(float, covariance.std), strict=True))
+    rows = build_rows(
+        problem.parameters if shown is None else shown, problem.values(x), spread, lambda p: units[p.name],
+        {p.name for p in joint.parameters}, lost,
+    )  # fmt: skip
+    return Estimate(
+        params=Params(rows, names, covariance.correlation, basis),
+        fit=fit,
+        checks=checks,
+        data=data,
+        settings=Settings(*method, joint=joint, loop=loop, filtering=problem.filtering, delay=delay),
+    )
+
+
+def build_fit(problem: RecordProblem, predicted: FloatArray, error: FloatArray, stop: str, *, converged: bool) -> Fit:
+    """Return how well a problem's solution explains what was measured; what it took is for the caller to add.
+
+    Args:
+        problem: that was solved.
+        predicted: (samples,) what the model says, raw.
+        error: (rows,) filtered.
+        stop: why the search ended.
+        converged: whether that is a good end.
+    """
+    borders = problem.filtering.borders
+    return Fit(
+        measured=problem.measured,
+        predicted=predicted,
+        borders=borders,
+        relative_error=relative_error(problem.measured, predicted, borders),
+        filtered_error=float(np.linalg.norm(error) / problem.size),
+        rows=error.size,
+        simulations=0,
+        stop=stop,
+        converged=converged,
+    )
 
 
 def build_rows(
@@ -27,7 +126,7 @@ def build_rows(
     of_joint: Collection[str],
     lost: Collection[str] = (),
 ) -> tuple[EstimatedParameter, ...]:
-    """Return the table of an estimate.
+    """Return the table of an estimate; one of several records' own parameters, ``name@2``, is under its plain name.
 
     Args:
         parameters: in its order.
@@ -39,14 +138,14 @@ def build_rows(
     """
     return tuple(
         EstimatedParameter(
-            p.name,
-            p.symbol,
+            p.name.partition("@")[0],
+            p.symbol.partition("@")[0],
             unit(p),
             values[p.name],
             std.get(p.name),
             p.free,
             p.free and p.name not in lost,
-            of_joint=p.name in of_joint,
+            of_joint=p.name.partition("@")[0] in of_joint,
         )
         for p in parameters
     )
@@ -64,20 +163,165 @@ def build_data(record: Record, channels: tuple[str, ...], sample_time: float) ->
     )
 
 
+def build_closed_loop_estimate(
+    record: Record,
+    problem: ClosedLoopProblem,
+    x: FloatArray,
+    run: Simulation,
+    end: tuple[str, bool],
+    known: Uncertainty,
+    J: FloatArray,
+    rigid_error: FloatArray | None = None,
+) -> Estimate:
+    """Return the estimate that ends a simulation of the loop; how it was found is for the caller to add.
+
+    Args:
+        record: what was identified from.
+        problem: what was solved.
+        x: free parameters.
+        run: simulation with them.
+        end: why the search ended, and whether that is a good end.
+        known: of the errors of the free parameters.
+        J: (rows, free) sensitivities, filtered.
+        rigid_error: (rows,) what a rigid joint leaves, for a flexible one.
+    """
+    assert record.torque is not None
+    assert problem.filtering.cutoff is not None
+    values, (stop, converged) = problem.values(x), end
+    error, whole = problem.seen(run, problem.measured[:, np.newaxis])
+    step = problem.sample_time * (problem.filtering.decimation or 1)
+    report = residual_report(
+        error, whole[:, 0], step, problem.filtering.cutoff, record.torque.unit, rigid_error=rigid_error,
+        repeatable=known.repeatable,
+    )  # fmt: skip
+    told = identifiability(problem.free, problem.units, x, J, known.covariance)
+    fit = build_fit(problem, run.torque, error, stop, converged=converged)
+    warnings = (
+        *([] if converged else [NOT_CONVERGED]),
+        *warn_of_limit(run.at_limit),
+        *map(str, known.warnings),
+        *problem.filtering.warnings(problem.sample_time),
+        *poor_fit(fit.filtered_error),
+    )
+    verdicts = (
+        solver_verdict(stop, converged),
+        fit_verdict(report),
+        *residual_verdicts(report),
+        identifiability_verdict(told),
+        bounds_verdict(find_at_bound(problem.free, x)),
+    )
+    found = build_estimate(
+        problem,
+        x,
+        known.covariance,
+        f"from the output sensitivities, {known.basis}",
+        ("didim", "DIDIM"),
+        fit=fit,
+        checks=Checks(warnings=warnings, verdicts=verdicts, known=told),
+        data=build_data(record, list_loop_channels(problem.loop, record), problem.sample_time),
+        loop=problem.loop_at(x),
+        delay=values.get("delay", problem.experiment.law.delay),
+    )
+    return found.amended(fit={"initial": initial_of(values), "residuals": report})
+
+
+def build_prescribed_estimate(
+    record: Record,
+    problem: DriveSideProblem | OpenLoopProblem,
+    x: FloatArray,
+    solution: Solution,
+    covariance: Covariance,
+    channels: tuple[str, ...],
+    method: tuple[str, str],
+    before: Sequence[str] = (),
+    after: Sequence[str] = (),
+) -> Estimate:
+    """Return the estimate of a joint whose motion or torque is prescribed: on the drive side, or in open loop.
+
+    More simulations, and the initial state, are for the caller to add.
+
+    Args:
+        record: what was identified from.
+        problem: what was solved.
+        x: free parameters: the solution's, or those that instruments gave in their place.
+        solution: of least squares.
+        covariance: of the errors of x.
+        channels: that were read.
+        method: its name, and how it was run.
+        before: warnings before those of the search and the parameters.
+        after: warnings after them.
+    """
+    compared = "position" if isinstance(problem, OpenLoopProblem) else "torque"
+    lost = find_lost(problem.free, x, covariance.std)
+    fit = build_fit(problem, problem.predicted(x), problem.residual(x), solution.message, converged=solution.converged)
+    names = [p.name for p in problem.free]
+    columns = np.linalg.norm(solution.jacobian, axis=0).clip(1e-300)
+    near = _NEAR * np.maximum(np.abs(x), np.linalg.norm(solution.residual) / columns)
+    warnings = (
+        *before,
+        *warn_of_lost(lost),
+        *([] if solution.converged else [NOT_CONVERGED]),
+        *(
+            f"{p.name} is not told by this record: it may be anything within its bounds"
+            for p, std in zip(problem.free, covariance.std, strict=True)
+            if 2 * std > p.upper - p.lower
+        ),
+        *warn_of_bounds(find_at_bound(problem.free, x, near)),
+        *warn_of_inseparable(names, covariance.correlation, [i for i, n in enumerate(names) if n not in LOAD_STATE]),
+        *problem.filtering.warnings(problem.sample_time),
+        *after,
+        *poor_fit(fit.filtered_error),
+    )
+    found = build_estimate(
+        problem,
+        x,
+        covariance,
+        f"from the sensitivities of the {compared}: {words(covariance)}; {band_words()}",
+        method,
+        fit=fit,
+        checks=Checks(warnings=warnings),
+        data=build_data(record, channels, problem.sample_time),
+        lost=lost,
+        delay=-problem.values(x)[LOG_DELAY.name],
+    )
+    return found.amended(
+        fit={"trace": _trace(problem, solution), "simulations": solution.evaluations, "compared": compared}
+    )
+
+
+def _trace(problem: DriveSideProblem | OpenLoopProblem, solution: Solution) -> tuple[Iteration, ...]:
+    """Return every step of a descent."""
+    lines: list[Iteration] = []
+    for number, (x, norm) in enumerate((step.x, step.norm) for step in solution.trace):
+        change = step = None
+        if lines:
+            before = problem.vector(lines[-1].values)
+            change = abs(norm - lines[-1].residual_norm) / max(lines[-1].residual_norm, 1e-300)
+            step = float(np.max(np.abs(x - before) / np.maximum(np.abs(x), 1e-300)))
+        lines.append(Iteration(number, problem.values(x), norm, change, step, number + 1))
+    return tuple(lines)
+
+
 def list_loop_channels(loop: ClosedLoop, record: Record) -> tuple[str, ...]:
     """Return the channels of a record that a simulation of its loop reads."""
     return (*loop.channels, *(("injected",) if record.injected is not None else ()))
 
 
-def holds_zero(p: Parameter, value: float, std: float) -> bool:
-    """True if the interval of an inertia or a stiffness holds 0, which no joint has."""
-    return p.quantity in _PHYSICAL and value <= 2 * std
+def find_lost(free: Sequence[Parameter], x: FloatArray, std: FloatArray) -> tuple[str, ...]:
+    """Return the names of the inertias and stiffnesses whose interval holds 0, which no joint has."""
+    found = zip(free, x, std, strict=True)
+    return tuple(p.name for p, value, spread in found if p.quantity in _PHYSICAL and value <= 2 * spread)
 
 
 def find_at_bound(free: Sequence[Parameter], x: FloatArray, near: FloatArray | None = None) -> tuple[str, ...]:
-    """Return the names of the free parameters that a bound holds, within `near` of it."""
-    held = Bounds.of(free).reached(x) if near is None else Bounds.of(free).reached(x, near)
+    """Return the names of the free parameters that a bound holds, within `near` of it; a millionth of their value."""
+    held = Bounds.of(free).reached(x, _NEAR * np.abs(x) if near is None else near)
     return tuple(p.name for p, at in zip(free, held, strict=True) if at)
+
+
+def warn_of_lost(names: Iterable[str], records: str = "this record") -> list[str]:
+    """Return a sentence on each parameter whose interval holds 0."""
+    return [f"{name} is not identifiable from {records}: its interval holds 0" for name in names]
 
 
 def warn_of_bounds(names: Iterable[str], records: str = "record") -> list[str]:
@@ -96,7 +340,7 @@ def warn_of_limit(share: float) -> list[str]:
 
 
 def warn_of_inseparable(
-    names: Sequence[str], correlation: FloatArray, told: Iterable[int], records: str = "this record"
+    names: Sequence[str], correlation: FloatArray, told: Sequence[int], records: str = "this record"
 ) -> list[str]:
     """Return a sentence on each two parameters that are known only together.
 
@@ -106,10 +350,19 @@ def warn_of_inseparable(
         told: which of them are of interest.
         records: what does not tell them apart.
     """
-    of_interest = list(told)
     return [
         f"{names[i]} and {names[j]} are hard to tell apart in {records} (correlation {correlation[i, j]:+.3f})"
-        for i in of_interest
-        for j in of_interest
+        for i in told
+        for j in told
         if j < i and abs(correlation[i, j]) > _INSEPARABLE
     ]
+
+
+def poor_fit(filtered_error: float) -> tuple[str, ...]:
+    """Return a warning where a model leaves more of the torque unexplained than friction laws and noise usually do."""
+    if filtered_error <= _POOR:
+        return ()
+    return (
+        f"the model leaves {100 * filtered_error:.0f} % of the filtered torque unexplained, which is more than a right "
+        "model does; check signs, units, the controller and its limit, and whether the joint is what it is said to be",
+    )

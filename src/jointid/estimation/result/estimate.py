@@ -1,4 +1,4 @@
-"""The estimate: what `identify` returns, complete and frozen, in five named parts."""
+"""The estimate: what `identify` returns, complete and frozen, in five named parts (`parts`)."""
 
 from __future__ import annotations
 
@@ -6,63 +6,32 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented
 from jointid.common.errors import MethodError, RecordError
-from jointid.estimation.result import shortcuts
-from jointid.estimation.result.params import EstimatedParameter, Params
-from jointid.estimation.result.record_fit import RecordFit, Windows
-from jointid.estimation.several_records.heterogeneity import Agreement
-from jointid.estimation.streaming.drift import DriftTest
+from jointid.common.extras import extra
+from jointid.common.json_file import write
+from jointid.estimation.result.params import EstimatedParameter, Params, on_other_side
+from jointid.estimation.result.parts import Checks, Data, Fit, Settings
 from jointid.models.disturbances import Effect
 from jointid.models.joints import Joint
 from jointid.models.transmission import OtherSide, other_side
 from jointid.records.signals.filtering import Filtering
-from jointid.records.time_base.uniformity import Resampled
-from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import ClosedLoop
-from jointid.solvers.regression import Conditioning
-from jointid.uncertainty.endogeneity_test import ChiSquareTest
-from jointid.uncertainty.identifiability import Identifiability
-from jointid.uncertainty.position_dependent_error import Repeatable
-from jointid.uncertainty.residual_tests import ResidualReport
-from jointid.uncertainty.verdict import StiffnessBound, Verdict
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from pandas import DataFrame
 
+    import jointid
     from jointid.records.record import Record
 
 _PERIOD = 1e-4  # s, at which two controllers without one of their own are compared
 _MOST = 64  # times that a position loop may be slower
-_POOR = 0.15  # of the filtered torque: the EMPS axis leaves 0.045, the paper's 0.08
-
-
-@dataclass(frozen=True, slots=True)
-class Iteration:
-    """One line of the trace.
-
-    Attributes:
-        number: 0 is the start.
-        values: of the parameters, by name.
-        residual_norm: of the filtered torque error at these values.
-        change: relative change of the residual norm since the last iteration; None at the start.
-        step: largest relative change of a parameter since the last iteration; None at the start.
-        simulations: so far.
-        gain_scale: factor on the simulated controller's gains.
-    """
-
-    number: int
-    values: dict[str, float]
-    residual_norm: float
-    change: float | None
-    step: float | None
-    simulations: int
-    gain_scale: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,127 +61,6 @@ class IdentifiedJoint:
     fingerprint: str
     controller: str = ""
     effects: tuple[Effect, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Fit:
-    """How well the model reproduces the torque, and what it took to find out.
-
-    Attributes:
-        measured, predicted: (samples,) raw torque, and that of the model; of several records one after the other; empty
-            for a log that is too long for memory.
-        borders: samples left out at each end of the raw error.
-        relative_error: ``||measured - predicted|| / ||measured||`` of the raw torque, borders left out; a ratio.
-        filtered_error: the same of the filtered and decimated torque: what was minimised.
-        rows: filtered samples that were fitted.
-        compared: "torque", or "position" where an open loop is compared by it: then measured, predicted and the errors
-            are of the motor position, without its drift.
-        residuals: tests of the filtered error: whiteness, repetition with the motion.
-        conditioning: of the regressor, for a linear regression.
-        initial: the motor's state at the first sample, for a simulation.
-        trace: every iteration.
-        simulations: that were run, all of them, those for derivatives and deviations included.
-        passes: over the whole of a long log.
-        at_limit: share of the controller's periods at its limit, in a long log.
-        stop: why the search ended, in a sentence; converged: whether that is a good end.
-        interrupted: True if the last pass over a long log was: the estimate is of its beginning.
-    """
-
-    measured: FloatArray
-    predicted: FloatArray
-    borders: tuple[int, int]
-    relative_error: float
-    filtered_error: float
-    rows: int
-    simulations: int
-    stop: str
-    converged: bool
-    compared: Literal["torque", "position"] = "torque"
-    residuals: ResidualReport | None = None
-    conditioning: Conditioning | None = None
-    initial: Initial | None = None
-    trace: tuple[Iteration, ...] = ()
-    passes: int = 0
-    at_limit: float = 0.0
-    interrupted: bool = False
-
-    @property
-    def iterations(self) -> int:
-        """Steps that were taken."""
-        return max(len(self.trace) - 1, 0)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Checks:
-    """What speaks for the estimate and what against it.
-
-    Attributes:
-        verdicts: on the solver, the fit, the residual, identifiability, bounds, stiffness; one question each.
-        known: which parameters and combinations the record determines, and how well.
-        tests: of the method's assumptions.
-        bounds: lower bounds of a refused stiffness, by the load's share of the inertia.
-        repeatable: the part of the residual that repeats with the motion, in a long log.
-        agreement: whether several records, each by itself, agree.
-        drift: whether the segments of a long log agree.
-        warnings: one sentence each.
-    """
-
-    verdicts: tuple[Verdict, ...] = ()
-    known: Identifiability | None = None
-    tests: tuple[ChiSquareTest, ...] = ()
-    bounds: tuple[StiffnessBound, ...] = ()
-    repeatable: Repeatable | None = None
-    agreement: Agreement | None = None
-    drift: DriftTest | None = None
-    warnings: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Data:
-    """The record, or records, that were identified from.
-
-    Attributes:
-        record: its name; of several, all names.
-        channels: that were read.
-        sample_time: of the torque, seconds.
-        torque_unit: of the torque: N, N m, A or V.
-        fingerprint: of the torque, see `fingerprint`.
-        resampled: how the samples were brought to a uniform clock, None where they were logged so.
-        records: each of several records by itself; empty for one record.
-        windows: how a long log was cut; None for a record.
-    """
-
-    record: str
-    channels: tuple[str, ...]
-    sample_time: float
-    torque_unit: str
-    fingerprint: str = ""
-    resampled: Resampled | None = None
-    records: tuple[RecordFit, ...] = ()
-    windows: Windows | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Settings:
-    """The model and the method, defaults filled in.
-
-    Attributes:
-        method: its name, as in a joint file; variant: how it was run, in words.
-        joint: the model. loop: the closed loop, when the method simulated one.
-        filtering: as used.
-        delay: seconds from the logged torque to the torque that acts, as declared, or as found where it was free.
-        effects: torques beside the joint's own model; their parameters follow the joint's.
-        weighting: of the rows of several records, in words.
-    """
-
-    method: str
-    variant: str
-    joint: Joint
-    loop: ClosedLoop | None
-    filtering: Filtering
-    delay: float = 0.0
-    effects: tuple[Effect, ...] = ()
-    weighting: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -269,7 +117,7 @@ class Estimate(Documented):
     @property
     def other_side(self) -> tuple[EstimatedParameter, ...]:
         """The parameters on the other side of the transmission, in the same order; none without one."""
-        return self.params.on(self.other)
+        return on_other_side(self.params, self.other)
 
     @property
     def identified(self) -> IdentifiedJoint:
@@ -305,17 +153,37 @@ class Estimate(Documented):
 
         return estimate_document(self, details=details)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the estimate as JSON has it: what `jointid identify --json` writes, see docs/answers.md."""
-        return shortcuts.to_dict(self)
-
     def to_dataframe(self) -> DataFrame:
         """Return the parameters as a pandas data frame: a row each, with value, standard error, interval and unit.
 
         Raises:
             ExtraError: pandas is not installed.
         """
-        return shortcuts.to_dataframe(self)
+        pandas = extra("pandas", "dataframe", "A data frame")
+        rows = {}
+        for p in self.params:
+            lower, upper = p.interval or (None, None)
+            rows[p.name] = {
+                "symbol": p.symbol,
+                "value": p.value,
+                "stderr": p.stderr,
+                "lower": lower,
+                "upper": upper,
+                "unit": p.unit,
+                "free": p.free,
+                "identifiable": p.identifiable,
+            }
+        frame: DataFrame = pandas.DataFrame.from_dict(rows, orient="index").rename_axis("parameter")
+        return frame.astype(dict.fromkeys(("value", "stderr", "lower", "upper"), float))
+
+    # What follows is a shorter way to public functions, which stand above this room and are found by their public
+    # names, as in a user's program.
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the estimate as JSON has it: what `jointid identify --json` writes, see docs/answers.md."""
+        import jointid
+
+        return jointid.to_dict(self)
 
     def save(self, path: str | Path) -> Path:
         """Write `to_dict` as JSON, which other commands read; return the path.
@@ -323,14 +191,15 @@ class Estimate(Documented):
         Raises:
             RecordError: the file cannot be written.
         """
-        return shortcuts.save(self, path)
+        write(self.to_dict(), path)
+        return Path(path)
 
     @property
-    def plot(self) -> shortcuts.Plots:
+    def plot(self) -> Plots:
         """The figures: ``estimate.plot.torque()``, ``estimate.plot.residual(record)``."""
-        return shortcuts.Plots(self)
+        return Plots(self)
 
-    def report(self, record: Record, *, name: str = "", profiles: Sequence[str] | None = None) -> shortcuts.Report:
+    def report(self, record: Record, *, name: str = "", profiles: Sequence[str] | None = None) -> jointid.Report:
         """Return the report: one page with figures, see `jointid.report_estimate`.
 
         Args:
@@ -338,7 +207,32 @@ class Estimate(Documented):
             name: of the joint, for the title.
             profiles: quantities whose criterion is followed; all free parameters when None, none when empty.
         """
-        return shortcuts.report(self, record, name=name, profiles=profiles)
+        import jointid
+
+        return jointid.report_estimate(self, record, name=name, profiles=profiles)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plots:
+    """The figures of an estimate; ``jointid.save(figure, path)`` writes one."""
+
+    estimate: Estimate
+
+    def torque(self) -> Figure:
+        """Return measured, simulated and error torque over time."""
+        import jointid
+
+        return jointid.torque_figure(self.estimate)
+
+    def residual(self, record: Record) -> Figure:
+        """Return the torque error against velocity and position, and its autocorrelation.
+
+        Args:
+            record: that it was identified from, or another one of the joint; an estimate keeps no motion.
+        """
+        import jointid
+
+        return jointid.residual_figure(jointid.validate(self.estimate, record))
 
 
 def fingerprint(torque: FloatArray) -> str:
@@ -365,13 +259,3 @@ def relative_error(measured: FloatArray, predicted: FloatArray, borders: tuple[i
         )
     inside = slice(borders[0], measured.size - borders[1])
     return float(np.linalg.norm((measured - predicted)[inside]) / np.linalg.norm(measured[inside]))
-
-
-def poor_fit(filtered_error: float) -> tuple[str, ...]:
-    """Return a warning where a model leaves more of the torque unexplained than friction laws and noise usually do."""
-    if filtered_error <= _POOR:
-        return ()
-    return (
-        f"the model leaves {100 * filtered_error:.0f} % of the filtered torque unexplained, which is more than a right "
-        "model does; check signs, units, the controller and its limit, and whether the joint is what it is said to be",
-    )

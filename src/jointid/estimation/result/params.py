@@ -107,10 +107,6 @@ class Params(Sequence[EstimatedParameter]):
         total = sum(p.value for p in found if p.value is not None)
         return total, float(np.sqrt(max(float(stderr @ together @ stderr), 0.0)))
 
-    def on(self, side: OtherSide | None) -> tuple[EstimatedParameter, ...]:
-        """Return the parameters on the other side of a transmission, in the same order; none without one."""
-        return on_other_side(self.rows, side)
-
 
 def on_other_side(parameters: Sequence[EstimatedParameter], side: OtherSide | None) -> tuple[EstimatedParameter, ...]:
     """Return parameters as they are on the other side of a transmission, in the same order; none without one."""

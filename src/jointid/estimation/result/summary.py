@@ -1,18 +1,22 @@
-"""An estimate as a document: a screen of it, or all there is to say."""
+"""An estimate as a document: a screen of it, or all there is to say; and its tables, for every rendering of it."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 from jointid.common.document import Block, Document, Facts, Table, Verdicts
 from jointid.common.text import number
+from jointid.estimation.problems.log_windows import VISITS
+from jointid.estimation.problems.nuisance_parameters import INITIAL
+from jointid.estimation.result.drift import DriftTest
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.params import EstimatedParameter
-from jointid.estimation.result.tables import bounds_table, combinations_table, parameters_table, shown
-from jointid.estimation.streaming.drift import DriftTest, Segment
-from jointid.uncertainty.verdict import Status, Verdict
+from jointid.estimation.result.params import EstimatedParameter, known_on_other_side
+from jointid.uncertainty.combination import Kind
+from jointid.uncertainty.verdict import Status
 
 _SHOWN = 2.0  # standard errors that a trend has at least to be printed as one
+_LOST = 1000.0  # %: a deviation so much larger than its value says nothing in percent
 
 
 def estimate_document(estimate: Estimate, *, details: bool = False) -> Document:
@@ -23,19 +27,25 @@ def estimate_document(estimate: Estimate, *, details: bool = False) -> Document:
         details: whether to show every verdict with all its reasons, tests, effort and settings; else only the verdicts
             that did not pass, a line each.
     """
-    data, joint = estimate.data, estimate.settings.joint
+    data, joint, fit = estimate.data, estimate.settings.joint, estimate.fit
     source = f"of {data.record}" if not data.records else f"of {len(data.records)} records"
     title = f"{joint.model.capitalize()} joint, {estimate.settings.variant}, {source}"
-    facts = (
-        *_results(estimate),
-        *(_effort(estimate) if details else _unfinished(estimate)),
-        *_limits(estimate, details=details),
-        *_count(estimate),
-    )
-    tables = _tables(estimate, details=details)
-    blocks = [Facts(tuple(_sources(estimate))), *tables, Facts(facts), *_verdicts(estimate, details=details)]
-    warnings = tuple(("warning", warning) for warning in estimate.checks.warnings)
-    return Document(title, (*blocks, *((Facts(warnings),) if warnings else ())))
+    facts = [*_results(estimate)]
+    if details:
+        facts += _effort(estimate)
+    elif fit.interrupted or not (fit.converged or estimate.checks.verdicts):  # no verdict says why it ended so
+        facts += [("stopped", fit.stop)]
+    facts += _limits(estimate, details=details)
+    passed = [verdict.status is Status.PASSED for verdict in estimate.checks.verdicts]
+    if passed:
+        facts += [("checks", f"all {len(passed)} passed" if all(passed) else f"{sum(passed)} of {len(passed)} passed")]
+    blocks: list[Block] = [Facts(tuple(_sources(estimate))), *_tables(estimate, details=details)]
+    if facts:
+        blocks.append(Facts(tuple(facts)))
+    blocks += _verdicts(estimate, details=details)
+    if estimate.checks.warnings:
+        blocks.append(Facts(tuple(("warning", warning) for warning in estimate.checks.warnings)))
+    return Document(title, tuple(blocks))
 
 
 def _sources(estimate: Estimate) -> Iterator[tuple[str, str]]:
@@ -58,18 +68,22 @@ def _sources(estimate: Estimate) -> Iterator[tuple[str, str]]:
 def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
     if estimate.data.records:
         yield _shared(estimate)
-        own = [(k, p) for k, rows in enumerate(estimate.params.own, 1) for p in rows]
+        own = tuple((str(k), *_cells(p)) for k, rows in enumerate(estimate.params.own, 1) for p in rows)
         if own:
-            yield _own(own)
-        yield _errors(estimate)
+            yield Table(("record", "symbol", "parameter", "value", "2 sigma", "unit"), own, words=(0, 1, 2, 5))
+        errors = tuple(
+            (str(k), *(f"{100 * e:.4f}" for e in (r.relative_error, r.filtered_error, r.alone_error)), str(r.rows))
+            for k, r in enumerate(estimate.data.records, 1)
+        )
+        yield Table(("record", "error % raw", "filtered", "filtered, alone", "rows"), errors)
         return
     yield parameters_table(estimate, initial=details)
-    known = combinations_table(estimate, "known together", differences=details)
-    if known is not None:
-        yield known
-    bounds = bounds_table(estimate, "the stiffness is refused; its lower bound (95 %, lightly damped mode)")
-    if bounds is not None:
-        yield bounds
+    for table in (
+        combinations_table(estimate, "known together", differences=details),
+        bounds_table(estimate, "the stiffness is refused; its lower bound (95 %, lightly damped mode)"),
+    ):
+        if table is not None:
+            yield table
     drift = estimate.checks.drift
     if drift is not None and drift.segments:
         yield _segments(estimate, drift)
@@ -78,7 +92,8 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
 def _results(estimate: Estimate) -> Iterator[tuple[str, str]]:
     fit, checks, windows = estimate.fit, estimate.checks, estimate.data.windows
     if checks.agreement is not None:
-        yield "agreement", str(checks.agreement)
+        if not checks.agreement.differs:  # else it is a warning
+            yield "agreement", str(checks.agreement)
     elif windows is not None:
         yield "torque error", f"{100 * fit.filtered_error:.4f} % filtered ({fit.rows} rows)"
         still = f", {windows.still} without motion left out" if windows.still else ""
@@ -114,42 +129,36 @@ def _effort(estimate: Estimate) -> Iterator[tuple[str, str]]:
     yield "intervals", estimate.params.basis
 
 
-def _unfinished(estimate: Estimate) -> Iterator[tuple[str, str]]:
-    """Return why a search that no verdict is on ended where it should not have."""
-    if estimate.fit.interrupted or not (estimate.fit.converged or estimate.checks.verdicts):
-        yield "stopped", estimate.fit.stop
-
-
 def _limits(estimate: Estimate, *, details: bool) -> Iterator[tuple[str, str]]:
     """Return what no verdict says: the residual and the limitations of a long log, and the method's own tests."""
-    checks = estimate.checks
-    if checks.repeatable is not None:
-        yield "residual", str(checks.repeatable)
-    if estimate.data.windows is not None and checks.known is not None:
+    checks, windows = estimate.checks, estimate.data.windows
+    if windows is not None and checks.repeatable is not None:
+        said = str(checks.repeatable)
+        if checks.repeatable.p_value is None:
+            said = (
+                "whether it repeats with position, direction and speed cannot be judged: that takes a place which the "
+                f"axis passes in {VISITS} windows or more, and in these {windows.count} there is none; give a longer "
+                "record, or shorter windows"
+            )
+        yield "residual", said
+    if windows is not None and checks.known is not None:
         yield from (("limitation", str(one)) for one in checks.known.limitations)
     if details:
         yield from (("test", f"{test.name}: {test.sentence}") for test in checks.tests)
 
 
-def _count(estimate: Estimate) -> Iterator[tuple[str, str]]:
-    """Return how many verdicts passed."""
-    passed = [verdict.status is Status.PASSED for verdict in estimate.checks.verdicts]
-    if passed:
-        yield "checks", f"all {len(passed)} passed" if all(passed) else f"{sum(passed)} of {len(passed)} passed"
-
-
 def _verdicts(estimate: Estimate, *, details: bool) -> Iterator[Block]:
-    verdicts = estimate.checks.verdicts
-    listed = [verdict for verdict in verdicts if details or verdict.status is not Status.PASSED]
+    """Return the verdicts that did not pass, with the first of their reasons; or all of them."""
+    listed = []
+    for verdict in estimate.checks.verdicts:
+        first, *others = map(str, verdict.reasons)
+        if details:
+            listed.append((str(verdict.subject), verdict.good, (first, *others)))
+        elif verdict.status is not Status.PASSED:
+            more = f" (and {len(others)} more)" if others else ""
+            listed.append((str(verdict.subject), verdict.good, (f"{first}{more}",)))
     if listed:
-        yield Verdicts(tuple((str(v.subject), v.good, _reasons(v, details=details)) for v in listed))
-
-
-def _reasons(verdict: Verdict, *, details: bool) -> tuple[str, ...]:
-    first, *others = map(str, verdict.reasons)
-    if details or not others:
-        return first, *others
-    return (f"{first} (and {len(others)} more)",)
+        yield Verdicts(tuple(listed))
 
 
 def _shared(estimate: Estimate) -> Table:
@@ -168,19 +177,6 @@ def _shared(estimate: Estimate) -> Table:
     header = ("symbol", "parameter", "value", "2 sigma", "unit", *heads, "p", "between", *more)
     words = (0, 1, 4, *((len(header) - 1,) if more else ()))
     return Table(header, tuple(rows), words=words)
-
-
-def _errors(estimate: Estimate) -> Table:
-    rows = tuple(
-        (str(k), *(f"{100 * e:.4f}" for e in (r.relative_error, r.filtered_error, r.alone_error)), str(r.rows))
-        for k, r in enumerate(estimate.data.records, 1)
-    )
-    return Table(("record", "error % raw", "filtered", "filtered, alone", "rows"), rows)
-
-
-def _own(own: list[tuple[int, EstimatedParameter]]) -> Table:
-    rows = tuple((str(k), *_cells(p)) for k, p in own)
-    return Table(("record", "symbol", "parameter", "value", "2 sigma", "unit"), rows, words=(0, 1, 2, 5))
 
 
 def _cells(p: EstimatedParameter) -> tuple[str, str, str, str, str]:
@@ -219,12 +215,132 @@ def _segments(estimate: Estimate, drift: DriftTest) -> Table:
     """Return the table of the segments: each free parameter with two standard errors."""
     free = [p for p in estimate.params if p.free]
     header = ("from h", "to h", *(f"{p.symbol} {p.unit}" for p in free), "error %")
-    rows = tuple(_segment(s, [p.name for p in free]) for s in drift.segments)
+    rows = []
+    for s in drift.segments:
+        found = {n: f"{number(s.values[n], 4)} +- {number(2 * s.std[n], 2)}" for n in s.values}
+        told = (found.get(p.name, "not excited") for p in free)
+        rows.append((f"{s.begin / 3600:.2f}", f"{s.end / 3600:.2f}", *told, f"{100 * s.filtered_error:.2f}"))
     caption = "each segment by itself, +- 2 sigma to compare them by; without what all of them err alike"
-    return Table(header, rows, caption, words=())
+    return Table(header, tuple(rows), caption, words=())
 
 
-def _segment(s: Segment, names: list[str]) -> tuple[str, ...]:
-    found = {n: f"{number(s.values[n], 4)} +- {number(2 * s.std[n], 2)}" for n in s.values}
-    cells = (found.get(n, "not excited") for n in names)
-    return f"{s.begin / 3600:.2f}", f"{s.end / 3600:.2f}", *cells, f"{100 * s.filtered_error:.2f}"
+# The tables
+
+
+def shown(p: EstimatedParameter) -> str:
+    """Return a value as tables print it; of a refused one what is known instead."""
+    if p.value is None:
+        return "not identifiable" if p.lower_bound is None else f"> {number(p.lower_bound)}"
+    return number(p.value)
+
+
+def parameter_row(p: EstimatedParameter) -> tuple[str, ...]:
+    """Return symbol, words, value, two deviations, one in percent, and unit."""
+    words = p.name.replace("_", " ")
+    if p.value is None or p.stderr is None or not p.free:
+        return p.symbol, words, shown(p), "fixed" if p.value is not None and not p.free else "-", "-", p.unit
+    percent = 100 * p.stderr / abs(p.value) if p.value else math.inf
+    relative = f"{percent:.2f}" if percent < _LOST else "-"
+    return p.symbol, words, number(p.value), number(2 * p.stderr, 2), relative, p.unit
+
+
+def parameters_table(estimate: Estimate, caption: str = "", *, initial: bool = True) -> Table:
+    """Return every parameter with its interval, and with a transmission what it is on the other side.
+
+    Args:
+        estimate: whose parameters are shown.
+        caption: of the table.
+        initial: whether to show the state at the first sample.
+    """
+    header: tuple[str, ...] = ("symbol", "parameter", "value", "2 sigma", "sigma %", "unit")
+    listed = [i for i, p in enumerate(estimate.params) if initial or p.name not in INITIAL]
+    rows = [parameter_row(estimate.params[i]) for i in listed]
+    if estimate.other is not None:
+        header, there = (*header, f"{estimate.other.side} side", "unit"), estimate.other_side
+        rows = [(*row, shown(there[i]), there[i].unit) for row, i in zip(rows, listed, strict=True)]
+    return Table(header, tuple(rows), caption, words=(0, 1, 5, 7))
+
+
+def combinations_table(
+    estimate: Estimate, caption: str = "", *, directions: bool = False, differences: bool = True
+) -> Table | None:
+    """Return sums and differences of both sides; None where there are none.
+
+    Args:
+        estimate: whose combinations are shown.
+        caption: of the table.
+        directions: whether to add the singular directions of the sensitivities.
+        differences: whether to show the differences of both sides, too; else only their sums.
+    """
+    known = estimate.checks.known
+    if known is None:
+        return None
+    there = known_on_other_side(known.physical, estimate.other)
+    told = {id(one): f"{number(o.value)} {o.combination.unit}" for one, o in zip(known.physical, there, strict=False)}
+    every = (*known.physical, *(known.directions if directions else ()))
+    shown = [one for one in every if differences or one.combination.kind is not Kind.DIFFERENCE]
+    if not shown:
+        return None
+    rows: list[tuple[str, ...]] = [
+        (one.combination.formula, number(one.value), number(2 * one.std, 2), one.combination.unit, one.verdict)
+        for one in shown
+    ]
+    header: tuple[str, ...] = ("combination", "value", "2 sigma", "unit", "known")
+    if estimate.other is not None:
+        header = (*header, f"{estimate.other.side} side")
+        rows = [(*row, told.get(id(one), "-")) for row, one in zip(rows, shown, strict=True)]
+    return Table(header, tuple(rows), caption, words=(0, 3, 4, 5))
+
+
+def bounds_table(estimate: Estimate, caption: str = "") -> Table | None:
+    """Return the lower bounds of a refused stiffness; None where it is not refused."""
+    bounds, other = estimate.checks.bounds, estimate.other
+    if not bounds:
+        return None
+    unit = estimate["stiffness"].unit
+    header: tuple[str, ...] = ("load's share of the inertia", f"stiffness at least [{unit}]", "free-free mode [Hz]")
+    rows: list[tuple[str, ...]] = []
+    for b in bounds:
+        if b.stiffness is None or b.frequency is None:
+            rows.append((f"{b.share:.2f}", "not bounded", "-"))
+        else:
+            rows.append((f"{b.share:.2f}", number(b.stiffness, 2), f"{b.frequency:.0f}"))
+    if other is not None:
+        header = (*header, f"{other.side} side [{other.unit(unit)}]")
+        there = ["-" if b.stiffness is None else number(other.ratio**2 * b.stiffness, 2) for b in bounds]
+        rows = [(*row, value) for row, value in zip(rows, there, strict=True)]
+    return Table(header, tuple(rows), caption)
+
+
+def bands_table(estimate: Estimate, caption: str = "") -> Table | None:
+    """Return the residual in each band of frequencies; None where it was not looked at."""
+    if estimate.fit.residuals is None:
+        return None
+    rows = tuple(
+        (
+            f"{number(band.low, 3)} to {number(band.high, 3)}",
+            "-" if band.error is None else f"{100 * band.error:.2f}",
+            f"{100 * band.share:.1f}",
+        )
+        for band in estimate.fit.residuals.bands
+    )
+    return Table(("band [Hz]", "error [% of the torque there]", "share of the residual [%]"), rows, caption)
+
+
+def settings_facts(estimate: Estimate) -> Facts:
+    """Return how it was identified."""
+    f, joint, fit = estimate.settings.filtering, estimate.settings.joint, estimate.fit
+    position = "none" if f.position_cutoff is None else f"{f.position_cutoff:g} Hz"
+    return Facts(
+        (
+            ("Method", estimate.settings.variant),
+            ("Model", f"{joint.model}, {joint.friction.name} friction"),
+            ("Left out of the raw error", f"{fit.borders[0]} samples at the start, {fit.borders[1]} at the end"),
+            ("Filter", f"{f.cutoff:g} Hz, one sample in {f.decimation}; positions {position}; timing {f.timing}"),
+            ("Rows fitted", str(fit.rows)),
+            ("Delay of the torque", f"{1e3 * estimate.settings.delay:.4g} ms"),
+            ("Effort", f"{fit.iterations} iterations, {fit.simulations} simulations"),
+            ("Stopped", fit.stop),
+            ("Intervals", estimate.params.basis),
+        )
+    )

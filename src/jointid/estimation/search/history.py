@@ -10,7 +10,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.result.estimate import Iteration
+from jointid.estimation.result.parts import Iteration
 from jointid.solvers.problem import Counted, Tally
 from jointid.solvers.solution import Solution, Step
 from jointid.solvers.solve import Solver, solve

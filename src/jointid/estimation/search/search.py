@@ -16,7 +16,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
-from jointid.estimation.result.estimate import Iteration
+from jointid.estimation.result.parts import Iteration
 from jointid.simulation.closed_loop import Outcome, Simulation
 from jointid.simulation.sensitivities import simulate_with_sensitivities
 from jointid.solvers.gauss_newton import GaussNewton

@@ -10,13 +10,13 @@ from typing import ClassVar
 from jointid import __version__
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.json_file import dumps
 from jointid.models.transmission import Side
 from jointid.output.export.joint_model import JointModel
 from jointid.output.export.naming import identifier, number
 from jointid.output.export.provenance import remarks
 from jointid.output.export.state_space import StateSpace, linear_part, not_linear
 from jointid.output.json.parts import Json, parameter_answer
-from jointid.output.json.writing import dumps
 
 STATE_SPACE_SCHEMA = "jointid.state-space/1"
 

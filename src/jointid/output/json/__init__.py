@@ -3,6 +3,7 @@
 Every answer has `schema` at its top level. A number that does not exist is null, never NaN.
 """
 
+from jointid.common.json_file import dumps, write
 from jointid.output.json.assessments import (
     ADVICE_SCHEMA,
     COMPARISON_SCHEMA,
@@ -24,7 +25,6 @@ from jointid.output.json.reports import REPORT_SCHEMA, report_answer
 from jointid.output.json.simulations import SIMULATION_SCHEMA, simulation_answer
 from jointid.output.json.to_dict import to_dict
 from jointid.output.json.tuning import TUNING_SCHEMA, detectable_answer, tuning_answer
-from jointid.output.json.writing import dumps, write
 
 __all__ = [
     "ADVICE_SCHEMA",

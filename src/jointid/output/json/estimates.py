@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from jointid.estimation.result.estimate import Estimate, Iteration, law_fingerprint
+from jointid.estimation.result.drift import DriftTest
+from jointid.estimation.result.estimate import Estimate, law_fingerprint
 from jointid.estimation.result.params import EstimatedParameter, bounds_on_other_side, known_on_other_side
-from jointid.estimation.result.record_fit import RecordFit
+from jointid.estimation.result.parts import Iteration, RecordFit
 from jointid.estimation.result.summary import describe_drift
-from jointid.estimation.streaming.drift import DriftTest
 from jointid.output.json.parts import (
     Json,
     effect_answer,

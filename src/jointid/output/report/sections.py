@@ -14,7 +14,7 @@ from jointid.common.document import (
     Verdicts,
 )
 from jointid.diagnostics.report_data import ReportData
-from jointid.estimation.result.tables import (
+from jointid.estimation.result.summary import (
     bands_table,
     bounds_table,
     combinations_table,

@@ -12,11 +12,12 @@ import pytest
 
 from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.identify import identify
+from jointid.estimation.identify_log import StreamingGaussNewton
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.problems.log_windows import LogProblem, Places, Windowing, motion, window_problem
 from jointid.estimation.result.summary import describe_drift
-from jointid.estimation.streaming.settings import Windowing
 from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
@@ -25,8 +26,11 @@ from jointid.records.formats import Table, write_table
 from jointid.records.reading.chunks import Chunk, InMemory, Log
 from jointid.records.record import Channel, Record
 from jointid.records.signals.excitation import trapezoids
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
+from jointid.solvers.solve import solve
+from jointid.solvers.trust_region import TrustRegion
 
 PERIOD = 1e-3
 LOOP = ClosedLoop(RigidJoint(), Cascade(kp=100.0, kv=2000.0))
@@ -85,6 +89,30 @@ def test_a_flexible_joint_in_windows_is_that_of_the_whole() -> None:
         std = whole[name].stderr
         assert std is not None
         assert abs(parts[name].value - whole[name].value) <= 0.35 * std, name
+
+
+def test_a_log_is_a_problem_that_any_solver_solves() -> None:
+    """Its residual and derivatives, in as few rows as have the same sums: bounded least squares ends at the same."""
+    record = rigid(30.0)
+    joint, filtering = LOOP.joint, Filtering()
+    window = window_problem(record, LOOP, filtering, joint.parameters, ())
+    problem = LogProblem(InMemory(record), window, 5000, 250, Places.of(*motion(window)))
+    start = window.vector(TRUTH | {"inertia": 33.0, "coulomb": 12.0})
+    error, J = problem.linearised(start)
+    sums = problem.pass_over(start).sums
+    np.testing.assert_allclose(J.T @ J, sums.A, rtol=1e-9)
+    np.testing.assert_allclose(J.T @ error, sums.b, rtol=1e-6)
+    assert error @ error == pytest.approx(sums.square)
+    streamed, other = (solve(problem, solver, start) for solver in (StreamingGaussNewton(), TrustRegion(1e-8)))
+    assert streamed.converged
+    np.testing.assert_allclose(streamed.x, other.x, rtol=1e-4)
+    assert streamed.evaluations == 3 * 6 + 1  # windows: of a sparse pass one, and of three whole ones all
+
+
+def test_with_few_windows_it_is_said_why_repetition_cannot_be_judged() -> None:
+    text = str(identify(rigid(30.0), LOOP, windows=Windowing(length=6.0)))
+    assert "cannot be judged: that takes a place which the axis passes in 8 windows or more, and in these 5" in text
+    assert "no place is visited at two times" not in text
 
 
 def stored(path: Path, record: Record) -> Log:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.streaming.position_bins import Place, Places, repeats
+from jointid.estimation.problems.log_windows import Place, Places, repeats
 from jointid.solvers.bounds import Bounds
 from jointid.uncertainty.jackknife import Sums, left_out, step_of, total
 

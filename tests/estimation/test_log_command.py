@@ -10,7 +10,7 @@ import pytest
 
 from jointid.apps.cli.app import main
 from jointid.records.reading.chunks import Chunk, Log
-from tests.estimation.streaming.test_identify_long import rigid, stored
+from tests.estimation.test_log import rigid, stored
 
 JOINT_FILE = """
 [joint]
@@ -60,7 +60,7 @@ def test_a_log_is_identified_and_every_key_documented(
     answer = json.loads(out.read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.long/1"
     assert answer["parameters"]["inertia"]["value"] == pytest.approx(30.0, abs=0.5)
-    page = (Path(__file__).resolve().parents[3] / "docs" / "answers.md").read_text(encoding="utf-8")
+    page = (Path(__file__).resolve().parents[2] / "docs" / "answers.md").read_text(encoding="utf-8")
     section = page.split("## `jointid.long/1`")[1].split("\n## ")[0]
     for key in answer:
         assert key == "schema" or f"`{key}`" in section, key

@@ -4,7 +4,7 @@ A segment is a number of windows that follow each other. What it says alone is o
 them say, which is near. Its deviations come from how its windows differ, in units of what a window of it tells: so
 measured, windows scatter alike in all segments, and from all of them together that is known well enough to test by
 (from its own twenty windows for four parameters, one steady joint in four would be called drifting). That the segments
-agree is tested as for records of their own (`together.scatter`), and a straight line through them tells how fast what
+agree is tested as for records of their own (`agreement`), and a straight line through them tells how fast what
 they say changes: a gear that warms up, a bearing that runs dry.
 """
 
@@ -13,24 +13,79 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.several_records.heterogeneity import Alone, agreement
-from jointid.estimation.streaming.drift import DriftTest, Segment, Trend
-from jointid.estimation.streaming.window import Window
+from jointid.estimation.result.agreement import Agreement, Alone, agreement
 from jointid.models.parameters import Parameter
 from jointid.solvers.bounds import Bounds
 from jointid.uncertainty.covariance import covariance_of
 from jointid.uncertainty.jackknife import scale_of, step_of, total
+
+if TYPE_CHECKING:
+    from jointid.estimation.problems.log_windows import Window
 
 _MOST = 24  # segments
 _WINDOWS = 3  # in a segment at least, for each parameter
 _SINGULAR = 1e-12  # of the largest: a direction that a segment does not tell
 _TOLD = 1.0 - 1e-6  # of a parameter that lies in the directions that it tells
 _HOUR = 3600.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segment:
+    """The estimate from one part of a long log by itself.
+
+    Attributes:
+        begin, end: seconds from the first sample of the record.
+        windows: in it.
+        values: of the free parameters, by name, but for those that it does not tell, as friction backwards in hours
+            that only go forwards; std: their standard deviations.
+        filtered_error: what the joint of the whole record leaves of its filtered torque; a ratio.
+    """
+
+    begin: float
+    end: float
+    windows: int
+    values: Mapping[str, float]
+    std: Mapping[str, float]
+    filtered_error: float
+
+
+@dataclass(frozen=True, slots=True)
+class Trend:
+    """The straight line through what the segments say of a parameter.
+
+    Attributes:
+        name: of the parameter. per_hour: its change, in its unit. std: of that.
+    """
+
+    name: str
+    per_hour: float
+    std: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriftTest:
+    """The test whether the parameters stay the same from the beginning of a long log to its end.
+
+    Attributes:
+        segments: in the order of time; none where the record is too short for two.
+        agreement: whether they agree; None without them.
+        trends: of the parameters that two segments tell, in their order.
+    """
+
+    segments: tuple[Segment, ...]
+    agreement: Agreement | None
+    trends: tuple[Trend, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parameters that change by more than their intervals allow."""
+        return () if self.agreement is None else tuple(p.name for p in self.agreement.parameters if p.differs)
 
 
 def drift(windows: Sequence[Window], x: FloatArray, free: Sequence[Parameter], units: Mapping[str, str]) -> DriftTest:
@@ -53,10 +108,9 @@ def drift(windows: Sequence[Window], x: FloatArray, free: Sequence[Parameter], u
     for part, fit in zip(parts, fits, strict=True):
         own = np.flatnonzero(fit.told)
         covariance = covariance_of((fit.back @ scatter @ fit.back.T)[np.ix_(own, own)], 0)
-        sums = total([w.sums for w in part])
         values = {names[i]: float(fit.values[i]) for i in own}
         std = dict(zip(values, map(float, covariance.std), strict=True))
-        error = math.sqrt(sums.square / sums.size) if sums.size > 0 else 0.0
+        error = total([w.sums for w in part]).relative_error
         segments.append(Segment(part[0].begin, part[-1].end, len(part), values, std, error))
         alone.append(Alone(values, covariance))
     judged = agreement(alone, {name: units[name] for name in names})

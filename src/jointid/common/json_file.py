@@ -8,15 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from jointid.common.errors import RecordError
-from jointid.output.json.parts import Json
 
 
-def dumps(answer: Json) -> str:
+def dumps(answer: dict[str, Any]) -> str:
     """Return an answer as JSON text, the same bytes for the same answer."""
     return json.dumps(_finite(answer), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def write(answer: Json, path: str | Path) -> None:
+def write(answer: dict[str, Any], path: str | Path) -> None:
     """Write an answer as JSON.
 
     Raises:

@@ -12,14 +12,13 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.estimation.identify import identify
+from jointid.estimation.identify_several import SOLVER, by_itself, starts, whitened
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
-from jointid.estimation.problems.several_records import several
+from jointid.estimation.problems.several_records import SeveralRecords, several
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.several_records.per_record_fit import SOLVER, by_itself, starts, whitened
-from jointid.estimation.several_records.settings import SeveralRecords
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import RigidJoint
 from jointid.paper.twin import Twin, twin
@@ -87,6 +86,7 @@ def test_two_records_under_different_gains() -> None:
     wrong = identify(records, axis.loop, method=QUICK)  # the second under the gains of the first
     assert wrong.checks.agreement.differs
     assert any("disagree" in warning for warning in wrong.checks.warnings)
+    assert str(wrong).count("records disagree") == 1  # as a warning, and not once more as a result
 
 
 def test_a_known_mass_an_own_friction_and_the_gain_of_the_drive() -> None:

@@ -1,0 +1,415 @@
+"""Several records of one joint: identified in one fit, after each was identified by itself.
+
+Two steps. Each record by itself gives a start, the level and the spectrum of its residual, and what it says alone. Then
+bounded least squares over all of them with the exact Jacobian, each record's rows through the filter that makes its own
+residual white and of level 1: records of different noise, length or cut-off count for what they are worth, and so does
+what is seen at frequencies where a record's noise is small. A disturbance in the loop of the paper's twin leaves the
+difference of two load inertias, or the gain of a drive, two thirds of the deviation it has under equal weights.
+
+What repeats with the motion is not noise, and to weigh it away is to believe the model where it is wrong: the EMPS axis
+would have 245 N s/m of viscous friction for 210. Where the residual of any record repeats, rows are weighted by their
+record's level alone.
+
+Rows of different records do not err together in time; a place errs alike in all of them, where anything repeats with
+the motion (`position_dependent_error`). Where the records, each by itself, disagree by more than their intervals allow,
+the answer says so and widens what they share (`result.agreement`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.progress import Progress
+from jointid.estimation.identify_record import identify_record
+from jointid.estimation.methods.cross_axis import record_warnings
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.registry import Method
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of, torque_problem
+from jointid.estimation.problems.nuisance_parameters import INITIAL, INITIAL_STATE, INITIAL_TORQUE
+from jointid.estimation.problems.several_records import (
+    RecordLayout,
+    RecordsProblem,
+    SeveralRecords,
+    Weighting,
+    at_rows,
+    several,
+    whitening,
+)
+from jointid.estimation.result.agreement import Agreement, Alone, agreement
+from jointid.estimation.result.build_estimate import (
+    NOT_CONVERGED,
+    build_estimate,
+    build_fit,
+    build_rows,
+    find_at_bound,
+    find_lost,
+    list_loop_channels,
+    poor_fit,
+    warn_of_bounds,
+    warn_of_inseparable,
+    warn_of_lost,
+)
+from jointid.estimation.result.estimate import Estimate, fingerprint
+from jointid.estimation.result.params import EstimatedParameter
+from jointid.estimation.result.parts import Checks, Data, RecordFit
+from jointid.models.parameters import Parameter, adjusted
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.loop_input import ClosedLoop
+from jointid.solvers.bounds import Bounds
+from jointid.solvers.solution import Solution
+from jointid.solvers.solve import solve
+from jointid.solvers.trust_region import TrustRegion
+from jointid.uncertainty.covariance import Covariance, bandwidth, covariance_of
+from jointid.uncertainty.position_dependent_error import Repeatable, Uncertainty, cells, uncertainty
+
+SOLVER = TrustRegion(1e-10, evaluations=100)
+"""Of one record, and of several together."""
+
+_NOTHING_LEFT = 1e-6  # of the torque: a residual below it is rounding, and no level
+_ROUNDING = 1e-8  # of a value
+
+
+def identify_several(
+    records: Sequence[Record],
+    loops: ClosedLoop | Sequence[ClosedLoop],
+    settings: SeveralRecords,
+    method: Method | None,
+    filtering: Filtering | None,
+    parameters: Mapping[str, Parameter] | None,
+    progress: Progress,
+) -> Estimate:
+    """Return the estimate of one joint from several records in one fit; see `jointid.identify`."""
+    if isinstance(method, IDIM):
+        raise MethodError("Records are identified together by simulating their loops; IDIM does not, so use DIDIM.")
+    layout, given = RecordLayout.of(len(records), loops, settings), parameters or {}
+    _require_different(records)
+    estimates = []
+    for k, record in enumerate(records):
+        progress(f"record {k + 1}, {record.name}, by itself")
+        changes = layout.changes(given, k, acting=False)
+        estimates.append(
+            identify_record(record, layout.loops[k], method, filtering=filtering, parameters=changes, progress=progress)
+        )
+    found = list(zip(records, estimates, strict=True))
+    problems = [_problem(*each, layout, k, given, acting=True) for k, each in enumerate(found)]
+    per_log = [_problem(*each, layout, k, given, acting=False) for k, each in enumerate(found)]
+    alone = [by_itself(problem, values) for problem, values in zip(per_log, starts(estimates), strict=True)]
+    alone, weighting = _weighed(alone, settings.weighting)
+    criterion = several(problems, settings.own, layout.added).weighing([one.weights for one in alone])
+    gain = _gain(layout, alone)
+    progress(f"{len(records)} records together, {len(criterion.free)} parameters")
+    begin = [problem.vector(one.acting(gain)) for problem, one in zip(problems, alone, strict=True)]
+    end = solve(criterion, SOLVER, criterion.vector(begin))
+    progress(end.message)
+    used = sum(estimate.fit.simulations for estimate in estimates) + sum(one.simulations for one in alone)
+    simulations = used + (end.evaluations + 2) * len(records)
+    about = tuple(
+        f"record {number}: {said}"
+        for number, (record, estimate) in enumerate(found, 1)
+        for said in record_warnings(record, estimate)
+    )
+    answer = _answer(_Solved(records, RecordsProblem.of(layout, criterion), end, alone))
+    return answer.amended(
+        fit={"simulations": simulations},
+        checks={"warnings": (*answer.checks.warnings, *about)},
+        settings={"weighting": weighting},
+    )
+
+
+def _require_different(records: Sequence[Record]) -> None:
+    seen: dict[str, int] = {}
+    for number, record in enumerate(records, 1):
+        mark = fingerprint(record.torque.values) if record.torque is not None else str(number)
+        if mark in seen:
+            raise MethodError(
+                f"Records {seen[mark]} and {number} are the same record, which is no second one: name another file."
+            )
+        seen[mark] = number
+
+
+def _problem(
+    record: Record,
+    estimate: Estimate,
+    layout: RecordLayout,
+    number: int,
+    parameters: Mapping[str, Parameter],
+    *,
+    acting: bool,
+) -> ClosedLoopProblem:
+    """Return a record's problem, the motor at its first sample resting or moving as its own identification found it.
+
+    Per torque that is `acting`, the gain of the drive may be free; else it is kept at 1.
+    """
+    loop, free = layout.loops[number], [name for name in layout.free if acting or name != "drive_gain"]
+    found = {p.name: p for p in estimate.params}
+    state = tuple(
+        replace(p, start=found[p.name].value, free=found[p.name].free)
+        for p in (*INITIAL_STATE, INITIAL_TORQUE)
+        if p.name in found
+    )
+    known = adjusted(loop.joint.parameters, layout.changes(parameters, number, acting=acting))
+    return torque_problem(record, loop, estimate.settings.filtering, known, state).freeing(*free)
+
+
+# Each record by itself
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BySelf:
+    """One record fitted by itself.
+
+    It is fitted as it will be with the others, by bounded least squares with the exact Jacobian, from what its own
+    identification found; only the gain of its drive, which no record tells alone, is kept at 1.
+
+    Attributes:
+        problem: what was solved, per torque of the log.
+        end: its solution, in rows that are weighted.
+        error: (rows,) its residual, not weighted.
+        level: rms of the residual over its degrees of freedom.
+        weights: taps of the filter that the rows go through.
+        uncertainty: of the solution.
+        repeatable: what of the residual repeats with the motion.
+        simulations: that this took.
+    """
+
+    problem: ClosedLoopProblem
+    end: Solution
+    error: FloatArray
+    level: float
+    weights: FloatArray
+    uncertainty: Uncertainty
+    repeatable: Repeatable
+    simulations: int
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every parameter by name, the fixed ones too."""
+        return self.problem.values(self.end.x)
+
+    @property
+    def filtered_error(self) -> float:
+        """What is left of the filtered torque, a ratio."""
+        return float(np.linalg.norm(self.error) / self.problem.size)
+
+    def acting(self, gain: float) -> dict[str, float]:
+        """Return them with those of the joint per torque that acts, which is so many times the log's."""
+        own = {p.name for p in self.problem.joint.parameters}
+        return {n: gain * v if n in own else v for n, v in self.values.items()} | {"drive_gain": gain}
+
+
+def by_itself(problem: ClosedLoopProblem, values: Mapping[str, float]) -> BySelf:
+    """Fit one record, all of its rows weighing the same.
+
+    Args:
+        problem: of the record.
+        values: where to begin, by name.
+    """
+    end = solve(problem, SOLVER, problem.vector(values))
+    level = float(np.linalg.norm(end.residual)) / math.sqrt(max(end.residual.size - end.x.size, 1))
+    judged, level = _judge(problem, end), max(level, _nothing(problem))
+    weights = np.array([1.0 / level])
+    return BySelf(problem, end, end.residual, level, weights, judged, judged.repeatable, end.evaluations + 1)
+
+
+def whitened(one: BySelf) -> BySelf:
+    """Fit a record again, its rows weighted by the spectrum of its residual; one that leaves nothing stays as it is."""
+    if one.level <= _nothing(one.problem):
+        return one
+    weights = whitening(one.error, one.level, bandwidth(one.error.size))
+    end = solve(several([one.problem]).weighing([weights]), SOLVER, one.end.x)
+    error, judged, used = one.problem.residual(end.x), _judge(one.problem, end), end.evaluations + 2
+    return replace(one, end=end, error=error, weights=weights, uncertainty=judged, simulations=one.simulations + used)
+
+
+def _nothing(problem: ClosedLoopProblem) -> float:
+    """Return the level of a residual that is as good as none."""
+    return _NOTHING_LEFT * float(np.sqrt(np.mean(problem.filtered(problem.measured) ** 2)))
+
+
+def _judge(problem: ClosedLoopProblem, end: Solution) -> Uncertainty:
+    where, names = problem.cells(problem.simulate(end.x)), [p.name for p in problem.free]
+    return uncertainty(end.jacobian, end.jacobian, end.residual, where, names, problem.torque_unit)
+
+
+def starts(estimates: Sequence[Estimate]) -> list[dict[str, float]]:
+    """Return the values each record starts from; one that it refused is another record's.
+
+    Raises:
+        MethodError: a parameter is refused by all of them.
+    """
+    every = [{p.name: p.value for p in e.params if p.value is not None} for e in estimates]
+    anywhere = {name: value for each in reversed(every) for name, value in each.items()}
+    lost = [p.name for p in estimates[0].params if p.name not in anywhere]
+    if lost:
+        raise MethodError(
+            f"No record by itself tells {', '.join(lost)}, so nothing is known to start from; "
+            "identify the joint as rigid, or record a motion that shows it."
+        )
+    return [anywhere | each for each in every]
+
+
+def _weighed(alone: list[BySelf], weighting: Weighting) -> tuple[list[BySelf], str]:
+    """Return the records with the weights of their rows, and these in words."""
+    if weighting == "level":
+        return alone, "each record's rows by the level of its residual"
+    if any(one.repeatable.significant for one in alone):
+        return alone, "each record's rows by the level of its residual alone, because it repeats with the motion"
+    return [whitened(one) for one in alone], "each record's rows by the spectrum of its residual"
+
+
+def _gain(layout: RecordLayout, alone: Sequence[BySelf]) -> float:
+    """Return where the gain of the drive starts: what was added, over what the records by themselves differ by."""
+    name = next((name for more in layout.added for name in more), None)
+    if "drive_gain" not in layout.free or name is None:
+        return 1.0
+    added = np.array([more.get(name, 0.0) for more in layout.added])
+    found = np.array([one.values[name] for one in alone])
+    change = found - found.mean()
+    slope = float(change @ added) / (float(change @ change) or 1.0)
+    return slope if slope > 0 else 1.0
+
+
+# All of them
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solved:
+    """Several records together, and each by itself, when they are solved."""
+
+    records: Sequence[Record]
+    problem: RecordsProblem
+    end: Solution
+    alone: Sequence[BySelf]
+
+    def by_itself(self, number: int) -> tuple[EstimatedParameter, ...]:
+        """Return what a record says alone, per torque that acts, without what was added."""
+        one, layout = self.alone[number], self.problem.layout
+        gain, own = self.problem.values(self.end.x).get("drive_gain", 1.0), {p.name for p in layout.joint.parameters}
+        free, acting, more = one.problem.free, one.acting(gain), layout.added[number]
+        values = {p.name: acting[p.name] - more.get(p.name, 0.0) for p in free}
+        std = np.array([gain if p.name in own else 1.0 for p in free]) * one.uncertainty.covariance.std
+        lost = find_lost(free, np.array(list(values.values())), std)
+        return build_rows(free, values, dict(zip(values, map(float, std), strict=True)), layout.unit, own, lost)
+
+
+def _answer(solved: _Solved) -> Estimate:
+    """Return the estimate; its effort and its weighting are for the caller to add."""
+    problem, end, layout = solved.problem, solved.end, solved.problem.layout
+    judged, compared = _judge_together(problem, end), _compare(solved)
+    names = [p.name for p in problem.free]
+    # The variance between runs of what they do not agree in is added to that of their common value.
+    more = {p.name: p.widening for p in compared.parameters}
+    wider = judged.covariance.matrix + np.diag([more.get(name, 0.0) for name in names])
+    covariance = covariance_of(wider, judged.covariance.bandwidth)
+    shares = tuple(_record_fit(solved, k) for k in range(len(solved.records)))
+    predicted = np.concatenate([share.predicted for share in shares])
+    error = problem.filtered(problem.measured - predicted)
+    lost = find_lost(problem.free, end.x, covariance.std)
+    found = build_estimate(
+        problem,
+        end.x,
+        covariance,
+        f"from the output sensitivities, {judged.basis}; no record's rows correlated with another's",
+        ("didim", "DIDIM by least squares"),
+        fit=build_fit(problem, predicted, error, end.message, converged=end.converged),
+        checks=Checks(agreement=compared, warnings=_warn(solved, judged, compared, covariance, lost)),
+        data=Data(
+            record=", ".join(record.name for record in solved.records),
+            channels=tuple(dict.fromkeys(name for share in shares for name in share.channels)),
+            sample_time=problem.sample_time,
+            torque_unit=layout.torque_unit,
+            records=shares,
+        ),
+        lost=lost,
+        loop=layout.loops[0],
+    )
+    rows = dict(zip([p.name for p in problem.parameters], found.params, strict=True))
+    own = tuple(tuple(rows[p.name] for p in problem.of_record(k) if "@" in p.name) for k in range(len(solved.records)))
+    shared = tuple(row for name, row in rows.items() if "@" not in name)
+    return found.amended(params={"rows": shared, "own": own})
+
+
+def _judge_together(problem: RecordsProblem, end: Solution) -> Uncertainty:
+    """Return what is known of the errors, before the records are compared."""
+    each, criterion = problem.criterion.problems, problem.criterion
+    seen = [at_rows(p, p.simulate(criterion.of_member(end.x, k))) for k, p in enumerate(each)]
+    where = cells(np.concatenate([at for at, _ in seen]), np.concatenate([speed for _, speed in seen]))
+    names, rows = [p.name for p in problem.free], [at.size for at, _ in seen]
+    return uncertainty(end.jacobian, end.jacobian, end.residual, where, names, each[0].torque_unit, rows)
+
+
+def _compare(solved: _Solved) -> Agreement:
+    """Return whether the records, each by itself, agree in what they share.
+
+    Per torque that acts, by the gain that was found. The inertia that tells the gain is not compared.
+    """
+    layout = solved.problem.layout
+    told = {"drive_gain", *(name for more in layout.added for name in more)} if "drive_gain" in layout.free else set()
+    units = {p.name: layout.unit(p) for p in solved.problem.free if "@" not in p.name and p.name not in told}
+    each = []
+    for k, one in enumerate(solved.alone):
+        known, free = one.uncertainty.covariance, one.problem.free
+        shared = {p.name for p in solved.problem.of_record(k)}
+        inside = ~Bounds.of(free).reached(one.end.x) & (known.std > 0)
+        kept = [i for i, p in enumerate(free) if p.name in units and inside[i] and p.name in shared]
+        rows = solved.by_itself(k)
+        values = {rows[i].name: rows[i].value or 0.0 for i in kept}
+        # Where a torque is reproduced to rounding, records differ by rounding, which no deviation knows.
+        std = np.array([max(rows[i].stderr or 0.0, _ROUNDING * abs(values[rows[i].name])) for i in kept])
+        each.append(Alone(values, Covariance(std, known.correlation[np.ix_(kept, kept)], known.bandwidth)))
+    return agreement(each, units)
+
+
+def _record_fit(solved: _Solved, number: int) -> RecordFit:
+    """Return what a record says by itself, and how well the common model explains it."""
+    problem, record, one = solved.problem.criterion.problems[number], solved.records[number], solved.alone[number]
+    x = solved.problem.criterion.of_member(solved.end.x, number)
+    values, predicted = problem.values(x), problem.torque(x)
+    fit = build_fit(problem, predicted, problem.filtered(problem.measured - predicted), "", converged=True)
+    assert record.torque is not None
+    return RecordFit(
+        name=record.name,
+        fingerprint=fingerprint(record.torque.values),
+        resampled=record.resampled,
+        loop=problem.loop,
+        channels=list_loop_channels(problem.loop, record),
+        added_inertia=sum(solved.problem.layout.added[number].values()),
+        alone=solved.by_itself(number),
+        values={p.name: values[p.name] for p in problem.joint.parameters},
+        initial=initial_of(values),
+        level=one.level,
+        repeatable=one.repeatable,
+        sample_time=problem.sample_time,
+        filtering=problem.filtering,
+        rows=fit.rows,
+        measured=fit.measured,
+        predicted=predicted,
+        relative_error=fit.relative_error,
+        filtered_error=fit.filtered_error,
+        alone_error=one.filtered_error,
+    )
+
+
+def _warn(
+    solved: _Solved, judged: Uncertainty, compared: Agreement, covariance: Covariance, lost: Sequence[str]
+) -> tuple[str, ...]:
+    """Return what the reader must know, one sentence each."""
+    free, end = solved.problem.free, solved.end
+    told = [i for i, p in enumerate(free) if p.name.partition("@")[0] not in INITIAL]
+    return (
+        *([] if end.converged else [NOT_CONVERGED]),
+        *([str(compared)] if compared.differs else []),
+        *warn_of_lost(lost, "these records"),
+        *warn_of_bounds(find_at_bound(free, end.x), "records"),
+        *warn_of_inseparable([p.name for p in free], covariance.correlation, told, "these records"),
+        *map(str, judged.warnings),
+        *([str(judged.repeatable)] if judged.repeatable.significant else []),
+        *(f"record {k}: {said}" for k, one in enumerate(solved.alone, 1) for said in poor_fit(one.filtered_error)),
+    )

@@ -1,0 +1,389 @@
+"""The windows of a long log as one problem, which streams its normal equations: memory does not grow with the log.
+
+A window begins in the middle of a motion. It begins where the law, turned round, puts the motor for the torque that was
+logged, at the speed of the reference; what of that is wrong the loop forgets within the settling time, of which nothing
+is counted, at either end: the zero-phase filter looks both ways. Neighbouring windows overlap by twice the settling
+time, so that the rows that count follow each other without a gap. How long it takes is measured (`measure_settling`):
+0.3 s in the paper's stiff loop, seconds in a slow one with an integral.
+
+What every visit to a place errs alike is no noise, and no longer record averages it away. A window's residual, summed
+over its rows at one place, is a draw of its own; where nothing repeats, these draws have no mean. With the sum s_cw of
+place c in window w, and n_cw rows, over all windows::
+
+    z_c^2 = (sum_w s_cw)^2 / sum_w s_cw^2        chi-square, together, of as many degrees as there are places
+    rms^2 = 1/n sum_c n_c ((sum_w s_cw)^2 - sum_w s_cw^2) / (n_c^2 - sum_w n_cw^2)
+
+the latter from products of different windows only, as in `uncertainty.position_dependent_error`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.progress import Progress, silent
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITIAL_TORQUE
+from jointid.estimation.search.starts import beginning_position
+from jointid.models.controllers import REFERENCE
+from jointid.models.parameters import Parameter
+from jointid.records.reading.chunks import Chunk, LongRecord
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.closed_loop import Outcome
+from jointid.simulation.loop_input import ClosedLoop, prepare
+from jointid.solvers.problem import Tally
+from jointid.uncertainty.jackknife import Sums, root_of, total
+from jointid.uncertainty.position_dependent_error import Repeatable, cells
+
+FEW = 8
+"""Windows: with fewer a part of a log says too little."""
+
+_FORGOTTEN = 0.01  # of the torque
+_RINGS = 10.0  # periods of its cut-off that the zero-phase filter rings
+_PLACES = 6  # stretches of the travel: what a place errs, its neighbourhood errs alike (`position_dependent_error`)
+_AROUND = 64  # stretches after which places are taken to come again: an axis may turn for ever
+VISITS = 8
+"""Windows that a place must be visited in to say anything."""
+
+
+@dataclass(frozen=True, slots=True)
+class Windowing:
+    """How a log that is too long for memory is cut into windows.
+
+    Attributes:
+        length: seconds of a window that are fitted.
+        settling: seconds before and after each window that are simulated and not fitted; None measures how long the
+            loop takes to forget its initial state.
+
+    Raises:
+        MethodError: a length that is not positive and finite, or a settling time beyond half of it.
+    """
+
+    length: float = 60.0
+    settling: float | None = None
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.length < math.inf:
+            raise MethodError(f"A window lasts a finite time; received {self.length:g} s.")
+        if self.settling is not None and not 0.0 < self.settling <= 0.5 * self.length:
+            raise MethodError(
+                f"The settling time is more than 0 and at most half a window of {self.length:g} s; received "
+                f"{self.settling:g} s. Without it, it is measured."
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """Stretches of the travel, by direction and class of speed.
+
+    Attributes:
+        origin, width: of the stretches, in the reference's unit.
+        speeds: (classes,) mean speed of each class; resting: the speed below which there is no direction.
+    """
+
+    origin: float
+    width: float
+    speeds: FloatArray
+    resting: float
+
+    @classmethod
+    def of(cls, position: FloatArray, velocity: FloatArray) -> Places:
+        """Return those of the motion in one window, (samples,) each."""
+        speeds = cells(position, velocity).speeds
+        travel, fastest = float(np.ptp(position)) or 1.0, float(np.max(np.abs(velocity)))
+        return cls(float(position.min()), travel / _PLACES, speeds, 0.02 * fastest)
+
+    def label(self, position: FloatArray, velocity: FloatArray) -> NDArray[np.intp]:
+        """Return the number of each row's stretch, (rows,)."""
+        moving = np.abs(velocity) > self.resting
+        kind = np.argmin(np.abs(np.abs(velocity)[:, np.newaxis] - self.speeds), axis=1)
+        family = np.where(moving, np.sign(velocity), 0.0).astype(np.intp) + 1
+        place = np.floor((position - self.origin) / self.width).astype(np.intp) % _AROUND
+        return np.asarray((family * self.speeds.size + np.where(moving, kind, 0)) * _AROUND + place, dtype=np.intp)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """What windows say at one place.
+
+    Attributes:
+        sums: over the rows. total: of the residual. squares: sum of the squares of the windows' totals.
+        visits: windows. pairs: sum of the squares of the windows' rows.
+    """
+
+    sums: Sums
+    total: float
+    squares: float
+    visits: int
+    pairs: float
+
+    @classmethod
+    def of(cls, error: FloatArray, J: FloatArray, measured: FloatArray) -> Place:
+        """Return what one window says; see `Sums.of`."""
+        total = float(error.sum())
+        return cls(Sums.of(error, J, measured), total, total * total, 1, float(error.size) ** 2)
+
+    def __add__(self, other: Place) -> Place:
+        """Return what other windows say, too."""
+        return Place(
+            self.sums + other.sums, self.total + other.total, self.squares + other.squares, self.visits + other.visits,
+            self.pairs + other.pairs,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Window:
+    """What one window says.
+
+    Attributes:
+        begin, end: seconds from the first sample of the record, of what counts.
+        sums: over its rows.
+        at_limit: share of its periods in which the controller was at its limit.
+    """
+
+    begin: float
+    end: float
+    sums: Sums
+    at_limit: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pass:
+    """What one pass over the windows found.
+
+    Attributes:
+        windows: in the order of time. places: over all of them, by the place's number.
+        still: windows in which nothing was asked of the axis, and which are left out.
+        ended: False where it was interrupted.
+    """
+
+    windows: tuple[Window, ...]
+    places: Mapping[int, Place]
+    still: int
+    ended: bool = True
+
+    @property
+    def sums(self) -> Sums:
+        """Over all windows, of which there is one or more."""
+        return total([w.sums for w in self.windows])
+
+    def moved(self, step: FloatArray) -> Pass:
+        """Return it as it is after a small step of the parameters."""
+        windows = tuple(replace(w, sums=w.sums.moved(step)) for w in self.windows)
+        places = {at: replace(place, sums=place.sums.moved(step)) for at, place in self.places.items()}
+        return Pass(windows, places, self.still, self.ended)
+
+
+class NotSimulatedError(MethodError):
+    """A window whose loop could not be simulated to its end."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogProblem:
+    """A long log, window by window: a `solvers.problem.Problem` whose rows are summed as they are read.
+
+    Attributes:
+        source: the log.
+        window: the problem of the window that is started from; those of all others are like it.
+        length: samples that count in a window.
+        settling: samples at either end of a window that are simulated and not counted.
+        places: that repeat.
+        progress: is told where a pass is.
+        tally: of windows that were simulated, each with its derivatives.
+    """
+
+    source: LongRecord
+    window: ClosedLoopProblem
+    length: int
+    settling: int
+    places: Places
+    progress: Progress = silent
+    tally: Tally = field(default_factory=Tally)
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters that are identified."""
+        return self.window.free
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the residual in as few rows as say the same; see `linearised`."""
+        return self.linearised(x)[0]
+
+    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return residual and derivatives in as few rows as have the same sums, (free + 1,) and (free + 1, free)."""
+        return compress(self.pass_over(x).sums)
+
+    def pass_over(self, x: FloatArray, every: int = 1) -> Pass:
+        """Pass over one window in so many; an interrupt ends it with what it has.
+
+        Raises:
+            RecordError: a piece of the record cannot be read.
+            NotSimulatedError: a window cannot be simulated with these parameters.
+        """
+        values = dict(zip((p.name for p in self.free), map(float, x), strict=True))
+        windows: list[Window] = []
+        places: dict[int, Place] = {}
+        still, ended = 0, True
+        try:
+            for piece in self.source.chunks(self.length, 2 * self.settling, every):
+                if not moves(piece.record):
+                    still += 1
+                    continue
+                found = self._look(piece, values)
+                self.tally.evaluations += 1
+                if found is None:
+                    continue
+                window, there = found
+                for place, said in there.items():
+                    places[place] = places[place] + said if place in places else said
+                windows.append(window)
+                if every == 1:
+                    self._tell(windows)
+        except KeyboardInterrupt:
+            ended = False
+        return Pass(tuple(windows), places, still, ended)
+
+    def _look(self, piece: Chunk, values: Mapping[str, float]) -> tuple[Window, dict[int, Place]] | None:
+        """Return what a window says, and what it says at each place, by its number; None where nothing of it counts."""
+        problem = begin_window(self.window, piece.record)
+        samples, keep = problem.measured.size, problem.filtering.decimation or 1
+        at = np.arange((samples - 1) % keep, samples, keep)
+        counted = (at >= self.settling) & (at < samples - self.settling)
+        if not counted.any():
+            return None
+        response, columns = problem.sensitivities(problem.vector(values))
+        begin, step = piece.record.begin, problem.sample_time
+        if response.outcome is not Outcome.FINISHED:
+            raise NotSimulatedError(
+                f"The window that begins at {begin:.0f} s cannot be simulated, because {response.outcome.value}; check "
+                "the controller and the start, or begin from another window."
+            )
+        error, J = problem.error(response)[counted], -problem.filtered(columns)[counted]
+        measured = problem.filtered(problem.measured)[counted]
+        label = self.places.label(*(signal[at[counted]] for signal in motion(problem)))
+        rows = {int(one): label == one for one in np.unique(label)}
+        there = {one: Place.of(error[these], J[these], measured[these]) for one, these in rows.items()}
+        first, last = at[counted][0], at[counted][-1]
+        sums = Sums.of(error, J, measured)
+        return Window(begin + first * step, begin + (last + keep) * step, sums, response.at_limit), there
+
+    def _tell(self, windows: list[Window]) -> None:
+        """Say where a pass is, less and less often."""
+        count = len(windows)
+        if count >= FEW and count % max(10 ** (len(str(count)) - 1), FEW) == 0:
+            error = 100 * total([w.sums for w in windows]).relative_error
+            self.progress(f"{count} windows, {windows[-1].end / 3600:.2f} h: torque error {error:.4f} %")
+
+
+def window_problem(
+    record: Record, loop: ClosedLoop, filtering: Filtering, parameters: tuple[Parameter, ...], free: Sequence[str]
+) -> ClosedLoopProblem:
+    """Return the problem of one window, with its state at the first sample kept.
+
+    Args:
+        record: the window.
+        loop: joint and controller.
+        filtering: as declared.
+        parameters: of the joint.
+        free: names of what surrounds it and is identified, too.
+
+    Raises:
+        RecordError: a channel is missing.
+    """
+    known = tuple(p.fixed(0.0) for p in (*INITIAL_STATE, INITIAL_TORQUE))
+    return begin_window(torque_problem(record, loop, filtering, parameters, known).freeing(*free), record)
+
+
+def begin_window(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0) -> ClosedLoopProblem:
+    """Return the problem of a window that is like another one's, with its own state at the first sample.
+
+    Args:
+        like: the problem of another window.
+        record: the window.
+        disturbed: by how much its beginning is to be wrong, as a share of the window's torque and speed.
+    """
+    assert record.torque is not None
+    experiment = prepare(like.loop, record)
+    problem = replace(like, measured=record.torque.values[: experiment.samples], experiment=experiment)
+    inputs, period = experiment.inputs, experiment.law.period
+    torque = float(problem.filtered(problem.measured)[0])  # a single sample has all of the noise
+    velocity = float(inputs[1, REFERENCE] - inputs[0, REFERENCE]) / period
+    torque += disturbed * float(np.std(problem.measured))
+    velocity += disturbed * float(np.std(np.diff(inputs[:, REFERENCE]))) / period
+    position = beginning_position(replace(problem, measured=np.full(1, torque)), velocity)
+    return problem.keeping({"initial_position": position, "initial_velocity": velocity, "initial_torque": torque})
+
+
+def measure_settling(problem: ClosedLoopProblem, record: Record, x: FloatArray) -> int:
+    """Return how many samples a window takes to forget how it began, and its filter what lies beside it.
+
+    A beginning that is off by the window's whole torque and speed, as no window's is, must show in no later sample of
+    the torque by more than a hundredth.
+
+    Args:
+        problem: of a window that moves.
+        record: that window.
+        x: its free parameters.
+    """
+    other = begin_window(problem, record, disturbed=1.0)
+    apart = np.abs(problem.torque(x) - other.torque(x)) > _FORGOTTEN * float(np.std(problem.measured))
+    remembers = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
+    assert problem.filtering.cutoff is not None
+    return remembers + math.ceil(_RINGS / (problem.filtering.cutoff * problem.sample_time))
+
+
+def moves(record: Record) -> bool:
+    """Return whether anything is asked of the axis in a window."""
+    assert record.reference is not None
+    return record.injected is not None or float(np.ptp(record.reference.values)) > 0
+
+
+def motion(problem: ClosedLoopProblem) -> tuple[FloatArray, FloatArray]:
+    """Return the reference's position and velocity at the log's instants, (samples,) each."""
+    experiment = problem.experiment
+    position = experiment.inputs[experiment.looked // experiment.lengths.size, REFERENCE]
+    return position, np.gradient(position, experiment.sample_time)
+
+
+def compress(sums: Sums) -> tuple[FloatArray, FloatArray]:
+    """Return a residual and its derivatives of these sums, (directions + 1,) and (directions + 1, free).
+
+    The last row is what no parameter explains.
+    """
+    R = root_of(sums)
+    explained = np.linalg.lstsq(R.T, sums.b, rcond=None)[0]
+    rest = math.sqrt(max(sums.square - float(explained @ explained), 0.0))
+    return np.append(explained, rest), np.vstack([R, np.zeros(R.shape[1])])
+
+
+def repeats(places: Iterable[Place], square: float, unit: str) -> Repeatable:
+    """Return what of the residual repeats with the motion.
+
+    Args:
+        places: over all windows.
+        square: of the residual, over all rows.
+        unit: of the residual.
+    """
+    from scipy.special import chdtrc
+
+    every = list(places)
+    rows = sum(p.sums.rows for p in every)
+    known = [p for p in every if p.visits >= VISITS and p.squares > 0]
+    p_value = float(chdtrc(len(known), sum(p.total**2 / p.squares for p in known))) if known else None
+    again = [p for p in known if p.sums.rows**2 > p.pairs]
+    repeated = sum(p.sums.rows * (p.total**2 - p.squares) / (p.sums.rows**2 - p.pairs) for p in again) / max(rows, 1)
+    return Repeatable(
+        rms=math.sqrt(max(repeated, 0.0)),
+        share=min(max(repeated, 0.0) * rows / square, 1.0) if square > 0 else 0.0,
+        correlation=None,
+        p_value=p_value,
+        revisited=sum(p.sums.rows for p in again) / max(rows, 1),
+        unit=unit,
+    )

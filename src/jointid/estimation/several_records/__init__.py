@@ -1,1 +1,0 @@
-"""One joint from several records: what they share, and whether they agree."""

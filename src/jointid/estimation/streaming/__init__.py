@@ -1,1 +1,0 @@
-"""A record too long for memory: identified in windows, and watched for drift."""
