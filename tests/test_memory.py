@@ -7,7 +7,7 @@ from threading import Barrier
 
 import numpy as np
 
-from jointid.common.memory import Room
+from jointid.common.arrays import Room
 
 
 def test_an_array_begins_with_a_line_of_the_cache() -> None:

@@ -58,9 +58,9 @@ def test_a_channel_that_the_method_does_not_need_may_be_absent(run: Path) -> Non
     without_motor = SMALLEST.replace('"q"', '"nowhere"')
     assert loads(without_motor).record(run).channels == ("torque", "reference")
     with pytest.raises(RecordError, match=r'has no column "nowhere" \(for motor_position\)'):
-        loads(without_motor).override(method="idim").record(run)
+        loads(without_motor, method="idim").record(run)
     without_reference = SMALLEST.replace('"r"', '"nowhere"')
-    assert loads(without_reference).override(method="idim").record(run).channels == ("torque", "motor_position")
+    assert loads(without_reference, method="idim").record(run).channels == ("torque", "motor_position")
     with pytest.raises(RecordError, match=r'has no column "nowhere" \(for reference\)'):
         loads(without_reference).record(run)
 
@@ -121,7 +121,7 @@ def test_several_records(run: Path) -> None:
     folder = run.parents[1]
     file = saved(folder, "[record]\ndelimiter = ';'\n" + SMALLEST + SEVERAL.replace("a.csv", "runs/run.csv"))
     assert file.runs == (Run("runs/run.csv"), Run("b.csv", 10.0, ("coulomb",), {"kp": 80.0, "limit": 5.0}))
-    assert (file.free, file.weighting) == (("drive_gain",), "spectrum")
+    assert (file.together.free, file.together.weighting) == (("drive_gain",), "spectrum")
     first, second = file.each()
     assert first.controller == file.controller == Cascade(kp=100.0, kv=2000.0)
     assert second.controller == Cascade(kp=80.0, kv=2000.0, limit=5.0)

@@ -17,6 +17,7 @@ from jointid.config import (
     JointFile,
     Run,
     Source,
+    Together,
     controller_text,
     dumps,
     load,
@@ -230,8 +231,9 @@ def joint_files(draw: st.DrawFn) -> JointFile:
                 max_size=2,
             ).map(tuple)
         ),
-        free=draw(st.sampled_from(((), ("drive_gain",)))),
-        weighting=draw(st.sampled_from(("spectrum", "level"))),
+        together=Together(
+            free=draw(st.sampled_from(((), ("drive_gain",)))), weighting=draw(st.sampled_from(("spectrum", "level")))
+        ),
     )
 
 

@@ -11,8 +11,7 @@ import pytest
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
-from jointid.config import controller_text, load
-from jointid.config.write_controller import save
+from jointid.config import controller_text, load, save_with_controller
 from jointid.controller_id.fitting import FittedLaw, Task, fit, order_rates
 from jointid.controller_id.learn import covariance, learn_loop
 from jointid.controller_id.learned import LearnedLoop, LimitationCode
@@ -78,7 +77,7 @@ def test_the_learned_law_identifies_what_the_given_one_does(emps: tuple[Record, 
 @pytest.mark.slow
 def test_the_learned_table_is_a_joint_file_s(emps: tuple[Record, LearnedLoop], tmp_path: Path) -> None:
     _, learned = emps
-    save(learned, EMPS, tmp_path / "joint.toml")
+    save_with_controller(EMPS, learned.controller, tmp_path / "joint.toml")
     assert load(tmp_path / "joint.toml").controller == learned.controller
     assert (
         EMPS.path.read_text(encoding="utf-8").splitlines()[0] == (tmp_path / "joint.toml").read_text().splitlines()[0]

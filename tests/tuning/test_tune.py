@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.common.message import Message
+from jointid.common.messages import Message
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM

@@ -219,9 +219,14 @@ def identify(folder: Path, joint: Path, record: Path, **options: object) -> Json
     return estimate(identify_answer(folder, joint, record, **options))
 
 
+_CHOICES = ("method", "filtering", "friction")  # the options that are no keys of [method]
+
+
 def identify_answer(folder: Path, joint: Path, record: Path, **options: object) -> Json:
     """Return the answer of `identify` as it is."""
-    given = [word for name, value in options.items() for word in (f"--{name}", value)]
+    given: list[object] = []
+    for name, value in options.items():
+        given += [f"--{name}", value] if name in _CHOICES else ["--set", f"method.{name}={value}"]
     return _asked(folder, "identify", joint, "--record", record, *given, "--quiet")
 
 
@@ -777,7 +782,7 @@ def _within(path: Path) -> Any:
 
 def load(joint: Path, record: Path, **overridden: Any) -> tuple[Any, Any]:
     """Return a joint file, overridden, and its record."""
-    file = ji.load(joint).override(**overridden)
+    file = ji.load(joint, **overridden)
     return file, file.record(record)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from importlib import import_module
+from typing import Any
 
 from jointid.common.text import printable
 
@@ -43,9 +45,25 @@ class MethodError(JointidError):
     """A method asked for what the record, the joint or the controller does not have."""
 
 
-class SimulationError(JointidError):
-    """A simulation that was asked for by itself (not as one candidate of many) and failed."""
-
-
 class ExtraError(JointidError):
     """An optional package is missing; the sentence names the extra that brings it."""
+
+
+def extra(module: str, name: str, purpose: str) -> Any:
+    """Return a module of an optional package.
+
+    Args:
+        module: its dotted name.
+        name: of the extra that brings it.
+        purpose: what it is needed for, the beginning of the sentence.
+
+    Raises:
+        ExtraError: the package is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        package = module.partition(".")[0]
+        raise ExtraError(
+            f'{purpose} needs the package {package}, which is not there; install it: pip install "jointid[{name}]".'
+        ) from error

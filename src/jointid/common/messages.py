@@ -1,20 +1,51 @@
-"""The words in which faults of settings and of files are told: a value as it looks, what was expected, the remedy."""
+"""What is told to a reader: statements of a result, and the words for faults of settings and of files.
+
+A statement is a code and values for programs, and words for people. A fault is told by a value as it looks, what was
+expected, and the remedy; most functions here return the rest of a sentence that begins with the place of the fault.
+"""
 
 from __future__ import annotations
 
 import difflib
 import json
 import re
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
 
 _LONGEST = 60  # characters of a value that a sentence shows
 _GUESSED = 100  # characters of a word that another one may be meant by
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _WITHOUT_QUOTES = re.compile(r"\s*([+-]?(\d[\d_]*)?\.?\d+([eE][+-]?\d+)?|true|false)\s*")
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One statement of a result.
+
+    Attributes:
+        code: the kind of statement, by which a program knows it; never by the words.
+        words: the same as a sentence.
+        values: names and numbers in it.
+    """
+
+    code: StrEnum
+    words: str
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        """Return the words."""
+        return self.words
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return code and values as they are written to JSON."""
+        return {"code": str(self.code), "values": dict(self.values), "words": self.words}
+
+
+def joined(messages: Iterable[Message]) -> str:
+    """Return the words of several messages as one sentence."""
+    return "; ".join(message.words for message in messages)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,14 +7,15 @@ from jointid.config.loading import (
     load,
     loads,
     save,
+    save_with_controller,
     with_controller,
     with_parameters,
     with_paths,
 )
 from jointid.config.schema import json_schema
-from jointid.config.sources import Run, Source
+from jointid.config.schema_record import Run, Source, Together
 
 __all__ = [
-    "JointFile", "Run", "Source", "controller_text", "dumps", "json_schema", "load", "loads", "save", "with_controller",
-    "with_parameters", "with_paths",
+    "JointFile", "Run", "Source", "Together", "controller_text", "dumps", "json_schema", "load", "loads", "save",
+    "save_with_controller", "with_controller", "with_parameters", "with_paths",
 ]  # fmt: skip

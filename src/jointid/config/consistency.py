@@ -9,10 +9,11 @@ import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING
 
-from jointid.common import messages
-from jointid.config.mechanics import GravityTable, JointTable
-from jointid.config.schema import MethodTable, ParameterTable, RunTable, keys_of
+from jointid.common import messages, units
+from jointid.config.schema import GravityTable, JointTable, MethodTable, ParameterTable, TransmissionTable, keys_of
+from jointid.config.schema_record import ChannelTable
 from jointid.config.table import refusal
 from jointid.estimation.methods.registry import METHODS, MODELS, method_of, methods
 from jointid.estimation.problems.nuisance_parameters import surrounding
@@ -20,8 +21,17 @@ from jointid.models.controllers import Controller, numbers_of, with_numbers
 from jointid.models.friction import FRICTIONS
 from jointid.models.gravity import GRAVITY_PARAMETERS
 from jointid.models.joints import Joint
-from jointid.models.parameters import Parameter
+from jointid.models.parameters import TORQUE_UNIT, Kind, Parameter
+from jointid.models.transmission import Side
+from jointid.records.columns import known_units
+from jointid.records.drives.drive import Drive
+from jointid.records.drives.profiles import find_side
 from jointid.simulation.loop_input import ClosedLoop
+
+if TYPE_CHECKING:
+    from jointid.config.validation import Draft
+
+KINDS: tuple[Kind, ...] = ("prismatic", "revolute")
 
 _NEXT_TO_ZERO = 1e-200
 _BESIDE_LOAD = (
@@ -66,28 +76,19 @@ def _defaults() -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def method_faults(
-    table: MethodTable, channels: Collection[str], controller: Controller | None, controlled: bool, model: str | None
-) -> Iterator[str]:
-    """Yield what the method lacks, and settings that are not its own.
-
-    Args:
-        table: what the file says of the method.
-        channels: names of the channels there are.
-        controller: the controller, if it is right.
-        controlled: whether the controller is known.
-        model: of the joint, if that is known; else what is missing for every model is said.
-    """
-    of_model = model or "rigid"  # whose channels every model needs
+def method_faults(draft: Draft, table: MethodTable) -> Iterator[str]:
+    """Yield what the method lacks, and settings that are not its own."""
+    of_model = draft.model or "rigid"  # whose channels every model needs
 
     def lacking(method: str) -> list[str]:
-        missing = [f"record.channels.{n}" for n in needed_channels(method, controller, of_model) if n not in channels]
-        needed = method_of(method, of_model).needs_controller
-        return [*missing, "controller"] if needed and not controlled else missing
+        needed = needed_channels(method, draft.controller, of_model)
+        missing = [f"record.channels.{name}" for name in needed if name not in draft.named]
+        uncontrolled = method_of(method, of_model).needs_controller and not draft.controlled
+        return [*missing, "controller"] if uncontrolled else missing
 
-    name = choose_method(table.name, channels, controlled, of_model)
+    name = choose_method(table.name, draft.named, draft.controlled, of_model)
     if name is None:
-        yield _no_method({method: lacking(method) for method in _defaults()}, channels, controlled, of_model)
+        yield _no_method({method: lacking(method) for method in _defaults()}, draft, of_model)
     else:
         other = next(default for default in _defaults() if default != name)
         if of_model not in method_of(name, of_model).models:
@@ -101,7 +102,7 @@ def method_faults(
         if "estimator" in keys_of(method_of(name, of_model)) and table.estimator == "iv":
             for key in [key for key in lacking("didim") if key not in lacking(name)]:
                 yield f'{key} is missing, but method.estimator = "iv" simulates the loop: add it, or use another.'
-    for key, sentence in _not_its_own(table, name, model):
+    for key, sentence in _not_its_own(table, name, draft.model):
         yield f"method.{key}{sentence}"
 
 
@@ -117,10 +118,10 @@ def _needs(method: str, model: str) -> str:
     return f"{', '.join(most)} and {last}"
 
 
-def _no_method(lacking: Mapping[str, list[str]], channels: Collection[str], controlled: bool, model: str) -> str:
+def _no_method(lacking: Mapping[str, list[str]], draft: Draft, model: str) -> str:
     """Return the sentence on a file that has what no method needs."""
     lacks = [f"{method_of(method, model).called(model)} lacks {' and '.join(keys)}" for method, keys in lacking.items()]
-    rigid = choose_method(None, channels, controlled, "rigid") is not None
+    rigid = choose_method(None, draft.named, draft.controlled, "rigid") is not None
     remedy = "add what one of them lacks" + (', or set joint.model = "rigid"' if rigid else "")
     return f"method.name is missing, and no method can be chosen: {', '.join(lacks)}; {remedy}."
 
@@ -146,40 +147,20 @@ def _not_its_own(table: MethodTable, name: str | None, model: str | None) -> Ite
             yield key, messages.beside_preset(value, str(table.preset))
 
 
-def gravity_refusal(joint: JointTable, gravity: GravityTable | None) -> str | None:
-    """Return the rest of the sentence on a gravity that this joint cannot have."""
-    return refusal(lambda: joint.joint(None, gravity=gravity))
-
-
-def record_faults(
-    joint: JointTable | None,
-    gravity: GravityTable | None,
-    controller: Controller | None,
-    controlled: bool,
-    runs: Mapping[int, RunTable],
-) -> Iterator[str]:
-    """Yield names of own parameters that the model does not have, and numbers that the controller cannot have.
-
-    Args:
-        joint: whose parameters, if that is known.
-        gravity: of its load.
-        controller: the law, if it is known and right.
-        controlled: whether there is one, right or not.
-        runs: the records that are right in themselves, by their place.
-    """
-    for place, run in runs.items():
+def record_faults(draft: Draft) -> Iterator[str]:
+    """Yield names of own parameters that the model does not have, and numbers that the controller cannot have."""
+    known = None if draft.parts is None else [parameter.name for parameter in draft.parts.parameters]
+    for place, run in draft.runs.items():
         path = messages.dot_path(["records", place])
-        known = () if joint is None else tuple(p.name for p in joint.joint(None, gravity=gravity).parameters)
         for name in run.own:
-            if joint is not None and name not in known:
-                otherwise = "leave it out"
+            if known is not None and name not in known:
                 yield (
                     f'{path}.own names "{name}", which is no parameter of this model; expected some of '
-                    f"{', '.join(known)}: {messages.suggest(name, known, otherwise)}"
+                    f"{', '.join(known)}: {messages.suggest(name, known, 'leave it out')}"
                 )
-        if run.controller and not controlled:
+        if run.controller and not draft.controlled:
             yield f"{path}.controller changes a controller that the file does not have: add [controller]."
-        elif controller is not None and (refused := _no_change(controller, run.controller)):
+        elif draft.controller is not None and (refused := _no_change(draft.controller, run.controller)):
             yield f"{path}.controller{refused}"
 
 
@@ -201,25 +182,18 @@ def free_faults(key: str, names: Collection[str], controller: Controller | None)
             yield f"{key}{refused}"
 
 
-def parameter_faults(
-    joint: JointTable, gravity: GravityTable | None, tables: Mapping[str, ParameterTable], bare: Collection[str]
-) -> Iterator[str]:
-    """Yield parameters that the model does not have, and values that they cannot have.
-
-    Args:
-        joint: whose parameters.
-        gravity: of its load.
-        tables: what the file says of each, by name.
-        bare: names of those given by a bare number.
-    """
-    known = {parameter.name: parameter for parameter in joint.joint(None, gravity=gravity).parameters}
-    for name, table in tables.items():
+def parameter_faults(draft: Draft) -> Iterator[str]:
+    """Yield parameters that the model does not have, and values that they cannot have."""
+    if draft.parts is None or draft.joint is None:
+        return
+    known = {parameter.name: parameter for parameter in draft.parts.parameters}
+    for name, table in draft.parameters.items():
         path = messages.dot_path(["parameters", name])
         if name not in known:
-            yield path + _no_parameter(name, joint, gravity, known)
+            yield path + _no_parameter(name, draft.joint, draft.gravity, known)
             continue
-        for key, sentence in _misgiven(known[name], table, joint, gravity):
-            yield path + (f".{key}" if key and name not in bare else "") + sentence
+        for key, sentence in _misgiven(known[name], table, draft.joint, draft.gravity):
+            yield path + (f".{key}" if key and name not in draft.bare else "") + sentence
 
 
 def change_parameter(parameter: Parameter, table: ParameterTable) -> Parameter:
@@ -282,3 +256,136 @@ def _no_parameter(name: str, joint: JointTable, gravity: GravityTable | None, kn
             remedy = f'leave it out, or set gravity.load = "{load}".'
     model = f"a {joint.model} joint with {joint.friction} friction"
     return f" is not known for {model}; expected one of {', '.join(known)}: {remedy}"
+
+
+def channel_faults(draft: Draft) -> Iterator[str]:
+    """Yield channels without a column, or with settings or units that are not theirs, and torques that differ."""
+    channels, transmission, drive = draft.channels, draft.transmission, draft.drive
+    # Behind a transmission that is not right, a motor may move in any way.
+    kinds = KINDS if draft.geared and not transmission else draft.kinds
+    for name, table in channels.items():
+        if table.column is None and drive is not None and drive.traces is None:
+            yield (
+                f"record.channels.{name}.column is missing; expected text in quotes (name of the column in the "
+                "record's file): add it, or give drive.profile."
+            )
+        yield from (f"record.channels.{fault}" for fault in table.build().misplaced_faults(name))
+        yield from _unit_faults(name, table, kinds, transmission, drive)
+    if "injected" in channels:
+        both = ("injected", "torque")
+        pairs = {tuple(_si_unit(name, channels, kind, transmission, drive) for name in both) for kind in kinds}
+        pair = pairs.pop() if len(pairs) == 1 else (None, None)
+        # A force on one side of a screw and a torque on the other are both in SI.
+        if None not in pair and len({unit in TORQUE_UNIT.values() or unit for unit in pair}) > 1:
+            yield f"record.channels.injected is in {pair[0]}, but the torque in {pair[1]}: give both in one unit."
+
+
+def _unit_faults(
+    name: str,
+    table: ChannelTable,
+    kinds: Collection[Kind],
+    transmission: TransmissionTable | None,
+    drive: Drive | None,
+) -> Iterator[str]:
+    """Yield a unit that a joint of none of these kinds can have, or for which a number of the drive is missing."""
+    side = _side(name, table, drive)
+    moving = [kind_of(side, kind, transmission) for kind in kinds]
+    known = tuple(dict.fromkeys(unit for kind in moving for unit in known_units(name, kind)))
+    stated = table.build().stated_unit(known)
+    if stated is None:
+        return
+    if stated not in known:
+        where = "unit is" if table.unit is not None else "column names the unit"
+        yield f'record.channels.{name}.{where} "{stated}"{_misfit(name, stated, known, kinds, moving)}'
+    elif drive is not None and len(set(moving)) == 1:
+        lack = _lacking(name, stated, moving[0], transmission, drive)
+        yield from () if lack is None else (f'record.channels.{name} is in "{stated}", {lack}.',)
+
+
+def torque_unit(
+    channels: Mapping[str, ChannelTable], kind: Kind, transmission: TransmissionTable | None, drive: Drive
+) -> str | None:
+    """Return "A" or "V" for a torque in the drive's own units, None for one in N or N m."""
+    unit = _si_unit("torque", channels, kind, transmission, drive)
+    return None if unit in TORQUE_UNIT.values() else unit
+
+
+def list_channels(channels: Collection[str], drive: Drive | None) -> tuple[str, ...]:
+    """Return the names of the channels that the file declares, or that the drive's profile may find."""
+    profile = None if drive is None else drive.traces
+    return tuple(dict.fromkeys([*channels, *(() if profile is None else profile.channels)]))
+
+
+def _si_unit(
+    channel: str,
+    channels: Mapping[str, ChannelTable],
+    kind: Kind,
+    transmission: TransmissionTable | None,
+    drive: Drive | None,
+) -> str | None:
+    """Return the unit in which a channel is logged, made SI; None if it cannot be."""
+    table = channels.get(channel)
+    moving = kind_of(_side(channel, table, drive), kind, transmission)
+    known = known_units(channel, moving)
+    stated = table.build().stated_unit(known) if table else None
+    if stated is None and channel == "injected":
+        torque = _si_unit("torque", channels, kind, transmission, drive)
+        return torque if torque is None or torque in known else known[0]
+    if stated is None:
+        return known[0]
+    if stated not in known or _lacking(channel, stated, moving, transmission, drive or Drive()):
+        return None
+    return (drive or Drive()).resolve_unit(units.unit(stated), moving).si
+
+
+def _side(channel: str, table: ChannelTable | None, drive: Drive | None) -> Side:
+    """Return the side of a transmission on which a channel is measured."""
+    declared = None if table is None else table.build()
+    return find_side(channel, declared, drive.traces, drive.axis) if drive else find_side(channel, declared, None, None)
+
+
+def _lacking(channel: str, unit: str, kind: Kind, transmission: TransmissionTable | None, drive: Drive) -> str | None:
+    """Return the end of the sentence on a unit for which a number of the drive is missing."""
+    try:
+        geared = transmission is not None and transmission.geared
+        drive.resolve_unit(units.unit(unit), kind, of_load=channel == "load_position", geared=geared)
+    except units.UnitError as error:
+        return str(error)
+    return None
+
+
+def _misfit(channel: str, unit: str, known: Collection[str], kinds: Collection[Kind], moving: Collection[Kind]) -> str:
+    """Return the end of the sentence on a unit that a channel cannot have; its side may move otherwise than a joint."""
+    expected = f"expected one of {', '.join(known)}"
+    try:
+        dimension = units.unit(unit).dimension
+    except units.UnitError:
+        otherwise = "give one of them, and the gain that takes the column to it"
+        return f", which is not known; {expected}: {messages.suggest(unit, known, otherwise)}"
+    fitting = [kind for kind in TORQUE_UNIT if kind not in kinds and unit in known_units(channel, kind)]
+    remedy = "".join(f', or set joint.kind = "{kind}"' for kind in fitting)
+    if set(moving) != set(kinds) and any(unit in known_units(channel, kind) for kind in kinds):
+        remedy = ', or set side = "load"'
+    return f", a unit of {dimension}; {expected}: give one of them{remedy}."
+
+
+def transmission_faults(draft: Draft) -> Iterator[str]:
+    """Yield that a load of these kinds has no lead, and sides that are named where there is no transmission."""
+    transmission = draft.transmission
+    if transmission is not None and transmission.lead is not None and "prismatic" not in draft.kinds:
+        yield (
+            f"transmission.lead is {transmission.lead:g}, but the load is revolute; expected a ratio: give that, "
+            'or set joint.kind = "prismatic".'
+        )
+    if draft.geared:
+        return
+    named = {f"record.channels.{name}": table.side for name, table in draft.channels.items() if table.side}
+    if draft.law and "side" in draft.law.model_fields_set:
+        named["controller"] = draft.law.side
+    for table, side in named.items():
+        yield f'{table}.side is "{side}", but nothing lies between motor and load: add [transmission], or leave it out.'
+
+
+def kind_of(side: Side, kind: Kind, transmission: TransmissionTable | None) -> Kind:
+    """Return how a side of a joint of that kind, which is its load's, moves: with a lead the motor turns."""
+    return "revolute" if transmission and transmission.lead is not None and side == "motor" else kind

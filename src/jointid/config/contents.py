@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.progress import Progress, silent
 from jointid.config import serialise
-from jointid.config.channels import list_channels, torque_unit
-from jointid.config.consistency import change_parameter, choose_method, needed_channels
-from jointid.config.sources import Run, Source
+from jointid.config.consistency import change_parameter, choose_method, list_channels, needed_channels, torque_unit
+from jointid.config.schema_record import Run, Source, Together
 from jointid.config.validation import check_tables
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
@@ -48,8 +47,7 @@ class JointFile:
         source: the file of the record.
         name: what reports call the joint.
         runs: records that are identified together.
-        free: names of what surrounds the joint and is then identified too.
-        weighting: of their rows; see `jointid.SeveralRecords`.
+        together: how they are; see `jointid.SeveralRecords`.
         path: of the joint file; a text is taken to stand in `joint.toml`.
 
     Example:
@@ -75,8 +73,7 @@ class JointFile:
     source: Source = field(default_factory=Source)
     name: str | None = None
     runs: tuple[Run, ...] = ()
-    free: tuple[str, ...] = ()
-    weighting: Literal["spectrum", "level"] = "spectrum"
+    together: Together = field(default_factory=Together)
     path: Path = field(default=Path("joint.toml"), compare=False)
 
     @classmethod
@@ -91,7 +88,7 @@ class JointFile:
             JointFileError: with one sentence for each fault.
         """
         file = check_tables(tables)
-        channels, gear, drive = file.record.channels.given(), file.transmission, file.drive.drive()
+        channels, gear, drive = file.record.channels.given(), file.transmission, file.drive.build()
         transmission = gear.transmission(file.joint.kind) if gear else None
         joint = file.joint.joint(torque_unit(channels, file.joint.kind, gear, drive), transmission, file.gravity)
         named = list_channels(channels, drive)
@@ -100,17 +97,16 @@ class JointFile:
         known = {parameter.name: parameter for parameter in joint.parameters}
         return cls(
             joint=joint,
-            columns={name: table.to_column() for name, table in channels.items()},
+            columns={name: table.build() for name, table in channels.items()},
             method=file.method.method(method, joint.model),
             controller=file.controller.refer(transmission) if file.controller else None,
-            filtering=file.filtering.filtering(),
+            filtering=file.filtering.build(),
             parameters={name: change_parameter(known[name], table) for name, table in file.parameters.items()},
             drive=drive,
-            source=file.record.source(),
+            source=file.record.build(),
             name=file.joint.name,
-            runs=tuple(table.run() for table in file.records),
-            free=tuple(file.together.free),
-            weighting=file.together.weighting,
+            runs=tuple(table.build() for table in file.records),
+            together=file.together.build(),
             path=path,
         )
 
@@ -134,9 +130,7 @@ class JointFile:
                 torque at the controller's limit.
         """
         path = self.record_path(path)
-        columns = self._columns
-        source = self.source
-        record = read(path, columns, clock_tolerance=source.clock_tolerance, resample=source.resample, **self._reading)
+        record = read(path, self._columns, **self._reading, **self._clock, **self.source.options)
         controller, torque = self.controller, record.torque
         limit = controller.law(torque.sample_time).limit if controller is not None and torque is not None else None
         gear = self.joint.transmission
@@ -172,10 +166,7 @@ class JointFile:
         Raises:
             RecordError: a channel has a sample time of its own, or no record is named.
         """
-        source = self.source
-        reading = {"clock_tolerance": source.clock_tolerance, "resample": source.resample, **self._reading}
-        settings = {key: value for key, value in reading.items() if key not in self.source.options}
-        return Log(self.record_path(path), self._columns, settings, self.source.options)
+        return Log(self.record_path(path), self._columns, self._reading | self._clock, self.source.options)
 
     def write(self, record: Record, path: str | os.PathLike[str]) -> None:
         """Write a record, on the joint's side of its transmission, as this file reads it: `record(path)` gives it back.
@@ -183,7 +174,7 @@ class JointFile:
         Raises:
             RecordError: see `jointid.records.files.writing.write`.
         """
-        write(record, path, self.columns, **self._reading)
+        write(record, path, self.columns, **self._reading, **self.source.options)
 
     def record_path(self, path: str | os.PathLike[str] | None = None) -> str | os.PathLike[str]:
         """Return the path of the record: that one, or the one this file names.
@@ -216,8 +207,12 @@ class JointFile:
             "sample_time": self.source.sample_time,
             "kind": self.joint.kind,
             "transmission": self.joint.transmission,
-            **self.source.options,
         }
+
+    @property
+    def _clock(self) -> dict[str, Any]:
+        """Further arguments of reading one."""
+        return {"clock_tolerance": self.source.clock_tolerance, "resample": self.source.resample}
 
     @property
     def added_inertias(self) -> tuple[float, ...]:
@@ -266,54 +261,6 @@ class JointFile:
             )
         return {p.name: float(p.start) for p in parameters if p.start is not None}
 
-    def override(
-        self,
-        *,
-        method: str | None = None,
-        filtering: str | None = None,
-        friction: str | None = None,
-        minimiser: str | None = None,
-        frequency: float | None = None,
-        estimator: str | None = None,
-        harmonics: int | None = None,
-        period: float | None = None,
-        drift: str | None = None,
-    ) -> JointFile:
-        """Return this file with some choices replaced, and checked again; None leaves a choice as it is.
-
-        Args:
-            method: its name; another one than the file's comes with its default settings.
-            filtering: a preset, "default", "published" or "as-printed".
-            friction: name of the friction law, "symmetric" or another of `jointid.models.friction`.
-            minimiser: of DIDIM for a flexible joint, "least-squares" or "nelder-mead".
-            frequency: in Hz, that DIDIM for a flexible joint starts from.
-            estimator: of IDIM, "ols", "weighted", "robust" or "iv".
-            harmonics: of IDIM, of the force over the motor position.
-            period: of the first harmonic, in m or rad.
-            drift: of IDIM, "force", "viscous" or "both".
-
-        Raises:
-            JointFileError: the file does not have what the method needs, a parameter is not one of the law's, or a
-                setting is not one of the method's.
-        """
-        tables = self.tables()
-        if method is not None and method != self.method.name:
-            tables["method"] = {"name": method}
-        if filtering is not None:
-            tables["filtering"] = {"preset": filtering}
-        if friction is not None:
-            tables["joint"]["friction"] = friction
-        settings = {
-            "minimiser": minimiser,
-            "frequency": frequency,
-            "estimator": estimator,
-            "harmonics": harmonics,
-            "period": period,
-            "drift": drift,
-        }
-        tables["method"] |= {key: value for key, value in settings.items() if value is not None}
-        return type(self).of(tables, self.path)
-
     def tables(self) -> dict[str, Any]:
         """Return the tables that say the same, as `of` takes them; what is at its default is left out.
 
@@ -328,9 +275,7 @@ class JointFile:
         tables = {
             "joint": serialise.joint_table(self.joint, self.name),
             "transmission": serialise.transmission_table(self.joint.transmission),
-            "gravity": {}
-            if self.joint.gravity is None
-            else serialise.gravity_table(self.joint.gravity, self.joint.transmission),
+            "gravity": serialise.gravity_table(self.joint.gravity, self.joint.transmission),
             "record": record,
             "drive": serialise.settings(self.drive),
             "controller": {}
@@ -340,8 +285,6 @@ class JointFile:
             "method": serialise.method_table(self.method, self.joint.model),
             "parameters": parameters,
             "records": [serialise.settings(run) for run in self.runs],
-            "together": serialise.settings(
-                self, *(f.name for f in fields(self) if f.name not in ("free", "weighting"))
-            ),
+            "together": serialise.settings(self.together),
         }
         return {name: table for name, table in tables.items() if table}

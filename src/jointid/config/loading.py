@@ -1,21 +1,23 @@
-"""From TOML to a joint file and back."""
+"""From TOML to a joint file and back, and changes to single keys as `--set method.frequency=30` has them."""
 
 from __future__ import annotations
 
+import copy
 import json
 import os
 import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
+from jointid.common import messages
 from jointid.common.errors import JointFileError
-from jointid.config.changes import apply_changes
 from jointid.config.contents import JointFile
 from jointid.config.serialise import controller_table
+from jointid.config.validation import named_method
 from jointid.models.controllers import Controller
 from jointid.models.parameters import TORQUE_UNIT
 from jointid.models.transmission import Transmission
@@ -29,13 +31,27 @@ _OF_RECORD = re.compile(r"\s*(\[\s*record\s*\]|\[\[\s*records\s*\]\])")
 _FILE = re.compile(r"""^(\s*file\s*=\s*)("(?:[^"\\\n]|\\.)*"|'[^'\n]*')""", re.MULTILINE)
 _HEADING = r"\s*\[{{1,2}}\s*({0}|\"{0}\"|'{0}')\s*[.\]]"
 
+_WORD = re.compile(r"\s*[A-Za-z][A-Za-z0-9_-]*\s*")
+_CONSTANTS = ("true", "false", "inf", "nan")
+_FROM_ZERO = ("torque_filters",)  # lists counted from 0, as in the names of their numbers; all others from 1
 
-def load(path: str | os.PathLike[str], changes: Iterable[str] = ()) -> JointFile:
+
+def load(
+    path: str | os.PathLike[str],
+    changes: Iterable[str] = (),
+    *,
+    method: str | None = None,
+    filtering: str | None = None,
+    friction: str | None = None,
+) -> JointFile:
     """Load a joint file, checked completely.
 
     Args:
         path: of the TOML file, in UTF-8.
         changes: keys to set before it is checked, each as ``method.frequency=30``.
+        method: its name, set before those; another one than the file's comes with its default settings.
+        filtering: a preset, likewise in place of what the file says.
+        friction: the name of a law, likewise.
 
     Raises:
         JointFileError: the file cannot be read, is no TOML, or has faults; `faults` has a sentence for each.
@@ -51,18 +67,46 @@ def load(path: str | os.PathLike[str], changes: Iterable[str] = ()) -> JointFile
         raise JointFileError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
     except UnicodeDecodeError as error:
         raise JointFileError(f"{path} is not text in UTF-8 (byte {error.start}); save it as UTF-8.") from error
-    return JointFile.of(apply_changes(_parse(text), changes), path)
+    return _build(text, path, changes, method, filtering, friction)
 
 
-def loads(text: str, folder: str | os.PathLike[str] = ".", changes: Iterable[str] = ()) -> JointFile:
+def loads(
+    text: str,
+    folder: str | os.PathLike[str] = ".",
+    changes: Iterable[str] = (),
+    *,
+    method: str | None = None,
+    filtering: str | None = None,
+    friction: str | None = None,
+) -> JointFile:
     """Load a joint file from its text; see `load`.
 
     Args:
         text: TOML.
         folder: from which the path of the record is taken.
         changes: keys to set before it is checked, each as ``method.frequency=30``.
+        method: as of `load`.
+        filtering: as of `load`.
+        friction: as of `load`.
     """
-    return JointFile.of(apply_changes(_parse(text), changes), Path(folder) / "joint.toml")
+    return _build(text, Path(folder) / "joint.toml", changes, method, filtering, friction)
+
+
+def _build(
+    text: str,
+    path: Path,
+    changes: Iterable[str],
+    method: str | None,
+    filtering: str | None,
+    friction: str | None,
+) -> JointFile:
+    tables = _parse(text)
+    if method is not None and method != named_method(tables):
+        tables["method"] = {"name": method}
+    if filtering is not None:
+        tables["filtering"] = {"preset": filtering}
+    first = [] if friction is None else [f"joint.friction={json.dumps(friction)}"]
+    return JointFile.of(apply_changes(tables, [*first, *changes]), path)
 
 
 def dumps(file: JointFile) -> str:
@@ -92,6 +136,26 @@ def save(file: JointFile, path: str | os.PathLike[str]) -> None:
         Path(path).write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
         raise JointFileError(f"{path} cannot be written ({_reason(error)}); check the folder.") from error
+
+
+def save_with_controller(file: JointFile, controller: Controller, path: Path) -> None:
+    """Write a joint file with its [controller] another one; all else of its text, comments too, stays as it is.
+
+    But for the paths of records: in another folder they lead to the same files from there.
+
+    Args:
+        file: the joint file, loaded from a path: its text is taken from there.
+        controller: what takes the place of the one there.
+        path: to write to; a file that is there is replaced.
+
+    Raises:
+        JointFileError: a file cannot be read or written.
+    """
+    try:
+        text = with_controller(file.path.read_text(encoding="utf-8-sig"), controller, file.joint.transmission)
+        path.write_text(with_paths(text, file.path.parent, path.parent), encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise JointFileError(f"{error.filename} cannot be used ({error.strerror}); check the folder.") from error
 
 
 def controller_text(controller: Controller, transmission: Transmission | None = None) -> str:
@@ -142,10 +206,7 @@ def _with_table(text: str, name: str, written: str) -> str:
     tables = _parse(text)
     made = _join(_sections(text), written, re.compile(_HEADING.format(name)))
     expected = tables | tomllib.loads(written)
-    try:
-        return made if tomllib.loads(made) == expected else tomli_w.dumps(expected)
-    except tomllib.TOMLDecodeError:  # two of them: the old one has no heading
-        return tomli_w.dumps(expected)
+    return _checked(made, expected)
 
 
 def with_paths(text: str, before: Path, after: Path) -> str:
@@ -177,9 +238,14 @@ def with_paths(text: str, before: Path, after: Path) -> str:
 
     sections = _sections(text)
     made = "".join(_FILE.sub(moved, one, count=1) if _OF_RECORD.match(one) else one for one in sections)
+    return _checked(made, expected)
+
+
+def _checked(made: str, expected: Mapping[str, Any]) -> str:
+    """Return a text that was changed, or, where it does not say what it should, the tables written anew."""
     try:
         return made if tomllib.loads(made) == expected else tomli_w.dumps(expected)
-    except tomllib.TOMLDecodeError:  # the path is a text of several lines
+    except tomllib.TOMLDecodeError:  # two tables of one name, where the old one has no heading; a path of several lines
         return tomli_w.dumps(expected)
 
 
@@ -254,3 +320,99 @@ def _syntax_fault(text: str, message: str) -> str:
 
 def _reason(error: OSError) -> str:
     return (error.strerror or type(error).__name__).lower()
+
+
+def apply_changes(tables: Mapping[str, Any], changes: Iterable[str]) -> dict[str, Any]:
+    """Return the tables of a joint file with some keys set, not checked yet.
+
+    Args:
+        tables: as `tomllib` reads them; they stay as they are.
+        changes: each ``key=value``: the dotted key as faults name it, and a value in TOML; a single word needs no
+            quotes. Later ones win.
+
+    Raises:
+        JointFileError: with a sentence for each change that cannot be read, or whose place is inside another value.
+    """
+    changed, faults = copy.deepcopy(dict(tables)), list[str]()
+    for change in changes:
+        try:
+            path, value = _parse_change(change)
+            _put(changed, path, value)
+        except JointFileError as error:
+            faults += error.faults
+    if faults:
+        raise JointFileError(faults)
+    return changed
+
+
+def _parse_change(change: str) -> tuple[list[str], Any]:
+    """Return the path of a change's key and its value.
+
+    Raises:
+        JointFileError: it is not ``key=value``.
+    """
+    key, equals, text = change.partition("=")
+    quoted = messages.format_value(change)
+    if not equals or not key.strip():
+        raise JointFileError(f'--set {quoted} is not key=value; write it as "method.frequency=30".')
+    try:
+        path = list(_path(tomllib.loads(f"{key} = 0")))
+    except tomllib.TOMLDecodeError:
+        raise JointFileError(
+            f"--set {quoted} names no key; expected one with points, as method.frequency: correct it."
+        ) from None
+    try:
+        value = text.strip() if _WORD.fullmatch(text) and text.strip() not in _CONSTANTS else _value(text)
+    except (tomllib.TOMLDecodeError, RecursionError, ValueError):
+        raise JointFileError(
+            f"--set {quoted} has no value that TOML knows; expected a number, true, false, a word, "
+            'a list as [1, 2], a table as {lower = 1.0} or text in "quotes": correct it.'
+        ) from None
+    return path, value
+
+
+def _path(tables: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the parts of the one key that tables hold."""
+    for key, below in tables.items():
+        yield key
+        if isinstance(below, dict):
+            yield from _path(below)
+
+
+def _value(text: str) -> Any:
+    """Return a value that is written in TOML.
+
+    Raises:
+        ValueError: it is none, or more than one.
+    """
+    (value,) = tomllib.loads(f"value = {text.strip()}").values()
+    return value
+
+
+def _put(tables: dict[str, Any], path: list[str], value: Any) -> None:
+    """Set the value at a path, with the tables on the way to it.
+
+    Raises:
+        JointFileError: something on the way is no table, or a list is shorter.
+    """
+    here: Any = tables
+    for place, key in enumerate(path):
+        last, at = place == len(path) - 1, messages.dot_path(path[:place])
+        if isinstance(here, list):
+            first = 0 if path[place - 1] in _FROM_ZERO else 1
+            if not key.isdecimal() or not first <= int(key) < len(here) + first:
+                raise JointFileError(
+                    f"{at}.{key} is set, but {at} lists {len(here)}, counted from {first}; name one of them."
+                )
+            index: Any = int(key) - first
+        elif isinstance(here, dict):
+            index = key
+        else:
+            found = messages.format_value(here)
+            raise JointFileError(
+                f"{messages.dot_path(path)} is set, but {at} is {found} and no table; set {at} as a whole."
+            )
+        if last:
+            here[index] = value
+        else:
+            here = here.setdefault(index, {}) if isinstance(here, dict) else here[index]

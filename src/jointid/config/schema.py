@@ -1,6 +1,7 @@
-"""The joint file as a whole, and its tables of how a joint is identified: what may stand there, and what it becomes.
+"""The joint file as a whole, and its tables of the joint and of how it is identified.
 
-What a key is when it is left out is the default of the object the table becomes; a test holds the two together.
+What may stand there, and what it becomes. What a key is when it is left out is the default of the object the table
+becomes; a test holds the two together.
 """
 
 from __future__ import annotations
@@ -13,26 +14,20 @@ from pydantic import Field
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
 
-from jointid.common import messages
+from jointid.common import messages, units
 from jointid.common.messages import Says
 from jointid.common.settings import settings_of
-from jointid.config.gearing import TransmissionTable
-from jointid.config.generate import keys_from
-from jointid.config.laws import ControllerTable
-from jointid.config.mechanics import GravityTable, JointTable
-from jointid.config.record_table import DriveTable, RecordTable
-from jointid.config.sources import Run
-from jointid.config.table import Table
-from jointid.config.values import (
-    Bound,
-    Flag,
-    Names,
-    Natural,
-    Number,
-    Positive,
-)
+from jointid.config.keys import Bound, Flag, LengthUnit, Natural, Number, Positive, Size, Text, keys_from
+from jointid.config.schema_controller import ControllerTable
+from jointid.config.schema_record import DriveTable, RecordTable, RunTable, TogetherTable
+from jointid.config.table import Table, accept_by, refusal
 from jointid.estimation.methods.registry import Method, MethodName, method_of, methods
 from jointid.models.disturbances import Drift, Effect, PositionHarmonics
+from jointid.models.friction import FRICTIONS, friction_named
+from jointid.models.gravity import Counterbalance, Gravity
+from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.models.parameters import Kind
+from jointid.models.transmission import Transmission
 from jointid.records.signals.filtering import Filtering
 
 EFFECTS = ("harmonics", "period", "drift")
@@ -44,6 +39,77 @@ FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
     "as-printed": Filtering.as_printed,
 }
 """The presets of [filtering]."""
+
+
+class JointTable(Table):
+    """[joint]: what is identified."""
+
+    kind: Literal["prismatic", "revolute"] = Field(description="how the joint moves: m and N, or rad and N m")
+    model: Literal["rigid", "flexible"] = Field("rigid", description="one inertia, or two joined by a spring")
+    friction: Annotated[Text, accept_by(friction_named)] = Field(
+        "symmetric", description="the friction's law", json_schema_extra={"enum": list(FRICTIONS)}
+    )
+    name: Text | None = Field(None, description="what reports call the joint")
+
+    def joint(
+        self, torque_unit: str | None, transmission: Transmission | None = None, gravity: GravityTable | None = None
+    ) -> Joint:
+        """Return the joint; `torque_unit` is "A" or "V" for a torque in the drive's units."""
+        made = FlexibleJoint if self.model == "flexible" else RigidJoint
+        kind = self.kind if transmission is None else transmission.kind
+        weight = None if gravity is None else gravity.gravity(transmission)
+        return made(kind, friction_named(self.friction), torque_unit, transmission=transmission, gravity=weight)
+
+
+@keys_from(Counterbalance)
+class CounterbalanceTable(Table):
+    """[gravity.counterbalance]: what a known counterbalance takes off the load, on the side that is reported."""
+
+
+@keys_from(Gravity, types={"counterbalance": (CounterbalanceTable, CounterbalanceTable)})
+class GravityTable(Table):
+    """[gravity]: what the load weighs."""
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield that there is no such gravity."""
+        if refused := refusal(self.gravity):
+            yield "angle", refused
+
+    def gravity(self, transmission: Transmission | None = None) -> Gravity:
+        """Return the gravity, as a joint has it on its side of the transmission."""
+        angle = self.angle if transmission is None else self.angle * transmission.torque("load")
+        return Gravity(self.load, self.counterbalance.build(), angle)
+
+
+@keys_from(Transmission, without=("load", "lead"))
+class TransmissionTable(Table):
+    """[transmission]: what lies between motor and load, without loss."""
+
+    lead: Size | None = Field(
+        None,
+        description="how far a prismatic load goes in one turn of the motor: of a screw, a rack or a belt; the motor "
+        "is revolute then [lead_unit]",
+    )
+    lead_unit: LengthUnit = Field("m", description="unit of the lead")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield that there is not one of ratio and lead."""
+        if self.ratio is None and self.lead is None:
+            yield "", " has neither ratio nor lead; expected one of them: add it."
+        elif self.ratio is not None and self.lead is not None:
+            yield "lead", f" is {self.lead:g} beside ratio = {self.ratio:g}; expected one of them: leave one out."
+        elif self.lead is None and "lead_unit" in self.model_fields_set:
+            yield "lead_unit", " is there without a lead: leave it out."
+
+    @property
+    def geared(self) -> bool:
+        """True if motor and load move alike, but not by the same amount."""
+        return self.ratio is not None and self.ratio != 1.0
+
+    def transmission(self, kind: Kind) -> Transmission:
+        """Return the transmission to a load of that kind."""
+        lead = None if self.lead is None else self.lead * units.unit(self.lead_unit).factor
+        return Transmission(load=kind, ratio=self.ratio, lead=lead, sign=self.sign, side=self.side)
 
 
 @keys_from(Filtering)
@@ -60,11 +126,9 @@ class FilteringTable(Table):
             for key, value in self.given("preset").items():
                 yield key, messages.beside_preset(value, self.preset)
 
-    def filtering(self) -> Filtering:
+    def build(self) -> Any:
         """Return the filtering."""
-        if self.preset is not None:
-            return FILTERINGS[self.preset]()
-        return Filtering(**self.settings())
+        return super().build() if self.preset is None else FILTERINGS[self.preset]()
 
 
 @keys_from(*methods())
@@ -146,24 +210,6 @@ class ParameterTable(Table):
             yield "start", " stands beside value; keep value to fix the parameter, or start to identify it."
         if self.value is None and self.free is False:
             yield "value", " is missing; a parameter that is not free needs the value that it keeps: add it."
-
-
-@keys_from(Run)
-class RunTable(Table):
-    """[[records]]: one of several records that are identified together, and what is known to differ in it."""
-
-    def run(self) -> Run:
-        """Return the record."""
-        return Run(**self.settings())
-
-
-class TogetherTable(Table):
-    """[together]: how several records are identified together."""
-
-    free: Names = Field([], description="names of what surrounds the joint and is identified too")
-    weighting: Literal["spectrum", "level"] = Field(
-        "spectrum", description="what of their record's residual the rows are weighed by"
-    )
 
 
 class FileTable(Table):

@@ -52,8 +52,10 @@ def transmission_table(transmission: Transmission | None) -> dict[str, Any]:
     return {} if transmission is None else settings(transmission, "load")
 
 
-def gravity_table(gravity: Gravity, transmission: Transmission | None) -> dict[str, Any]:
+def gravity_table(gravity: Gravity | None, transmission: Transmission | None) -> dict[str, Any]:
     """Return [gravity]; its angle is that of the load, whatever the side."""
+    if gravity is None:
+        return {}
     angle = gravity.angle if transmission is None else gravity.angle / transmission.torque("load")
     balance = settings(gravity.counterbalance)
     return settings(replace(gravity, angle=angle), "counterbalance") | ({"counterbalance": balance} if balance else {})

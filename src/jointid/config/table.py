@@ -41,9 +41,17 @@ class Table(BaseModel):
     decided_by: ClassVar[Mapping[str, str]] = {}
     """Keys that hold one table or another, as a key of that table decides: controller by law."""
 
+    builds: ClassVar[Any] = None
+    """The dataclass whose settings its keys are, where that is one."""
+
+    def build(self) -> Any:
+        """Return the object that the table says."""
+        return self.builds(**self.settings())
+
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield what is wrong with these values together: a key, or "" for the table, and the rest of a sentence."""
-        yield from ()
+        if self.builds is not None and (refused := refusal(self.build)):
+            yield "", refused
 
     def given(self, *without: str) -> dict[str, Any]:
         """Return the values that stand in the file, by key, without those named."""

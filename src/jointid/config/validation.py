@@ -13,26 +13,38 @@ from typing import Any, Self, TypeVar
 from pydantic import ValidationError
 
 from jointid.common.errors import JointFileError
-from jointid.config.channels import channel_faults, list_channels
-from jointid.config.consistency import free_faults, gravity_refusal, method_faults, parameter_faults, record_faults
-from jointid.config.gearing import TransmissionTable, side_faults, transmission_faults
-from jointid.config.laws import LAW_TABLES, LawTable
-from jointid.config.mechanics import GravityTable, JointTable
-from jointid.config.record_table import ChannelsTable, ChannelTable, DriveTable
-from jointid.config.schema import FileTable, MethodTable, ParameterTable, RunTable, TogetherTable
-from jointid.config.table import Table, sentences
+from jointid.config.consistency import (
+    KINDS,
+    channel_faults,
+    choose_method,
+    free_faults,
+    list_channels,
+    method_faults,
+    parameter_faults,
+    record_faults,
+    transmission_faults,
+)
+from jointid.config.schema import (
+    FileTable,
+    GravityTable,
+    JointTable,
+    MethodTable,
+    ParameterTable,
+    TransmissionTable,
+)
+from jointid.config.schema_controller import LAW_TABLES, LawTable
+from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RunTable, TogetherTable
+from jointid.config.table import Table, refusal, sentences
 from jointid.estimation.methods.registry import MODELS
 from jointid.models.controllers import Controller
+from jointid.models.joints import Joint
 from jointid.models.parameters import Kind
-from jointid.models.transmission import Side
 from jointid.records.drives.drive import Drive
 from jointid.records.record import CHANNELS
 
 T = TypeVar("T", bound=Table)
 
 _MOST = 1000  # keys of a table, records of a file
-
-_KINDS: tuple[Kind, ...] = ("prismatic", "revolute")
 
 
 def check_tables(raw: Mapping[str, Any]) -> FileTable:
@@ -48,14 +60,20 @@ def check_tables(raw: Mapping[str, Any]) -> FileTable:
         file = FileTable.model_validate(raw)
     except ValidationError as error:
         faults += sentences(error)
-    faults += _Draft.of(raw).faults()
+    faults += Draft.of(raw).faults()
     if faults:
         raise JointFileError(faults)
     return file
 
 
+def named_method(raw: Mapping[str, Any]) -> str | None:
+    """Return the method that a joint file names, or that it has where it names none; None if that is not known."""
+    draft = Draft.of(raw)
+    return choose_method(_table(raw, "method").get("name"), draft.named, draft.controlled, draft.model or "rigid")
+
+
 @dataclass(frozen=True, slots=True)
-class _Draft:
+class Draft:
     """The tables of a joint file that are right in themselves; one that is not is None, or left out.
 
     Attributes:
@@ -98,16 +116,18 @@ class _Draft:
 
     @classmethod
     def of(cls, raw: Mapping[str, Any]) -> Self:
+        """Return what is right of the tables of a joint file, as `tomllib` reads them."""
         kind, controller = _table(raw, "joint").get("kind"), raw.get("controller")
+        listed = records if isinstance(records := raw.get("records"), list) else []
         drives = _part(DriveTable, raw.get("drive", {}))
-        drive = drives.drive() if drives else None
+        drive = drives.build() if drives else None
         channels, parameters = _table(raw, "record", "channels"), _table(raw, "parameters")
         law = next(filter(None, (_part(law, controller) for law in LAW_TABLES)), None)
         return cls(
             joint=_part(JointTable, raw.get("joint")),
             gravity=_part(GravityTable, raw.get("gravity")),
             heavy="gravity" in raw,
-            kinds=[known for known in _KINDS if known == kind] or _KINDS,
+            kinds=[known for known in KINDS if known == kind] or KINDS,
             model=_model(raw.get("joint")),
             transmission=_part(TransmissionTable, raw.get("transmission")),
             geared="transmission" in raw,
@@ -126,7 +146,7 @@ class _Draft:
                 name: parameter for name, value in parameters.items() if (parameter := _part(ParameterTable, value))
             },
             bare=[name for name, value in parameters.items() if not isinstance(value, dict)],
-            runs={k: run for k, value in enumerate(_list(raw, "records")) if (run := _part(RunTable, value))},
+            runs={k: run for k, value in enumerate(listed) if (run := _part(RunTable, value))},
             together=_part(TogetherTable, raw.get("together", {})),
         )
 
@@ -136,32 +156,29 @@ class _Draft:
         return self.law.controller() if self.law else None
 
     @property
-    def _sides(self) -> Mapping[str, Side]:
-        """The sides that are named, by their tables."""
-        named = {f"record.channels.{name}": table.side for name, table in self.channels.items() if table.side}
-        law = self.law
-        return named | ({"controller": law.side} if law and "side" in law.model_fields_set else {})
+    def parts(self) -> Joint | None:
+        """The joint of this model with its gravity, whose parameters are known; None while one of them is not right."""
+        if self.joint is None or (self.heavy and self.gravity is None) or self.gravity_refusal:
+            return None
+        return self.joint.joint(None, gravity=self.gravity)
+
+    @property
+    def gravity_refusal(self) -> str | None:
+        """The rest of the sentence on a gravity that this joint cannot have."""
+        joint = self.joint
+        return None if joint is None else refusal(lambda: joint.joint(None, gravity=self.gravity))
 
     def faults(self) -> Iterator[str]:
         """Yield what is wrong between the tables."""
-        if self.transmission is not None:
-            yield from transmission_faults(self.transmission, self.kinds)
-        elif not self.geared:
-            yield from side_faults(self._sides)
-        # Behind a transmission that is not right, a motor may move in any way.
-        kinds = _KINDS if self.geared and not self.transmission else self.kinds
-        yield from channel_faults(self.channels, kinds, self.transmission, self.drive)
+        yield from transmission_faults(self)
+        yield from channel_faults(self)
         if self.method is not None:
-            yield from method_faults(self.method, self.named, self.controller, self.controlled, self.model)
+            yield from method_faults(self, self.method)
             yield from free_faults("method.free", self.method.free, self.controller)
-        refused = None if self.joint is None else gravity_refusal(self.joint, self.gravity)
-        if refused:
-            yield f"gravity{refused}"
-        # Of a gravity that is wrong nobody knows which parameters it has.
-        model = None if refused or (self.heavy and self.gravity is None) else self.joint
-        if model is not None:
-            yield from parameter_faults(model, self.gravity, self.parameters, self.bare)
-        yield from record_faults(model, self.gravity, self.controller, self.controlled, self.runs)
+        if self.gravity_refusal:
+            yield f"gravity{self.gravity_refusal}"
+        yield from parameter_faults(self)
+        yield from record_faults(self)
         if self.together is not None:
             yield from free_faults("together.free", self.together.free, self.controller)
 
@@ -198,9 +215,3 @@ def _table(raw: Mapping[str, Any], *path: str) -> Mapping[str, Any]:
         below = raw.get(key)
         raw = below if isinstance(below, dict) else {}
     return raw
-
-
-def _list(raw: Mapping[str, Any], key: str) -> list[Any]:
-    """Return the raw list at a key, empty if there is none."""
-    found = raw.get(key)
-    return found if isinstance(found, list) else []

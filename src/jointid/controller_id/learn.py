@@ -9,7 +9,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
-from jointid.common.message import Message
+from jointid.common.messages import Message
 from jointid.common.progress import Progress, silent
 from jointid.common.text import number
 from jointid.controller_id.fitting import FittedLaw, Task, order_rates

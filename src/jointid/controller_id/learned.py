@@ -7,7 +7,7 @@ from enum import StrEnum, auto
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph, Table, common_facts
-from jointid.common.message import Message
+from jointid.common.messages import Message
 from jointid.common.text import number
 from jointid.controller_id.structures import Structure
 from jointid.models.controllers import Controller

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from jointid.common.document import Document, Documented, Listing, Table
-from jointid.common.message import Message
+from jointid.common.messages import Message
 from jointid.common.text import number
 from jointid.diagnostics.fault_signatures import INJECTED_GAIN, LIMIT, OFFSET, PRESLIDING, STRIBECK
 from jointid.models.transmission import Side

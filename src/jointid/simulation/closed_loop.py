@@ -13,9 +13,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, Fresh, Room
 from jointid.common.errors import MethodError
-from jointid.common.memory import Fresh, Room
 from jointid.models.controllers import POSITION, REFERENCE, Cascade
 from jointid.models.joints import Motion, RigidJoint
 from jointid.records.record import Channel, Record

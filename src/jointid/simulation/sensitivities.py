@@ -15,9 +15,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, Fresh, Room
 from jointid.common.errors import MethodError
-from jointid.common.memory import Fresh, Room
 from jointid.models.controllers import POSITION, SampledLaw, number, respond, with_numbers
 from jointid.models.joints import Joint
 from jointid.records.record import Tap, Timing

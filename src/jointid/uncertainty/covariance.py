@@ -41,7 +41,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.common.message import Message
+from jointid.common.messages import Message
 
 _MOST = 2.0  # times its residual: what leaving a block out may make of it
 _SINGULAR = 1e-10  # of the largest: a direction whose variance is rounding

@@ -17,7 +17,7 @@ from enum import StrEnum
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.common.message import Message
+from jointid.common.messages import Message
 from jointid.common.text import aligned, number
 from jointid.models.parameters import Parameter, Quantity
 from jointid.uncertainty.combination import Combination, Kind, physical, single

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.common.message import Message
+from jointid.common.messages import Message
 from jointid.common.text import number
 from jointid.uncertainty.covariance import (
     Covariance,

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from jointid.common.message import Message, joined
+from jointid.common.messages import Message, joined
 from jointid.uncertainty.identifiability import Identifiability
 from jointid.uncertainty.residual_tests import ResidualReport
 

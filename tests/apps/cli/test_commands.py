@@ -316,14 +316,14 @@ def test_the_flexible_axis_by_command(demo: Path, tmp_path: Path, capsys: pytest
     def stiffness() -> float:
         return float(json.loads(out.read_text(encoding="utf-8"))["parameters"]["stiffness"]["value"])
 
-    assert run(*words, "--frequency", 30) == 0
+    assert run(*words, "--set", "method.frequency=30") == 0
     said = capsys.readouterr().out
     assert "by least squares" in said
     assert "Nyquist" not in said
     assert abs(stiffness() / TABLE_2["stiffness"] - 1) <= 0.05
-    assert run(*words, "--frequency", 30, "--filtering", "as-printed") == 0
+    assert run(*words, "--set", "method.frequency=30", "--filtering", "as-printed") == 0
     assert "its Nyquist frequency at 41.7 Hz, below the cut-off of 60 Hz" in capsys.readouterr().out
-    assert run(*words, "--frequency", 30, "--minimiser", "nelder-mead") == 0
+    assert run(*words, "--set", "method.minimiser=nelder-mead") == 0
     assert "by Nelder-Mead" in capsys.readouterr().out
     assert abs(stiffness() / TABLE_2["stiffness"] - 1) <= 0.05
 
@@ -436,9 +436,10 @@ MISTAKES = {
     "unknown command": (("identfy", EMPS), "identfy"),
     "unknown option": (("identify", EMPS, "--recrod", "x.mat"), "--recrod"),
     "unknown method": (("identify", EMPS, "--method", "magic"), "magic"),
-    "unknown minimiser": (("identify", EMPS, "--minimiser", "simplex"), "simplex"),
-    "no frequency": (("identify", EMPS, "--frequency", "fast"), "fast"),
-    "frequency of a rigid joint": (("identify", EMPS, "--frequency", "30"), 'set joint.model = "flexible"'),
+    "unknown minimiser": (("identify", EMPS, "--set", "method.minimiser=simplex"), "simplex"),
+    "no frequency": (("identify", EMPS, "--set", "method.frequency=fast"), "fast"),
+    "frequency of a rigid joint": (("identify", EMPS, "--set", "method.frequency=30"), 'set joint.model = "flexible"'),
+    "option that is a setting": (("identify", EMPS, "--frequency", "30"), "give --set method.frequency=VALUE"),
     "no estimate": (("validate", EMPS, "--estimate", EMPS), "is no JSON file"),
     "unwritable folder": (("demo", EMPS / "inside"), "cannot be made a folder"),
 }
@@ -486,7 +487,7 @@ def test_a_failure_of_ours_is_a_sentence_and_exit_code_1(
 ) -> None:
     import jointid.config
 
-    def broken(*_: object) -> None:
+    def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("by design")
 
     monkeypatch.setattr(jointid.config, "load", broken)
@@ -503,7 +504,7 @@ def test_an_interruption_is_said(
 ) -> None:
     import jointid.config
 
-    def interrupted(*_: object) -> None:
+    def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(jointid.config, "load", interrupted)
@@ -528,7 +529,8 @@ def test_an_estimate_with_ripple_is_validated_and_simulated(
     emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out.json"
-    settings = ("--method", "idim", "--estimator", "robust", "--harmonics", 1, "--period", 0.0025, "--drift", "force")
+    keys = ("estimator=robust", "harmonics=1", "period=0.0025", "drift=force")
+    settings = ("--method", "idim", *(word for key in keys for word in ("--set", f"method.{key}")))
     assert run("identify", EMPS, "--record", emps_path, *settings, "--json", out, "-q") == 0
     assert run("validate", EMPS, "--record", emps_path, "--estimate", out, "-q") == 0
     fitted = json.loads(out.read_text(encoding="utf-8"))["filtered_error_percent"]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from jointid.apps.web.application import build_application
-from jointid.apps.web.limits import Limits
+from jointid.apps.web.folder import Limits
 from jointid.models.controllers import Cascade
 from jointid.models.joints import RigidJoint
 from jointid.records.files.writing import write

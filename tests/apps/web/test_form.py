@@ -9,10 +9,15 @@ import numpy as np
 import pytest
 
 from jointid.apps.web.fields import EXTRA_LAW, FIELDS, JOINT_STEP, LAWS, LEARN, NAMES, WITHOUT
-from jointid.apps.web.form import cleaned, imported, ordered, record_tables, tables, told
-from jointid.apps.web.plots import draw_svg
-from jointid.apps.web.preview import build_preview
-from jointid.apps.web.roles import guess_roles
+from jointid.apps.web.form import (
+    clean_entries,
+    make_order,
+    make_reading_tables,
+    make_tables,
+    place_faults,
+    read_joint_file,
+)
+from jointid.apps.web.preview import build_preview, draw_svg, guess_roles
 from jointid.common.errors import JointFileError
 from jointid.config import json_schema, load, loads
 from jointid.paper.twin import JOINT_FILE
@@ -66,12 +71,12 @@ def test_every_field_is_a_key_of_the_joint_file_with_its_words() -> None:
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: f"{path.parent.name}-{path.stem}")
 def test_a_joint_file_comes_through_the_form_unchanged(path: Path) -> None:
     file = load(path)
-    again = loads(ordered(imported(path.read_text(encoding="utf-8")), file.source.file or "record.csv").text)
+    again = loads(make_order(read_joint_file(path.read_text(encoding="utf-8")), file.source.file or "record.csv").text)
     assert again == file if file.source.file else again.tables()["joint"] == file.tables()["joint"]
 
 
 def test_the_twin_comes_through_without_further_lines_but_what_has_no_field() -> None:
-    draft = imported(JOINT_FILE)
+    draft = read_joint_file(JOINT_FILE)
     assert draft["controller.velocity_filter"] == "0.5, 0.5"
     assert draft["method.frequency"] == "30.0"
     assert "kp" not in draft["extra"]
@@ -79,13 +84,15 @@ def test_the_twin_comes_through_without_further_lines_but_what_has_no_field() ->
 
 
 def test_what_is_filled_in_is_what_is_written() -> None:
-    file = loads(ordered({**FILLED, "controller.limit": "10", "extra": "[parameters]\ncoulomb = 20.0"}, "a.csv").text)
+    file = loads(
+        make_order({**FILLED, "controller.limit": "10", "extra": "[parameters]\ncoulomb = 20.0"}, "a.csv").text
+    )
     assert file.source.file == "a.csv"
     assert file.controller is not None
     assert file.controller.limit == 10.0
     assert file.parameters["coulomb"].start == 20.0
     assert file.columns["torque"].unit == "N"
-    revolute = loads(ordered({**FILLED, "joint.kind": "revolute"}, "a.csv").text)
+    revolute = loads(make_order({**FILLED, "joint.kind": "revolute"}, "a.csv").text)
     assert revolute.columns["torque"].unit == "N m"
 
 
@@ -118,8 +125,8 @@ def test_what_is_filled_in_is_what_is_written() -> None:
 def test_a_fault_stands_beside_its_field(changes: dict[str, str], name: str, said: str) -> None:
     draft = {**FILLED, **changes}
     with pytest.raises(JointFileError) as refused:
-        ordered(draft, "a.csv")
-    faults = told(refused.value, draft, {"extra", *(one.name for one in JOINT_STEP)})
+        make_order(draft, "a.csv")
+    faults = place_faults(refused.value, draft, {"extra", *(one.name for one in JOINT_STEP)})
     beside = [*faults.beside.get(name, []), *(faults.general if name == "controller.law" else ())]
     assert any(said in sentence for sentence in beside), faults
 
@@ -127,23 +134,23 @@ def test_a_fault_stands_beside_its_field(changes: dict[str, str], name: str, sai
 @pytest.mark.parametrize("text", ["12", "-0.5", "+3.", ".5", "1e-3", "2.5E6", " 7 "])
 def test_plain_numbers_are_read(text: str) -> None:
     draft = {**FILLED, "record.channels.torque.gain": text}
-    assert tables(draft, "a.csv")["record"]["channels"]["torque"]["gain"] == float(text)
+    assert make_tables(draft, "a.csv")["record"]["channels"]["torque"]["gain"] == float(text)
 
 
 @pytest.mark.parametrize("said", ["[[records]]\nfile = '/etc/passwd'", "[together]", "[record]\nfile = '/etc/passwd'"])
 def test_no_lines_lead_to_another_file(said: str) -> None:
-    for read in (ordered, record_tables):
+    for read in (make_order, make_reading_tables):
         with pytest.raises(JointFileError):
             read({**FILLED, "extra": said}, "a.csv")
     if "[record]" not in said:
         with pytest.raises(JointFileError, match=r"^The joint file says .* this page identifies one record"):
-            imported(said)
+            read_joint_file(said)
     else:
-        assert "passwd" not in imported(said)["extra"]
+        assert "passwd" not in read_joint_file(said)["extra"]
 
 
 def test_a_draft_holds_what_the_form_has_and_no_more() -> None:
-    draft = cleaned(
+    draft = clean_entries(
         [("controller.kp", "1\x00\x1b[2J" + "9" * 1000), ("__class__", "x"), ("record.file", "/etc/passwd")]
     )
     assert set(draft) == {"controller.kp"}

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from jointid.apps.cli import serve
 from jointid.apps.cli.app import main
-from jointid.apps.web import serving
 
 
 def served(*words: object) -> int:
@@ -30,7 +30,7 @@ def opened(folder: Path, host: str, port: int, tell: Callable[[str], None]) -> N
 def test_only_another_host_than_this_machine_is_warned_of(
     host: str, warned: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(serving, "serve", opened)
+    monkeypatch.setattr(serve, "run_page", opened)
     assert served("--host", host, "--folder", tmp_path) == 0
     said = capsys.readouterr()
     assert f"http://{host}:8765/" in said.out
@@ -73,7 +73,7 @@ def test_the_folder_is_its_owners_alone(tmp_path: Path) -> None:
 def test_a_folder_that_others_may_read_is_warned_of(
     mode: int, warned: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(serving, "serve", opened)
+    monkeypatch.setattr(serve, "run_page", opened)
     tmp_path.chmod(mode)
     assert served("--folder", tmp_path) == 0
     assert (f"other users of this machine may read {tmp_path}" in " ".join(capsys.readouterr().err.split())) == warned
@@ -83,7 +83,7 @@ def test_the_address_holds_a_token_that_is_new_at_each_start(tmp_path: Path, mon
     monkeypatch.setattr("uvicorn.Server.run", lambda server, sockets: None)
     addresses: list[str] = []
     for _ in range(2):
-        serving.serve(tmp_path, "127.0.0.1", 0, addresses.append)
+        serve.run_page(tmp_path, "127.0.0.1", 0, addresses.append)
     tokens = [re.fullmatch(r"http://127\.0\.0\.1:[0-9]+/([A-Za-z0-9_-]{32})/", one) for one in addresses]
     first, second = (token[1] for token in tokens if token is not None)
     assert first != second
@@ -93,7 +93,7 @@ def test_the_browser_is_started_without_the_token_among_its_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     opened_at: list[str] = []
-    monkeypatch.setattr(serving, "serve", opened)
+    monkeypatch.setattr(serve, "run_page", opened)
     monkeypatch.setattr("webbrowser.open", opened_at.append)
     assert served("--open", "--folder", tmp_path) == 0
     path = tmp_path / "open.html"

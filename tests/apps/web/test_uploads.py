@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jointid.apps.web.limits import Limits
-from jointid.apps.web.upload import clean_name
+from jointid.apps.web.folder import Limits
+from jointid.apps.web.requests import clean_name
 from tests.apps.web.asking import Asker
 from tests.apps.web.testclient import TestClient
 

@@ -13,7 +13,7 @@ import pytest
 
 import jointid as ji
 from jointid.apps.cli.app import main
-from jointid.apps.cli.export import Language
+from jointid.apps.cli.results import Language
 from jointid.config import loads
 from jointid.output.export.export import EXPORTERS, exporter_of
 from jointid.output.export.joint_model import joint_model

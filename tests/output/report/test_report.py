@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.document.html import inert
+from jointid.common.document import inert
 from jointid.output.figures.charts import thin
 from tests.apps.cli.test_commands import EMPS, run
 from tests.browser import opened

@@ -11,26 +11,16 @@ import gc
 import os
 import sys
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, UnknownOptionError
 
 from jointid import __version__
-from jointid.apps.cli.compare import compare
-from jointid.apps.cli.controller import controller
-from jointid.apps.cli.data.convert import convert
-from jointid.apps.cli.data.inspect import inspect
-from jointid.apps.cli.demo import demo
-from jointid.apps.cli.diagnose.intervals import intervals
-from jointid.apps.cli.diagnose.loop import loop
-from jointid.apps.cli.diagnose.methods import methods
-from jointid.apps.cli.diagnose.sensors import sensors
-from jointid.apps.cli.export import export
+from jointid.apps.cli.data import convert, inspect
+from jointid.apps.cli.diagnose import intervals, loop, methods, sensors
+from jointid.apps.cli.drive import controller, tune
 from jointid.apps.cli.identify import identify
-from jointid.apps.cli.report import report
-from jointid.apps.cli.reproduce import reproduce
+from jointid.apps.cli.results import compare, export, report, validate
 from jointid.apps.cli.serve import serve
-from jointid.apps.cli.simulate import simulate
-from jointid.apps.cli.tune import tune
-from jointid.apps.cli.validate import validate
+from jointid.apps.cli.simulate import demo, reproduce, simulate
 from jointid.common.errors import JointidError
 
 USERS_MISTAKE, OUR_FAILURE, INTERRUPTED = 2, 1, 130
@@ -74,7 +64,8 @@ def _run(words: list[str], debug: bool) -> int:
             raise
         return _say(str(error), USERS_MISTAKE)
     except CycloptsError as error:
-        return _say(f"{error} See jointid --help.", USERS_MISTAKE)
+        setting = _setting(error.token.keyword or "") if isinstance(error, UnknownOptionError) else ""
+        return _say(f"{error} {setting}See jointid --help.", USERS_MISTAKE)
     except KeyboardInterrupt:
         return _say("Interrupted; what was written so far is kept.", INTERRUPTED)
     except BrokenPipeError:  # the reader of our output has gone: nothing is left to say
@@ -89,6 +80,15 @@ def _run(words: list[str], debug: bool) -> int:
             OUR_FAILURE,
         )
     return 0
+
+
+def _setting(option: str) -> str:
+    """Return the sentence on an option that is a key of [method], which --set reaches; "" for any other."""
+    from jointid.config.schema import MethodTable
+
+    key = option.removeprefix("--").partition("=")[0].replace("-", "_")
+    known = key in MethodTable.model_fields
+    return f"It is a setting of the joint file: give --set method.{key}=VALUE. " if known else ""
 
 
 def _say(message: str, code: int) -> int:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.options import Changes
-from jointid.estimation.methods.registry import MethodName
+from jointid.apps.cli.console import Changes, FilteringName, Flag, Options, Quiet, check_outputs, deliver, ready, show
+from jointid.common.errors import MethodError
 
 if TYPE_CHECKING:
     from jointid import Estimate, Windowing
@@ -24,19 +24,13 @@ def identify(
     window: float | None = None,
     settling: float | None = None,
     changes: Changes = (),
-    method: MethodName | None = None,
-    filtering: Literal["default", "published", "as-printed"] | None = None,
+    method: str | None = None,
+    filtering: FilteringName | None = None,
     friction: str | None = None,
-    minimiser: Literal["least-squares", "nelder-mead"] | None = None,
-    frequency: float | None = None,
-    estimator: Literal["ols", "weighted", "robust", "iv"] | None = None,
-    harmonics: int | None = None,
-    period: float | None = None,
-    drift: Literal["force", "viscous", "both"] | None = None,
     json: Path | None = None,
     figure: Path | None = None,
-    details: Annotated[bool, Parameter(negative=())] = False,
-    quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
+    details: Flag = False,
+    quiet: Quiet = False,
 ) -> None:
     """Identify a joint from a record, from several in one fit, or from hours of its log in bounded memory.
 
@@ -47,73 +41,45 @@ def identify(
         window: seconds of a window; the record, of a format that is read in chunks, is a log too long for memory: it is
             identified in windows, and tested for drift.
         settling: seconds before and after each window that are simulated and not fitted; without it measured.
-        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
+        changes: a key of the joint file and its value, as method.frequency=30; may be given several times; whatever
+            has no option here, as method.minimiser, method.estimator or method.harmonics, is set so.
         method: didim reads torque and reference only; idim reads torque and motor position, and the load's position
             too if the joint is flexible; drive_side and open_loop read torque and motor position, and no controller.
         filtering: published repeats the results of the EMPS benchmark; as-printed the paper's for a flexible joint,
             which aliases at 1 kHz and warns of it; default is the program's own.
         friction: the friction law, symmetric (the same in both directions) or another that joint.friction may name.
-        minimiser: of didim for a flexible joint; nelder-mead is the paper's.
-        frequency: in Hz, free-free, from which didim for a flexible joint starts its stiffness.
-        estimator: of idim; weighted, each equation of a flexible joint by the size of its error; robust, rows that do
-            not fit weigh less; iv, instruments from the simulated loop.
-        harmonics: of idim, so many of the force over the motor position.
-        period: of the first harmonic, in m or rad; without it the period is searched for.
-        drift: of idim, what changes linearly in time.
         json: also write the answer as JSON to this file.
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         details: print every verdict with all its reasons, the method's tests, effort and settings.
         quiet: say nothing of the progress.
     """
-    from jointid import Windowing
-    from jointid.apps.cli.console import check_outputs, identified, progress, show
-    from jointid.config import load
+    from jointid import Windowing, design_stiffness_test
     from jointid.diagnostics.check_loop import add_loop_verdict
+    from jointid.output.figures.figures import torque_figure
 
-    listener = progress(quiet)
-    check_outputs(figure, json)
-    file = load(joint, changes).override(
-        method=method,
-        filtering=filtering,
-        friction=friction,
-        minimiser=minimiser,
-        frequency=frequency,
-        estimator=estimator,
-        harmonics=harmonics,
-        period=period,
-        drift=drift,
-    )
+    check_outputs(json, figures=(figure,))
     records = record or []
+    options = Options(records[0] if records else None, changes, json, quiet)
+    file = options.load(joint, method=method, filtering=filtering, friction=friction)
     logged = None
     if window is not None or settling is not None:
-        estimate = _from_log(file, records, Windowing(window or Windowing().length, settling), listener)
+        estimate = _from_log(file, records, Windowing(window or Windowing().length, settling), options.progress)
     elif len(records) > 1 or (file.runs and not records):
-        estimate = _from_several(file, records, listener)
+        estimate = _from_several(file, records, options.progress)
     else:
-        logged, estimate = identified(file, records[0] if records else None, listener)
+        logged, estimate = options.identify(file)
         if file.tells_of_its_loop:
             estimate = add_loop_verdict(estimate, logged)
-    show(estimate, details=details)
-    if json is not None:
-        from jointid.output import json as answers
-
-        answers.write(answers.to_dict(estimate), json)
-    if figure is not None:
-        from jointid.output.figures.figures import save, torque_figure
-
-        save(torque_figure(estimate), figure)
+    deliver(estimate, json, (figure, torque_figure), details=details)
     if logged is not None and estimate.checks.bounds:
-        from jointid import design_stiffness_test
-
         show(f"\n{design_stiffness_test(estimate, logged)}")
     if estimate.fit.interrupted:
         raise KeyboardInterrupt
 
 
 def _from_several(file: JointFile, records: list[Path], listener: Progress) -> Estimate:
-    from jointid import SeveralRecords, identify
-    from jointid.apps.cli.console import ready
-    from jointid.common.errors import MethodError
+    from jointid import SeveralRecords
+    from jointid import identify as run
 
     each = file.each(records)
     loops = [one.loop for one in each if one.loop is not None]
@@ -125,20 +91,18 @@ def _from_several(file: JointFile, records: list[Path], listener: Progress) -> E
     ready(listener)
     several = SeveralRecords(
         added_inertia=[more for one in each for more in one.added_inertias],
-        own=[run.own for one in each for run in one.runs],
-        free=file.free,
-        weighting=file.weighting,
+        own=[more.own for one in each for more in one.runs],
+        free=file.together.free,
+        weighting=file.together.weighting,
     )
-    return identify(
+    return run(
         logged, loops, file.method, several=several, filtering=file.filtering, parameters=file.parameters,
         progress=listener,
     )  # fmt: skip
 
 
 def _from_log(file: JointFile, records: list[Path], windows: Windowing, listener: Progress) -> Estimate:
-    from jointid import identify
-    from jointid.apps.cli.console import ready
-    from jointid.common.errors import MethodError
+    from jointid import identify as run
 
     if len(records) > 1:
         raise MethodError(
@@ -148,7 +112,7 @@ def _from_log(file: JointFile, records: list[Path], windows: Windowing, listener
         raise MethodError("A long record is identified by simulating its loop; add [controller] to the joint file.")
     log = file.log(records[0] if records else None)
     ready(listener)
-    return identify(
+    return run(
         log, file.loop, file.method, windows=windows, filtering=file.filtering, parameters=file.parameters,
         progress=listener,
     )  # fmt: skip

@@ -1,11 +1,22 @@
-"""`jointid serve`: the page in the browser, for those who do not use a terminal."""
+"""`jointid serve`: the page in the browser, for those who do not use a terminal; to this machine alone unless asked."""
 
 from __future__ import annotations
 
+import os
+import secrets
+import socket
+import stat
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
+
+from jointid.apps.cli.console import show, tell
+from jointid.common.errors import JointidError, extra
+
+_GRACE = 2  # seconds that an open connection is given when the page ends
+_TOKEN = 24  # bytes that nobody guesses
 
 
 def serve(
@@ -26,18 +37,18 @@ def serve(
         folder: in which records and answers are kept; it is made if it is not there.
         open_: also open the page in the browser.
     """
-    from jointid.apps.cli.console import show, tell
-    from jointid.apps.web import serving
-    from jointid.apps.web.limits import LOOPBACK
 
     def announce(address: str) -> None:
+        from jointid.apps.web.folder import LOOPBACK
+
         show(f"The page is at {address} (Ctrl-C stops it); records and answers are kept in {folder}.")
         if host not in LOOPBACK:
             tell(
                 f"Warning: at {host} the network reaches the page. It is not encrypted, so that others there may read "
                 "the token and use it; use it in a network you trust, or leave --host out."
             )
-        if serving.others_can_read(folder):
+        # Whether other users may list the folder or reach its files, where the system tells.
+        if os.name == "posix" and folder.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
             tell(
                 f"Warning: other users of this machine may read {folder}, and so the records and answers in it; leave "
                 "it to its owner alone (chmod 700), or name another folder by --folder."
@@ -45,6 +56,75 @@ def serve(
         if open_:
             import webbrowser
 
-            webbrowser.open(serving.write_redirect(folder, address).as_uri())
+            webbrowser.open(_write_redirect(folder, address).as_uri())
 
-    serving.serve(folder, host, port, announce)
+    run_page(folder, host, port, announce)
+
+
+def run_page(folder: Path, host: str, port: int, announce: Callable[[str], None]) -> None:
+    """Serve the page until it is interrupted.
+
+    Args:
+        folder: in which everything is kept; it is made if it is not there, and then its owner alone may read it.
+        host: name or address to listen at.
+        port: 0 takes a free one.
+        announce: is told the page's address, which holds the token, as soon as it can be reached.
+
+    Raises:
+        ExtraError: a package of the page is not installed.
+        JointidError: the folder cannot be made, or the address is taken.
+    """
+    for module in ("starlette", "python_multipart", "jinja2", "bokeh"):
+        extra(module, "web", "The page")
+    uvicorn = extra("uvicorn", "web", "The page")
+    from jointid.apps.web.application import build_application
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except OSError as error:
+        raise JointidError(
+            f"{folder} cannot be made a folder ({error.strerror}); name another one by --folder."
+        ) from None
+    token = secrets.token_urlsafe(_TOKEN)
+    with _listen(host, port) as listening:
+        config = uvicorn.Config(
+            build_application(folder, token, host),
+            log_level="warning",
+            timeout_graceful_shutdown=_GRACE,
+            server_header=False,
+        )
+        shown = f"[{host}]" if ":" in host else host
+        announce(f"http://{shown}:{listening.getsockname()[1]}/{token}/")
+        uvicorn.Server(config).run(sockets=[listening])
+
+
+def _write_redirect(folder: Path, address: str) -> Path:
+    """Write a file that leads a browser to the page, and return it.
+
+    Other users of the machine see the words with which a browser is started, and must not see the token among them.
+    """
+    path = folder.absolute() / "open.html"
+    path.unlink(missing_ok=True)
+    text = f'<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="0; url={address}">\n'
+    with open(path, "x", encoding="utf-8", opener=lambda name, flags: os.open(name, flags, 0o600)) as file:
+        file.write(text)
+    return path
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    """Return a socket that listens there.
+
+    Raises:
+        JointidError: it cannot.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listening = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind((host, port))
+    except (OSError, OverflowError) as error:
+        listening.close()
+        reason = getattr(error, "strerror", None) or error
+        raise JointidError(f"{host} port {port} cannot be listened at ({reason}); choose another --port.") from None
+    listening.listen()
+    return listening

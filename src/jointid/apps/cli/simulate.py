@@ -1,101 +1,147 @@
-"""`jointid simulate`: the loop of a joint file, driven by a record's reference; or the paper's digital twin."""
+"""What is simulated: `jointid simulate`, and the paper's axis by `jointid demo` and `jointid reproduce`."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
-from cyclopts import Parameter
+from jointid.apps.cli.console import DEFAULTS, Flag, Options, Quiet, check_outputs, listen, make_folder, ready, show
+from jointid.common.errors import MethodError, RecordError
 
-from jointid.apps.cli.options import Changes
+if TYPE_CHECKING:
+    from jointid import Estimate
+
+Loop = Literal["L19", "L30"]
+Noise = Literal["disturbance", "white", "none"]
+
+
+def demo(folder: Path = Path("jointid-demo"), /, *, seed: int = 1, quiet: Quiet = False) -> None:
+    """Make the digital twin of the paper's flexible axis and identify it, its stiffness too, from torque alone.
+
+    Writes the record, the joint file, the answer and the figure; change the joint file and run
+    `jointid identify FOLDER/joint.toml` to see what follows.
+
+    Args:
+        folder: where to write; it is made if it is not there.
+        seed: of the noise.
+        quiet: say nothing of the progress.
+    """
+    from jointid import twin, write
+    from jointid.common.text import aligned, number
+    from jointid.diagnostics.check_loop import add_loop_verdict
+    from jointid.output import json as answers
+    from jointid.output.figures.figures import save, torque_figure
+    from jointid.paper.twin import JOINT_FILE
+
+    options, listener, joint = Options(quiet=quiet), listen(quiet), folder / "joint.toml"
+    make_folder(folder)
+    listener("simulating 24 s of the paper's flexible axis, with an 8 % disturbance")
+    ready(listener)
+    axis = twin(seed=seed)
+    write(axis.record, folder / "record.csv")
+    try:
+        joint.write_text(JOINT_FILE, encoding="utf-8")
+    except OSError as error:
+        raise RecordError(f"{joint} cannot be written ({error.strerror}); name another folder.") from None
+    listener("identifying it from motor force and reference alone")
+    record, estimate = options.identify(options.load(joint))
+    estimate = add_loop_verdict(estimate, record)
+    answers.write(answers.to_dict(estimate), folder / "estimate.json")
+    save(torque_figure(estimate), folder / "torque.png")
+    show(estimate)
+    sums = {name: axis.truth[f"motor_{name}"] + axis.truth[f"load_{name}"] for name in ("viscous", "coulomb")}
+    rows = []
+    for name, truth in (axis.truth | sums).items():
+        value, std, symbol, unit = _found(estimate, name)
+        rows.append((symbol, number(value), number(2 * std, 2), number(truth), unit))
+    show()
+    show("Beside the truth; torque alone knows the two viscous frictions, and the two Coulomb ones, by their sum:")
+    show(aligned(("symbol", "identified", "2 sigma", "truth", "unit"), rows, (False, True, True, True, False)))
+    show()
+    show(f"Written to {folder}: record.csv, joint.toml, estimate.json, torque.png")
+    show(f"All of it on one page: jointid report {joint} --html report.html")
+    show(f"Change the joint file, then: jointid identify {joint}")
+
+
+def _found(estimate: Estimate, name: str) -> tuple[float, float, str, str]:
+    """Return value, deviation, symbol and unit of a parameter, or of the sum of both sides."""
+    if name in estimate.values:
+        found = estimate[name]
+        return estimate.values[name], found.stderr or 0.0, found.symbol, found.unit
+    motor, load = estimate[f"motor_{name}"], estimate[f"load_{name}"]
+    value, std = estimate.params.total((motor.name, load.name))
+    return value, std, f"{motor.symbol}+{load.symbol}", motor.unit
 
 
 def simulate(
     joint: Path | None = None,
     /,
     *,
-    record: Path | None = None,
-    changes: Changes = (),
+    options: Options = DEFAULTS,
     estimate: Path | None = None,
     out: Path | None = None,
-    json: Path | None = None,
-    twin: Literal["L19", "L30"] | None = None,
-    added_mass: Annotated[bool, Parameter(negative=())] = False,
-    noise: Literal["disturbance", "white", "none"] = "disturbance",
+    twin: Loop | None = None,
+    added_mass: Flag = False,
+    noise: Noise = "disturbance",
     seed: int = 1,
-    quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
 ) -> None:
-    """Simulate a joint under its controller and write what its drive would log.
+    """Simulate a joint under its controller, driven by the reference of a record, and write what its drive would log.
 
     The parameters are those of an estimate, or the fixed values and starts of the joint file. With --twin no joint file
     is needed: the paper's flexible axis is simulated, under one of its two loops.
 
     Args:
         joint: the joint file (TOML).
-        record: the record whose reference (and injected signal) drives the loop.
-        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
+        options: those that most commands have.
         estimate: what identify --json wrote; its parameters are used.
         out: write torque, reference and positions to this file, of any format, under the names and in the
             units in which the joint file, or its drive's profile, reads them, each on its own side of a transmission.
-        json: also write a summary as JSON to this file.
         twin: the paper's digital twin instead, under this loop.
         added_mass: of the twin: with 10 kg on the load.
         noise: of the twin: a force inside the loop, white noise on the log, or none.
         seed: of the twin's noise.
-        quiet: say nothing of the progress.
     """
-    from jointid.apps.cli.console import check_outputs
-    from jointid.common.errors import MethodError
-
-    check_outputs(None, json, out)
+    check_outputs(options.json, out)
     if twin is not None:
-        if out is None or changes or any(g is not None for g in (joint, record, estimate, json)):
+        if (
+            out is None
+            or options.changes
+            or any(g is not None for g in (joint, options.record, estimate, options.json))
+        ):
             raise MethodError(
                 "--twin needs --out, and takes no joint file, --record, --set, --estimate or --json; give only where "
                 "to write."
             )
-        _twin(twin, added_mass, noise, seed, out, quiet)
-        return
-    if joint is None:
+        _simulate_twin(twin, added_mass, noise, seed, out, options)
+    elif joint is None:
         raise MethodError("A simulation needs a joint file; name one, or give --twin L19 for the paper's axis.")
-    _joint(joint, record, changes, estimate, out, json, quiet)
+    else:
+        _simulate_joint(joint, estimate, out, options)
 
 
-def _joint(
-    joint: Path,
-    record: Path | None,
-    changes: tuple[str, ...],
-    estimate: Path | None,
-    out: Path | None,
-    json: Path | None,
-    quiet: bool,
-) -> None:
-    from jointid import prepare, simulate
-    from jointid.apps.cli.console import progress, ready, show
-    from jointid.common.errors import MethodError
-    from jointid.config import load
+def _simulate_joint(joint: Path, estimate: Path | None, out: Path | None, options: Options) -> None:
+    from jointid import prepare
+    from jointid import simulate as run
     from jointid.models.transmission import transmission_lines
     from jointid.output import json as answers
     from jointid.simulation.closed_loop import require_finished
 
-    file = load(joint, changes)
-    if estimate is not None:
-        file = file.override(friction=answers.read_friction(estimate))
+    friction = None if estimate is None else answers.read_friction(estimate)
+    file = options.load(joint, friction=friction)
     if file.loop is None:
         raise MethodError("A simulation needs the controller; add a [controller] table to the joint file.")
     # What is written begins with its first sample, from where a position loop's offset will be counted.
-    logged = replace(file.record(record), begin=0.0)
-    listener = progress(quiet)
+    logged = replace(file.record(options.record), begin=0.0)
     if estimate is None:
         values = file.values()
     else:
         identified = answers.read_identified(estimate, file.joint, file.loop)
         values = identified.values
         if identified.effects:
-            listener("the estimate's ripple and drift are left out, which the simulated loop does not have")
-    ready(listener, derivatives=False)
-    simulation = require_finished(simulate(file.loop, prepare(file.loop, logged), values))
+            options.progress("the estimate's ripple and drift are left out, which the simulated loop does not have")
+    ready(options.progress, derivatives=False)
+    simulation = require_finished(run(file.loop, prepare(file.loop, logged), values))
     peak = float(abs(simulation.torque).max())
     for line in transmission_lines(file.joint.transmission):
         show(line)
@@ -107,25 +153,50 @@ def _joint(
         from jointid.simulation.synthesis import as_record
 
         file.write(as_record(logged, simulation), out)
-    if json is not None:
-        answers.write(answers.simulation_answer(simulation, file.joint, values, logged.name, logged.resampled), json)
+    if options.json is not None:
+        answer = answers.simulation_answer(simulation, file.joint, values, logged.name, logged.resampled)
+        answers.write(answer, options.json)
 
 
-def _twin(
-    loop: Literal["L19", "L30"],
-    added_mass: bool,
-    noise: Literal["disturbance", "white", "none"],
-    seed: int,
-    out: Path,
-    quiet: bool,
-) -> None:
+def _simulate_twin(loop: Loop, added_mass: bool, noise: Noise, seed: int, out: Path, options: Options) -> None:
     from jointid import twin, write
-    from jointid.apps.cli.console import progress, ready, show
 
-    ready(progress(quiet), derivatives=False)
+    ready(options.progress, derivatives=False)
     axis = twin(loop, added_mass=added_mass, noise=noise, seed=seed)
     write(axis.record, out)
     symbols = {p.name: p.symbol for p in axis.loop.joint.parameters}
     truth = ", ".join(f"{symbols[name]} {value:g}" for name, value in axis.truth.items())
     show(f"{axis.record.name}, {noise} noise of {axis.noise:.3g} N at 1 kHz: {truth}")
     show(f"Written: {out}")
+
+
+def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet: Quiet = False) -> None:
+    """Run the paper end to end on its digital twin and set every table beside its printed and recomputed self.
+
+    Args:
+        out: folder for the HTML page, the Markdown page and the figures; it is made if it is not there.
+        seed: of the noise; the same seed gives the same bytes.
+        quiet: say nothing of the progress.
+    """
+    from jointid.output.report.page import require_extra, save
+    from jointid.output.report.reproduction import reproduction_document
+    from jointid.paper.reproduce import reproduce as run
+
+    require_extra(plots=False)
+    make_folder(out)
+    ready(listen(quiet))
+    found = run(seed, listen(quiet))
+    written = save(reproduction_document(found), out, "reproduction")
+    didim, best = found.first.didim, found.first.best
+    for name in ("motor_inertia", "load_inertia", "stiffness"):
+        value, std, truth = best.values[name], best[name].stderr or 0.0, found.first.axis.truth[name]
+        show(
+            f"{best[name].symbol:4} {value:.5g} +- {2 * std:.2g} {best[name].unit}, truth {truth:g}, from torque alone"
+        )
+    show(
+        f"Nelder-Mead took {didim.fit.simulations} simulations, least squares from a grid of starts "
+        f"{best.fit.simulations}; "
+        f"+10 kg was found as {found.variations('idim')['load_inertia']:.2f} kg by IDIM, "
+        f"{found.variations('didim')['load_inertia']:.2f} kg by DIDIM"
+    )
+    show(f"Written: {', '.join(str(path) for path in written)}")

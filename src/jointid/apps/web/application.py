@@ -1,24 +1,102 @@
-"""The page as an application: its addresses, what guards them, and how it starts and stops."""
+"""The page as an application: its addresses, what guards them, and how it starts and stops.
+
+Every request and answer is guarded: by the token, the host's name, and the policy that binds the browser.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import ipaddress
+import secrets
+import socket
 from collections.abc import AsyncIterator
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from starlette.applications import Starlette
 from starlette.convertors import IntegerConvertor, register_url_convertor
+from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from jointid.apps.web import pages, routes_joint, routes_record, routes_runs
-from jointid.apps.web.app_state import AppState
-from jointid.apps.web.folder import PageError
-from jointid.apps.web.guard import Guard
-from jointid.apps.web.limits import Limits
+from jointid.apps.web import pages, routes
+from jointid.apps.web.folder import LOOPBACK, Limits, PageError
+from jointid.apps.web.requests import AppState
+
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
+    "frame-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+)
+"""Nothing of a page is loaded from elsewhere, and no script or style stands in the page itself."""
+
+_HEADERS = {
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",  # the address holds the token
+    "cache-control": "no-store",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "permissions-policy": "camera=(), geolocation=(), microphone=()",
+}
+
+
+class _Guard:
+    """Refuse requests without the token, under a foreign name or from another site; bound what browsers may do.
+
+    A page elsewhere can have a browser send requests here, under this host's name or, by rebinding its own name's
+    address, under its own. It does not know the token; the header Host tells the name all the same.
+    """
+
+    def __init__(self, app: ASGIApp, host: str, token: str) -> None:
+        self._app = app
+        self._token = token.encode()
+        self._loopback = host in LOOPBACK
+        self._names = {*LOOPBACK, host.lower(), socket.gethostname().lower()}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or refuse it."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+
+        async def send_guarded(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in {**_HEADERS, "content-security-policy": POLICY}.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        refusal = self._refuse(scope["method"], scope["path"], Headers(scope=scope))
+        app = self._app if refusal is None else PlainTextResponse(f"{refusal}\n", 403)
+        await app(scope, receive, send_guarded)
+
+    def _refuse(self, method: str, path: str, headers: Headers) -> str | None:
+        """Return why a request is refused, None if it is not."""
+        if not self._is_here(headers.get("host", "")):
+            return "This page is not reached under that name; open the address that jointid serve printed."
+        if not secrets.compare_digest(path.split("/")[1].encode(errors="replace"), self._token):
+            return "The token is missing or wrong; open the whole address that jointid serve printed at its last start."
+        if method not in ("GET", "HEAD") and headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
+            return "This request comes from another site, and is refused; use the page itself."
+        return None
+
+    def _is_here(self, host: str) -> bool:
+        try:
+            name = (urlsplit(f"//{host}").hostname or "").lower()
+        except ValueError:
+            return False
+        if name in self._names:
+            return True
+        if self._loopback:
+            return False
+        try:  # a number is nobody's name, and cannot be rebound
+            ipaddress.ip_address(name)
+        except ValueError:
+            return False
+        return True
 
 
 class _Number(IntegerConvertor):
@@ -59,7 +137,7 @@ def build_application(folder: Path, token: str, host: str = "127.0.0.1", limits:
 
     application = Starlette(
         routes=[Mount(state.root, routes=_ROUTES)],
-        middleware=[Middleware(Guard, host=host, token=token)],
+        middleware=[Middleware(_Guard, host=host, token=token)],
         exception_handlers={PageError: show_refusal, 404: show_not_found, 405: show_not_found, 500: show_failure},
         lifespan=live,
     )
@@ -68,20 +146,20 @@ def build_application(folder: Path, token: str, host: str = "127.0.0.1", limits:
 
 
 _ROUTES = [
-    Route("/", routes_record.show_record),
-    Route("/record", routes_record.take_record, methods=["POST"]),
-    Route("/example", routes_record.make_example, methods=["POST"]),
-    Route("/again", routes_record.read_again, methods=["POST"]),
-    Route("/channels", routes_record.show_channels, methods=["GET"]),
-    Route("/channels", routes_record.check_channels, methods=["POST"]),
-    Route("/plot/{column:number}.svg", routes_record.draw_column),
-    Route("/joint", routes_joint.show_joint, methods=["GET"]),
-    Route("/joint", routes_joint.identify, methods=["POST"]),
-    Route("/jointfile", routes_joint.import_joint_file, methods=["POST"]),
-    Route("/draft", routes_joint.save_draft, methods=["POST"]),
-    Route("/runs/{number:number}", routes_runs.show_run),
-    Route("/runs/{number:number}/events", routes_runs.stream_progress),
-    Route("/runs/{number:number}/cancel", routes_runs.cancel_run, methods=["POST"]),
-    Route("/runs/{number:number}/{name:str}", routes_runs.send_file),
+    Route("/", routes.show_record),
+    Route("/record", routes.take_record, methods=["POST"]),
+    Route("/example", routes.make_example, methods=["POST"]),
+    Route("/again", routes.read_again, methods=["POST"]),
+    Route("/channels", routes.show_channels, methods=["GET"]),
+    Route("/channels", routes.check_channels, methods=["POST"]),
+    Route("/plot/{column:number}.svg", routes.draw_column),
+    Route("/joint", routes.show_joint, methods=["GET"]),
+    Route("/joint", routes.identify, methods=["POST"]),
+    Route("/jointfile", routes.import_joint_file, methods=["POST"]),
+    Route("/draft", routes.save_draft, methods=["POST"]),
+    Route("/runs/{number:number}", routes.show_run),
+    Route("/runs/{number:number}/events", routes.stream_progress),
+    Route("/runs/{number:number}/cancel", routes.cancel_run, methods=["POST"]),
+    Route("/runs/{number:number}/{name:str}", routes.send_file),
     Mount("/static", StaticFiles(packages=[("jointid.apps.web", "static")])),
 ]

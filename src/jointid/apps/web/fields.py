@@ -8,6 +8,7 @@ form keeps as they are, "extra".
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
@@ -15,7 +16,7 @@ from typing import Any, Literal, TypeAlias
 from jointid import PD, PID, Cascade, Column, Drive, Filtering, FlexibleDIDIM, Gravity, Transmission
 from jointid.common.settings import Declared, settings_of
 from jointid.common.units import units_of
-from jointid.config.sources import Source
+from jointid.config.schema_record import Source
 from jointid.models.friction import FRICTIONS
 from jointid.records.columns import known_units, unit_in_name
 from jointid.records.record import CHANNELS
@@ -26,12 +27,15 @@ Draft: TypeAlias = Mapping[str, str]
 EXTRA = "extra"
 """The field of further lines of the joint file."""
 
-KINDS = ("prismatic", "revolute")
 LAWS = ("cascade", "pd", "pid")
 """The laws that have fields."""
 
 LEARN, WITHOUT, EXTRA_LAW = "learn", "none", "extra"
 """Answers to the question for the controller's law that are no laws."""
+
+_EXPONENT = r"([eE][+-]?[0-9]+)?"
+_NUMBER = re.compile(rf"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+){_EXPONENT}")
+_COMMA = re.compile(rf"(?<![0-9,])[+-]?[0-9]+,[0-9]+{_EXPONENT}(?![0-9,])")  # one that may be a decimal mark
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +72,67 @@ class Field:
     def applies(self, draft: Draft) -> bool:
         """Whether it counts, beside what stands in the other fields."""
         return all(draft.get(name, usual(name)) in values for name, values in self.when.items())
+
+    def read(self, draft: Draft) -> Any:
+        """Return its value as the joint file has it, None where it is empty.
+
+        A text that is none of its values is left as it is, for the schema to refuse.
+        """
+        text = draft.get(self.name, self.usual).strip()
+        try:
+            match self.form:
+                case _ if not text:
+                    return None
+                case "number":
+                    return _decimal(text)
+                case "numbers":
+                    return [_decimal(part) for part in text.strip("[]").split(";" if ";" in text else ",")]
+                case "sign":
+                    return {"1": 1, "-1": -1}.get(text, text)
+                case "flag":
+                    return {"true": True, "false": False}.get(text, text)
+        except ValueError:
+            pass
+        return text
+
+    def number_fault(self, draft: Draft) -> str | None:
+        """Return what is said of a text where numbers belong, None where there is nothing to say."""
+        text = self.read(draft)
+        if self.form not in ("number", "numbers") or not isinstance(text, str):
+            return None
+        if comma := _COMMA.search(text):
+            plain = comma[0].replace(",", ".")
+            return f'{self.label} is "{text}"; expected a number with a decimal point: write {plain}.'
+        return f'{self.label} is "{text}"; expected a number in plain digits, such as 12.5 or 1e-3: correct it.'
+
+    def write(self, value: Any) -> str | None:
+        """Return a value of a joint file as the field shows it; None where it cannot."""
+        text = None
+        match self.form:
+            case "number" if isinstance(value, int | float) and not isinstance(value, bool):
+                text = repr(value)
+            case "numbers" if isinstance(value, list) and all(isinstance(item, int | float) for item in value):
+                text = ", ".join(map(repr, value))
+            case "flag" if isinstance(value, bool):
+                text = str(value).lower()
+            case "sign" if value in (1, -1):
+                text = str(value)
+            case "choice" | "unit" if isinstance(value, str) and value in dict(self.choices):
+                text = value
+            case "text" | "column" if isinstance(value, str):
+                text = value
+        return text
+
+
+def _decimal(text: str) -> float:
+    """Return a plain decimal number; Python reads more as one, such as 1_0 and the digits of other scripts.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not _NUMBER.fullmatch(text.strip()):
+        raise ValueError
+    return float(text)
 
 
 def _of(
@@ -168,7 +233,7 @@ def channel_fields(channel: str) -> tuple[Field, ...]:
     units = tuple(
         Field(f"{path}.unit", "Unit", "", "unit", when={"joint.kind": (kind,)}, variant=kind,
               choices=(("", "as named, or SI"), *((u, u) for u in known_units(channel, kind))))
-        for kind in KINDS
+        for kind in ("prismatic", "revolute")
     )  # fmt: skip
     made = [
         _of(Column, f"{path}.column", *CHANNEL_WORDS[channel], form="column"),

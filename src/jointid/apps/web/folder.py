@@ -1,4 +1,4 @@
-"""The folder in which the page keeps everything: the record, the entries of the form, and a folder of each run."""
+"""The folder in which the page keeps everything: record, entries of the form, a folder of each run; and its bounds."""
 
 from __future__ import annotations
 
@@ -14,9 +14,32 @@ from typing import Any
 from jointid.common.errors import JointidError
 from jointid.records.formats import format_of
 
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+"""Addresses that only this machine reaches."""
+
 
 class PageError(JointidError):
     """A request that the page refuses, in a sentence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Bounds of one page.
+
+    Attributes:
+        upload: bytes of a record.
+        joint_file: bytes of a joint file.
+        memory: bytes of address space of each process that reads or identifies, where the system bounds it (not
+            Windows, not macOS); what the compiled simulation reserves is in it.
+        seconds: after which an identification is stopped.
+        reading: seconds after which the reading of a record is stopped.
+    """
+
+    upload: int = 256 * 2**20
+    joint_file: int = 256 * 2**10
+    memory: int = 4 * 2**30
+    seconds: float = 3600.0
+    reading: float = 300.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ from typing import Any
 import tomli_w
 
 from jointid.apps.web.fields import EXTRA, EXTRA_LAW, FIELDS, LAWS, LEARN, NAMES, WITHOUT, Draft, Field, usual
-from jointid.apps.web.values import no_number, shown_as, value_of
 from jointid.common.errors import JointFileError
 from jointid.common.messages import dot_path
 from jointid.config import JointFile, dumps
@@ -43,19 +42,19 @@ class Faults:
 
 
 @dataclass(frozen=True, slots=True)
-class Ordered:
+class Order:
     """What is to be identified.
 
     Attributes:
         text: the joint file.
-        learn: what the worker needs to learn the controller first, None where it is known or not needed.
+        gain: of the controller that is to be learned first, in place of a stand-in; None where none is.
     """
 
     text: str
-    learn: dict[str, Any] | None
+    gain: float | None
 
 
-def cleaned(sent: Iterable[tuple[str, str]]) -> dict[str, str]:
+def clean_entries(sent: Iterable[tuple[str, str]]) -> dict[str, str]:
     """Return what a browser sent as a draft: known names, texts of bounded length without control characters."""
     draft = {}
     for name, value in sent:
@@ -65,7 +64,7 @@ def cleaned(sent: Iterable[tuple[str, str]]) -> dict[str, str]:
     return draft
 
 
-def tables(draft: Draft, file: str) -> dict[str, Any]:
+def make_tables(draft: Draft, file: str) -> dict[str, Any]:
     """Return the tables of the joint file that a form describes, not checked yet but for the further lines.
 
     Args:
@@ -77,30 +76,32 @@ def tables(draft: Draft, file: str) -> dict[str, Any]:
     """
     made: dict[str, Any] = {"record": {"file": file}}
     for one in FIELDS:
-        text = draft.get(one.name, one.usual).strip()
-        if text and one.applies(draft) and _named(one, draft):
-            _put(made, one.key.split("."), value_of(one, text))
+        value = one.read(draft)
+        if value is not None and one.applies(draft) and _named(one, draft):
+            _put(made, one.key.split("."), value)
     if draft.get(_LAW) not in LAWS:
         made.pop("controller", None)
-    extra = _parsed(draft.get(EXTRA, ""), EXTRA)
+    extra = _parse(draft.get(EXTRA, ""), EXTRA)
     if draft.get(_LAW) == WITHOUT and _at(extra, ["method", "name"]) is None:
         made.setdefault("method", {})["name"] = "idim"
-    return _merged(made, extra)
+    return _merge(made, extra)
 
 
-def record_tables(draft: Draft, file: str) -> dict[str, Any]:
+def make_reading_tables(draft: Draft, file: str) -> dict[str, Any]:
     """Return tables that say only how the record is read, of a rigid joint whose controller is a stand-in.
 
     Raises:
-        JointFileError: see `tables`.
+        JointFileError: see `make_tables`.
     """
-    said = tables(draft, file)
-    made = _reading(said)
-    made["method"] = {"name": "didim" if "reference" in _channels(made) else "idim"}
-    return {**made, "controller": _STAND_IN} if made["method"]["name"] == "didim" else made
+    said = make_tables(draft, file)
+    made: dict[str, Any] = {key: said[key] for key in ("transmission", "record", "drive") if key in said}
+    made["joint"] = {"kind": said["joint"]["kind"]}
+    if "reference" not in _channels(made):
+        return made | {"method": {"name": "idim"}}
+    return made | {"method": {"name": "didim"}, "controller": _STAND_IN}
 
 
-def ordered(draft: Draft, file: str) -> Ordered:
+def make_order(draft: Draft, file: str) -> Order:
     """Return the joint file that a form describes, checked completely.
 
     Raises:
@@ -108,9 +109,9 @@ def ordered(draft: Draft, file: str) -> Ordered:
     """
     if not draft.get(_LAW):
         raise JointFileError("controller.law is not chosen; choose the law, or say that it is not known.")
-    said = tables(draft, file)
+    said = make_tables(draft, file)
     if draft[_LAW] != LEARN:
-        return Ordered(dumps(JointFile.of(said)), None)
+        return Order(dumps(JointFile.of(said)), None)
     lacking = [name for name in ("torque", "reference", "motor_position") if name not in _channels(said)]
     if lacking:
         raise JointFileError(
@@ -119,21 +120,23 @@ def ordered(draft: Draft, file: str) -> Ordered:
         )
     said["controller"] = _STAND_IN
     text = dumps(JointFile.of(said))
-    gain = value_of(_field("controller.gain"), draft.get("controller.gain", "").strip() or "1")
+    gain = _field("controller.gain").read(draft)
+    gain = 1.0 if gain is None else gain
     if not isinstance(gain, float) or not 0 < gain < float("inf"):
         raise JointFileError("controller.gain is no positive number; correct it, or leave it empty for 1.")
-    reading = {**_reading(said), "method": {"name": "idim"}}
-    return Ordered(text, {"gain": gain, "tables": said, "reading": reading})
+    return Order(text, gain)
 
 
-def told(error: JointFileError, draft: Draft, names: Collection[str]) -> Faults:
-    """Return the faults of a joint file beside the fields they are about.
+def place_faults(error: Exception | None, draft: Draft, names: Collection[str]) -> Faults:
+    """Return what was refused, the faults of a joint file beside the fields they are about.
 
     Args:
-        error: of the joint file.
+        error: of the joint file, or of anything else, which is about no field; None where nothing was refused.
         draft: of the form.
         names: of the fields that are shown.
     """
+    if not isinstance(error, JointFileError):
+        return Faults({}, () if error is None else tuple(str(error).splitlines()))
     shown = {one.key: one for one in FIELDS if one.name in names and one.applies(draft)}
     beside: dict[str, list[str]] = {}
     general = []
@@ -143,7 +146,7 @@ def told(error: JointFileError, draft: Draft, names: Collection[str]) -> Faults:
         keys = [".".join(parts[:n]) for n in range(len(parts), 0, -1)]
         found = next((shown[k] for key in keys for k in (key, f"{key}.column") if k in shown), None)
         if found is not None:
-            said = no_number(found, draft) or sentence.replace(place, found.label, 1)
+            said = found.number_fault(draft) or sentence.replace(place, found.label, 1)
             beside.setdefault(found.name, []).append(said)
         elif place == EXTRA and EXTRA in names:
             beside.setdefault(EXTRA, []).append(sentence)
@@ -152,7 +155,7 @@ def told(error: JointFileError, draft: Draft, names: Collection[str]) -> Faults:
     return Faults(beside, tuple(general))
 
 
-def imported(text: str) -> dict[str, str]:
+def read_joint_file(text: str) -> dict[str, str]:
     """Return a joint file as a draft: what has a field in its field, everything else in the further lines.
 
     Args:
@@ -161,7 +164,7 @@ def imported(text: str) -> dict[str, str]:
     Raises:
         JointFileError: it is no TOML, or of several records.
     """
-    rest = _parsed(text, "The joint file")
+    rest = _parse(text, "The joint file")
     draft: dict[str, str] = {}
     law = _at(rest, ["controller", "law"])
     deciding = {name: _at(rest, name.split(".")) for name in ("joint.kind", "joint.model")}
@@ -170,7 +173,7 @@ def imported(text: str) -> dict[str, str]:
         known[_LAW] = draft[_LAW] = WITHOUT if law is None else EXTRA_LAW
     _drop(rest, ["record", "file"])
     for one in FIELDS:
-        if one.applies(known) and (shown := shown_as(one, _at(rest, one.key.split(".")))) is not None:
+        if one.applies(known) and (shown := one.write(_at(rest, one.key.split(".")))) is not None:
             draft[one.name] = shown
             _drop(rest, one.key.split("."))
     if law is None and _at(rest, ["method", "name"]) == "idim":
@@ -188,12 +191,6 @@ def _named(one: Field, draft: Draft) -> bool:
     if path[:2] != ["record", "channels"]:
         return True
     return bool(draft.get(f"record.channels.{path[2]}.column", "").strip())
-
-
-def _reading(said: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the tables that say how a record is read, of a rigid joint of that kind."""
-    made: dict[str, Any] = {key: said[key] for key in ("transmission", "record", "drive") if key in said}
-    return {"joint": {"kind": said["joint"]["kind"]}, **made}
 
 
 def _channels(said: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -225,7 +222,7 @@ def _without_empty(said: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in kept.items() if value != {}}
 
 
-def _merged(made: dict[str, Any], extra: Mapping[str, Any], path: tuple[str, ...] = ()) -> dict[str, Any]:
+def _merge(made: dict[str, Any], extra: Mapping[str, Any], path: tuple[str, ...] = ()) -> dict[str, Any]:
     """Return the tables of the fields and of the further lines together.
 
     Raises:
@@ -238,7 +235,7 @@ def _merged(made: dict[str, Any], extra: Mapping[str, Any], path: tuple[str, ...
             joined[key] = value
         elif isinstance(value, dict) and isinstance(joined[key], dict):
             try:
-                joined[key] = _merged(joined[key], value, here)
+                joined[key] = _merge(joined[key], value, here)
             except JointFileError as error:
                 faults += error.faults
         else:
@@ -248,7 +245,7 @@ def _merged(made: dict[str, Any], extra: Mapping[str, Any], path: tuple[str, ...
     return joined
 
 
-def _parsed(text: str, place: str) -> dict[str, Any]:
+def _parse(text: str, place: str) -> dict[str, Any]:
     """Return the tables of a text.
 
     Args:

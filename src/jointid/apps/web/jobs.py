@@ -11,8 +11,7 @@ import time
 from asyncio.subprocess import PIPE
 from pathlib import Path
 
-from jointid.apps.web.folder import PageError, Run
-from jointid.apps.web.limits import Limits
+from jointid.apps.web.folder import Limits, PageError, Run
 from jointid.apps.web.worker import REFUSED
 
 _LAST = 2000  # characters of what a failed process wrote

@@ -12,18 +12,13 @@ from starlette.responses import HTMLResponse, Response
 from jointid import __version__
 from jointid.apps.web import fields
 from jointid.apps.web.folder import Run, read_json
-from jointid.apps.web.form import Faults
-from jointid.apps.web.limits import format_size
-from jointid.apps.web.preview import find_duration
+from jointid.apps.web.form import place_faults
+from jointid.apps.web.requests import AppState, format_size
 from jointid.common.text import number
 from jointid.records.formats import FORMATS
 
 if TYPE_CHECKING:
     from jinja2 import Environment
-
-    from jointid.apps.web.app_state import AppState
-
-_NO_FAULTS = Faults()
 
 
 def list_suffixes() -> list[str]:
@@ -40,9 +35,10 @@ def show_record(state: AppState, refusal: Exception | None = None) -> Response:
     )  # fmt: skip
 
 
-def show_channels(state: AppState, faults: Faults = _NO_FAULTS) -> Response:
-    """Show step 2: what each column is."""
+def show_channels(state: AppState, refusal: Exception | None = None) -> Response:
+    """Show step 2: what each column is, and what was refused of it."""
     preview, draft = state.folder.preview or {"columns": [], "roles": {}, "more": 0}, state.folder.draft
+    faults = place_faults(refusal, draft, {one.name for one in fields.CHANNEL_STEP})
     always = ("torque", "reference", "motor_position")
     return _render(
         "channels", state, 422 if faults else 200, step=2, faults=faults, draft=draft, preview=preview,
@@ -52,10 +48,12 @@ def show_channels(state: AppState, faults: Faults = _NO_FAULTS) -> Response:
     )  # fmt: skip
 
 
-def show_joint(state: AppState, faults: Faults = _NO_FAULTS, imported: str = "") -> Response:
-    """Show step 3: the axis and its controller."""
+def show_joint(state: AppState, refusal: Exception | None = None, imported: str = "") -> Response:
+    """Show step 3: the axis and its controller, and what was refused of them."""
+    draft = state.folder.draft
+    faults = place_faults(refusal, draft, {fields.EXTRA, *(one.name for one in fields.JOINT_STEP)})
     return _render(
-        "joint", state, 422 if faults else 200, step=3, faults=faults, draft=state.folder.draft, joint=fields.JOINT,
+        "joint", state, 422 if faults else 200, step=3, faults=faults, draft=draft, joint=fields.JOINT,
         law=fields.LAW, controller=fields.CONTROLLER, method=fields.METHOD, extra=fields.EXTRA, imported=imported,
         checked=read_json(state.folder.path / "checked.json"),
     )  # fmt: skip
@@ -93,12 +91,11 @@ def _render(template: str, state: AppState, code: int = 200, **values: object) -
 
 def label_end(preview: Mapping[str, Any], draft: Mapping[str, str], column: Mapping[str, Any]) -> str:
     """Return the label at the right end of a plot's time axis: a duration, or a number of rows."""
-    name = draft.get("record.time")
-    lasted = find_duration(preview, name)
-    samples = next((one["samples"] for one in preview["columns"] if one["name"] == name), None)
-    if lasted is None or samples != column["samples"]:
+    times = [one for one in preview["columns"] if one["name"] == draft.get("record.time") and one["low"] is not None]
+    if not times or times[0]["samples"] != column["samples"]:
         return f"{column['samples']} rows"
-    return f"{number(lasted, 3)} {draft.get('record.time_unit') or fields.time_unit(name or '')}"
+    unit = draft.get("record.time_unit") or fields.time_unit(times[0]["name"])
+    return f"{number(times[0]['high'] - times[0]['low'], 3)} {unit}"
 
 
 def _build_rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:

@@ -1,21 +1,56 @@
-"""Preview of a record, small enough to be shown: names, ranges, and the outline of each column."""
+"""A record as it is shown: the names, ranges and outlines of its columns, what each probably is, and its picture.
+
+A picture is SVG, which a browser shows without running anything.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from itertools import groupby
 from typing import Any
 
 import numpy as np
 
-from jointid.apps.web.roles import guess_roles
 from jointid.common.arrays import FloatArray
+from jointid.common.text import number
+from jointid.records.drives.profiles import load_profile, profile_names
 from jointid.records.files.outline import OutlineBuilder
 from jointid.records.formats import Table
+from jointid.records.record import CHANNELS
 
 _DRAWN = 64  # columns whose outline is kept; the others are listed by name
 _LISTED = 2000  # names
 _PIECES = 400  # of an outline
+
+WIDTH, HEIGHT = 640, 150
+_LEFT, _RIGHT, _TOP, _BOTTOM = 74, 8, 10, 24
+_LINE = "#0072B2"  # that of what is measured, in all our figures
+_THINNEST = 1.2  # px: a flat stretch still shows
+
+_PROFILE_FIRST = "generic"
+
+_USUAL = {
+    "time": ("t", "time", "timestamp", "time s", "zeit"),
+    "torque": ("vir", "trq", "tq", "torque", "force", "tau", "i q", "iq", "current", "torque cmd", "cmd torque"),
+    "reference": (
+        "qg", "q ref", "ref", "x ref", "pos ref", "position reference", "pos cmd", "cmd pos", "command", "setpoint",
+        "set point", "pos set", "reference", "q cmd", "q d", "qd", "target",
+    ),
+    "motor_position": (
+        "qm", "q m", "q", "pos", "pos act", "act pos", "position", "enc", "encoder", "q motor", "motor position",
+        "pos fbk", "phi m",
+    ),
+    "load_position": ("ql", "q l", "q load", "load position", "pos load", "load encoder", "phi l"),
+    "injected": ("injected", "pulses", "excitation", "pulses n"),
+}  # fmt: skip
+"""What engineers call these signals where no drive named them: the EMPS record and its like."""
+
+_HUMP = re.compile(r"(?<=[a-z])(?=[A-Z])")
+_WORD = re.compile(r"[a-z0-9]+")
+_BRACKETS = re.compile(r"\s*[\[(][^\[\]()]*[\])]\s*$")
 
 
 def build_preview(table: Table) -> dict[str, Any]:
@@ -29,14 +64,6 @@ def build_preview(table: Table) -> dict[str, Any]:
     columns = [_describe_column(name, table.columns[name], drawn=i < _DRAWN) for i, name in enumerate(names[:_LISTED])]
     roles = guess_roles(names[:_LISTED])
     return {"columns": columns, "more": max(len(names) - _LISTED, 0), "roles": roles}
-
-
-def find_duration(preview: Mapping[str, Any], time: str | None) -> float | None:
-    """Return how long the time column lasts, in its own unit; None where there is none."""
-    for column in preview["columns"]:
-        if column["name"] == time and column["low"] is not None:
-            return float(column["high"] - column["low"])
-    return None
 
 
 def _describe_column(name: str, values: FloatArray, *, drawn: bool) -> dict[str, Any]:
@@ -58,3 +85,93 @@ def _describe_column(name: str, values: FloatArray, *, drawn: bool) -> dict[str,
 def _round_number(value: float | None) -> float | None:
     """Return a number with the digits a picture needs; None where there is none."""
     return None if value is None or math.isnan(value) else float(f"{value:.6g}")
+
+
+def guess_roles(columns: Iterable[str]) -> dict[str, str]:
+    """Return the column of each channel, and of "time", as far as exactly one of them is called so.
+
+    Args:
+        columns: names of the columns.
+    """
+    names = list(columns)
+    found: dict[str, str] = {}
+    for role in ("time", *CHANNELS):
+        free = [name for name in names if name not in found.values()]
+        column = _find_by_usage(role, free) or (None if role == "time" else _find_by_profile(role, free))
+        if column is not None:
+            found[role] = column
+    return found
+
+
+def _find_by_usage(role: str, names: list[str]) -> str | None:
+    for usual in _USUAL.get(role, ()):
+        called = [name for name in names if _normalise(name) == usual]
+        if len(called) == 1:
+            return called[0]
+    return None
+
+
+def _find_by_profile(channel: str, names: list[str]) -> str | None:
+    rest = [name for name in profile_names() if name != _PROFILE_FIRST]
+    for profile in map(load_profile, (_PROFILE_FIRST, *rest)):
+        called = [name for name in names if profile.signals(channel, name, None) or profile.signals(channel, name, 1)]
+        if len(called) == 1:
+            return called[0]
+    return None
+
+
+def _normalise(name: str) -> str:
+    return " ".join(_WORD.findall(_HUMP.sub(" ", _BRACKETS.sub("", name)).casefold()))
+
+
+def draw_svg(column: Mapping[str, Any], end: str) -> str:
+    """Return a column as SVG.
+
+    Args:
+        column: of a preview.
+        end: the label at the right end of the time axis, such as "24.8 s".
+    """
+    low, high = column["low"], column["high"]
+    body = '<text x="320" y="80" text-anchor="middle">no numbers</text>'
+    if column["outline"] is not None and low is not None:
+        span = high - low or max(abs(low), 1.0)
+        bottom = low if high > low else low - span / 2
+        labels = [(high, _TOP + 8), (low, HEIGHT - _BOTTOM)] if high > low else [(low, (_TOP + HEIGHT - _BOTTOM) / 2)]
+        texts = "".join(
+            f'<text x="{_LEFT - 6}" y="{y:g}" text-anchor="end">{escape(number(v, 4))}</text>' for v, y in labels
+        )
+        body = texts + _draw_band(column["outline"], bottom, span)
+    base = HEIGHT - _BOTTOM
+    frame = (
+        f'<path d="M{_LEFT} {_TOP}V{base}H{WIDTH - _RIGHT}" fill="none" stroke="#8a949e"/>'
+        f'<text x="{_LEFT}" y="{HEIGHT - 6}">0</text>'
+        f'<text x="{WIDTH - _RIGHT}" y="{HEIGHT - 6}" text-anchor="end">{escape(end)}</text>'
+    )
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" font-family="sans-serif" '
+        f'font-size="13" fill="#4a545e">{frame}{body}</svg>'
+    )
+
+
+def _draw_band(outline: Sequence[Sequence[float | None]], bottom: float, span: float) -> str:
+    """Return a band from the lowest to the highest values; where there are none, a gap."""
+    count, tall = len(outline[0]), HEIGHT - _TOP - _BOTTOM
+    wide = (WIDTH - _LEFT - _RIGHT) / max(count - 1, 1)
+    points: list[tuple[float, float, float] | None] = [
+        None if low is None or high is None else (i, (low - bottom) / span, (high - bottom) / span)
+        for i, (low, high) in enumerate(zip(*outline, strict=True))
+    ]
+    bands = []
+    for there, stretch in groupby(points, key=lambda point: point is not None):
+        if not there:
+            continue
+        upper, lower = [], []
+        for point in stretch:
+            assert point is not None
+            i, low, high = point
+            x, top, under = _LEFT + i * wide, _TOP + (1 - high) * tall, _TOP + (1 - low) * tall
+            under = max(under, top + _THINNEST)
+            upper.append(f"{x:.1f} {top:.1f}")
+            lower.append(f"{x:.1f} {under:.1f}")
+        bands.append(f'<path d="M{"L".join([*upper, *reversed(lower)])}Z" fill="{_LINE}" stroke="{_LINE}"/>')
+    return "".join(bands)

@@ -63,7 +63,7 @@ def check(folder: Path) -> None:
 
 
 def identify(folder: Path) -> None:
-    """Identify as the joint file says, its controller learned first if `work.json` says so; write all answers."""
+    """Identify as the joint file says, its controller learned first if `work.json` has its gain; write all answers."""
     from jointid.config import load
     from jointid.output import json as answers
     from jointid.output.report.report import report_estimate
@@ -71,7 +71,7 @@ def identify(folder: Path) -> None:
     from jointid.simulation import sensitivities
 
     work = _read_work(folder)
-    if work["learn"] is not None:
+    if work["gain"] is not None:
         _learn(folder, work)
     file = load(folder / "joint.toml")
     _tell("reading the record")
@@ -89,20 +89,15 @@ def identify(folder: Path) -> None:
 
 
 def _learn(folder: Path, work: dict[str, Any]) -> None:
-    """Learn the controller, and write the joint file that has it."""
+    """Learn the controller, and put it into the joint file in place of the stand-in."""
     from jointid import learn_loop
-    from jointid.config import JointFile, dumps
+    from jointid.config import load, save_with_controller
 
     _tell("learning the controller")
-    reading = JointFile.of(work["learn"]["reading"])
-    learned = learn_loop(
-        _read_record(reading, folder, work),
-        gain=work["learn"]["gain"],
-        transmission=reading.joint.transmission,
-        progress=_tell,
-    )
-    stand_in = JointFile.of(work["learn"]["tables"])
-    _write(folder / "joint.toml", dumps(replace(stand_in, controller=learned.controller)))
+    file = load(folder / "joint.toml")
+    record = _read_record(file, folder, work)
+    learned = learn_loop(record, gain=work["gain"], transmission=file.joint.transmission, progress=_tell)
+    save_with_controller(file, learned.controller, folder / "joint.toml")
     _write(folder / "learned.txt", f"{learned}\n")
 
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented
-from jointid.common.errors import MethodError, RecordError
-from jointid.common.extras import extra
+from jointid.common.errors import MethodError, RecordError, extra
 from jointid.common.json_file import write
 from jointid.estimation.result.params import EstimatedParameter, Params, on_other_side
 from jointid.estimation.result.parts import Checks, Data, Fit, Settings

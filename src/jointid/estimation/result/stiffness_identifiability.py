@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.message import Message
+from jointid.common.messages import Message
 from jointid.common.progress import Progress, silent
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.search.exploration import FASTEST, crossover, frequency_of

@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
-from jointid.common.extras import extra
+from jointid.common.errors import MethodError, extra
 from jointid.common.text import number
 from jointid.models.linear import OUTPUTS, discretise, drive_matrices
 from jointid.models.parameters import Quantity, unit_of

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.extras import extra
+from jointid.common.errors import extra
 from jointid.output.figures.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, said
 
 if TYPE_CHECKING:

@@ -12,10 +12,8 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jointid.common.document import Document, Heading, Picture
-from jointid.common.document.html import block_html, inert
-from jointid.common.errors import RecordError
-from jointid.common.extras import extra
+from jointid.common.document import Document, Heading, Picture, block_html, inert
+from jointid.common.errors import RecordError, extra
 from jointid.output.figures.bokeh_backend import PURPOSE, script
 from jointid.output.json.reports import REPORT_ELEMENT
 

@@ -18,8 +18,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import RecordError
-from jointid.common.extras import extra
+from jointid.common.errors import RecordError, extra
 from jointid.records.formats.isolated import read_parts
 from jointid.records.formats.table import Table
 from jointid.records.formats.untrusted import PIECES, explain_damage, format_size, require_size, require_unique_names

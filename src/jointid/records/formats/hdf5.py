@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from jointid.common.errors import RecordError
-from jointid.common.extras import extra
+from jointid.common.errors import RecordError, extra
 from jointid.records.formats import h5
 from jointid.records.formats.table import Holds, Table
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.extras import extra
+from jointid.common.errors import extra
 from jointid.records.formats import h5
 from jointid.records.formats.table import Table
 

@@ -14,8 +14,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import RecordError
-from jointid.common.extras import extra
+from jointid.common.errors import RecordError, extra
 from jointid.records.formats import bagwriting
 from jointid.records.formats.bagwriting import Stamps
 from jointid.records.formats.isolated import read_parts

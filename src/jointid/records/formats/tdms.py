@@ -12,8 +12,7 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import RecordError
-from jointid.common.extras import extra
+from jointid.common.errors import RecordError, extra
 from jointid.records.formats.table import Holds, Table
 from jointid.records.formats.untrusted import PIECES, explain_damage, require_size, require_unique_names
 

@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray
-from jointid.common.memory import Room
+from jointid.common.arrays import FloatArray, Room
 
 if TYPE_CHECKING:
     from typing import Self

@@ -1,6 +1,7 @@
-"""Tables of the joint file made from the dataclasses whose settings they hold: a key for each setting.
+"""The keys of the joint file's tables: the kinds of values there are, and keys made from the settings of dataclasses.
 
 What a key may hold, its default and its description are those of the setting's declaration (`jointid.common.settings`).
+Each kind of value has the words for what is expected of it.
 """
 
 from __future__ import annotations
@@ -9,15 +10,66 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, Field, create_model
+from pydantic import AfterValidator, BeforeValidator, Field, create_model
 
+from jointid.common.messages import Says
 from jointid.common.settings import Declared, settings_of
+from jointid.common.units import units_of
 from jointid.config.table import Table, accept_by
-from jointid.config.values import MOST, Borders, Coefficients, ControllerNumbers, Flag, Names, Text
 
 T = TypeVar("T", bound=Table)
 Typed = tuple[Any, Any]
 """The annotation of a key, and its default, or what makes it; ... for one that is required."""
+
+_LENGTH_UNITS = units_of("length")
+MOST = 10**9
+"""Of what is counted."""
+
+
+def _not_nan(value: float) -> float:
+    if math.isnan(value):
+        raise ValueError
+    return value
+
+
+def _dotted(value: object) -> object:
+    """Return a table of tables as one, of names with points: TOML reads ``filter.depth = 0.1`` as a table below."""
+    if not isinstance(value, dict):
+        return value
+    found: dict[str, object] = {}
+    for key, below in value.items():
+        inner = _dotted(below)
+        found |= {f"{key}.{name}": one for name, one in inner.items()} if isinstance(inner, dict) else {key: inner}
+    return found
+
+
+def _length_unit(name: str) -> str:
+    if name not in _LENGTH_UNITS:
+        raise ValueError
+    return name
+
+
+Text = Annotated[str, Field(min_length=1), Says("text in quotes")]
+LengthUnit = Annotated[str, AfterValidator(_length_unit), Says(f"a unit of length, one of {', '.join(_LENGTH_UNITS)}")]
+Flag = Annotated[bool, Says("true or false")]
+
+Number = Annotated[float, Field(allow_inf_nan=False), Says("a number")]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), Says("a positive number")]
+Bound = Annotated[float, AfterValidator(_not_nan), Says("a number, inf or -inf")]
+
+Size = Annotated[
+    float, Field(gt=0, allow_inf_nan=False), Says("a positive number", "use sign = -1 to turn the load round")
+]
+
+Natural = Annotated[int, Field(ge=0, le=MOST), Says("a whole number, 0 or more")]
+Borders = Annotated[list[Natural], Field(min_length=2, max_length=2), Says("a list of two whole numbers, 0 or more")]
+
+Names = Annotated[list[Text], Says("a list of names in quotes")]
+Numbers = Annotated[list[Number], Says("a list of numbers")]
+Coefficients = Annotated[list[Number], Field(min_length=1), Says("a list of one or more numbers")]
+Matrix = Annotated[list[list[Number]], Says("a list of rows, each a list of numbers")]
+ControllerNumbers = Annotated[dict[str, Number], BeforeValidator(_dotted)]
+"""By their names, those of a filter with points."""
 
 _PLAIN: Mapping[Any, Any] = {
     bool: Flag, str: Text, tuple[str, ...]: Names, tuple[int, int]: Borders, tuple[float, ...]: Coefficients,
@@ -42,7 +94,8 @@ def keys_from(
         for one in settings_of(owner):
             if one.name not in without:
                 declared.setdefault(one.name, []).append(one)
-    return _complete_with({name: _key(same, (types or {}).get(name)) for name, same in declared.items()})
+    keys = {name: _key(same, (types or {}).get(name)) for name, same in declared.items()}
+    return _complete_with(keys, owners[0] if len(owners) == 1 else None)
 
 
 def keys_of_kinds(kinds: Mapping[str, type]) -> Callable[[type[T]], type[T]]:
@@ -66,10 +119,11 @@ def keys_of_kinds(kinds: Mapping[str, type]) -> Callable[[type[T]], type[T]]:
     return _complete_with(keys)
 
 
-def _complete_with(keys: Mapping[str, Typed]) -> Callable[[type[T]], type[T]]:
+def _complete_with(keys: Mapping[str, Typed], builds: type | None = None) -> Callable[[type[T]], type[T]]:
     def complete(table: type[T]) -> type[T]:
         make: Any = create_model
         made: type[T] = make(table.__name__, __base__=table, __module__=table.__module__, __doc__=table.__doc__, **keys)
+        made.builds = builds
         return made
 
     return complete
@@ -120,32 +174,22 @@ def _annotation_of(one: Declared) -> Any:
         return Annotated[Text, Field(json_schema_extra={"enum": list(declared.choices)})]
     if one.choices:
         return Literal[*one.choices]
-    if declared.only:
-        return Annotated[
-            int, AfterValidator(_one_of(declared.only)), Field(json_schema_extra={"enum": [*declared.only]}), one.says
-        ]
+    allowed = AfterValidator(_check_allowed(one))
+    if declared.only:  # a Literal would take true for 1
+        return Annotated[int, allowed, Field(json_schema_extra={"enum": [*declared.only]}), one.says]
     if one.type is float:
         bounds = Field(gt=declared.above, ge=declared.at_least, le=declared.at_most, allow_inf_nan=declared.infinite)
-        return Annotated[float, bounds, AfterValidator(_check_allowed(one)), one.says]
+        return Annotated[float, bounds, allowed, one.says]
     if one.type is int:
         return Annotated[int, Field(gt=declared.above, ge=declared.at_least, le=declared.at_most or MOST), one.says]
     return _PLAIN[one.type]
 
 
 def _check_allowed(one: Declared) -> Callable[[float], float]:
-    """Return the validator of what bounds do not say: that a number is one, and not 0."""
+    """Return the validator of what bounds do not say: that a number is one, and not 0, or one of a few."""
 
     def check(value: float) -> float:
         if one.fault(value) is not None:
-            raise ValueError
-        return value
-
-    return check
-
-
-def _one_of(known: Collection[int]) -> Callable[[int], int]:
-    def check(value: int) -> int:
-        if value not in known:  # a Literal would take true for 1
             raise ValueError
         return value
 

@@ -1,29 +1,89 @@
-"""[record] and [drive]: the file of the record, the columns of its channels, whose traces they are, its own units."""
+"""[record], [drive], [[records]] and [together]: files, the columns of their channels, and the drive's own units."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
-from jointid.common.settings import settings_of
-from jointid.config.generate import keys_from
-from jointid.config.sources import Source
+from jointid.common.settings import declare, documented, setting, settings_of
+from jointid.common.units import units_of
+from jointid.config.keys import Flag, Text, keys_from
 from jointid.config.table import Table, accept_by, refusal
-from jointid.config.values import Flag, Text
 from jointid.records.columns import Column
 from jointid.records.drives.drive import Drive
 from jointid.records.formats import Csv, format_of
 from jointid.records.record import Channel, Injection
 from jointid.records.time_base.resampling import Resampling
+from jointid.records.time_base.uniformity import CLOCK_TOLERANCE
 
 OPTIONS = ("delimiter", "decimal", "header")
 """The keys of [record] that are options of the format's reader."""
 
 Delimiter = Annotated[Text, accept_by(lambda mark: Csv(delimiter=mark))]
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The file of the record, and how it is read; see `jointid.records.reading.read`."""
+
+    file: str | None = setting(None, "path of the record, from the joint file's folder", accept=format_of)
+    time: str | None = setting(
+        None, "name of the time column; without it, and without a sample time, the column called t or time"
+    )
+    time_unit: str | None = setting(
+        None, "unit of the time column; without it the one in its name, as in Time [ms], or s", choices=units_of("time")
+    )
+    sample_time: float | None = setting(
+        None, "time between samples, where there is no time column; beside one the two must agree", unit="s", above=0
+    )
+    clock_tolerance: float = setting(
+        CLOCK_TOLERANCE, "largest jitter of the time stamps, as a share of the sample time", at_least=0
+    )
+    options: Mapping[str, Any] = field(default_factory=dict)  # of the format's reader
+    resample: Resampling | None = setting(
+        None,
+        "to which uniform clock all channels are brought, and how; without it a clock that is not uniform is refused",
+    )
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One of several records that are identified together."""
+
+    file: str = field(metadata=declare("path of the record, from the joint file's folder", accept=format_of))
+    added_inertia: float = setting(
+        0.0,
+        "what is known to have been added to the load, as it is there, beyond what is shared",
+        unit="kg or kg m2",
+        at_least=0,
+    )
+    own: tuple[str, ...] = setting(
+        (),
+        "names of parameters of this record's own, which the others do not share; the motor's state at the first "
+        "sample always is",
+    )
+    controller: Mapping[str, float] = field(
+        default_factory=dict,
+        metadata=declare("numbers of the controller that were others in this record, by the keys of [controller]"),
+    )
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class Together:
+    """How several records are identified together."""
+
+    free: tuple[str, ...] = setting((), "names of what surrounds the joint and is identified too")
+    weighting: Literal["spectrum", "level"] = setting(
+        "spectrum", "what of their record's residual the rows are weighed by"
+    )
 
 
 def _all_but(*kept: str) -> list[str]:
@@ -42,10 +102,6 @@ class ChannelTable(Table):
         if self.time is not None and self.sample_time is not None:
             yield "time", f' is "{self.time}" beside sample_time = {self.sample_time:g}; keep one of them.'
 
-    def to_column(self) -> Column:
-        """Return the column that is declared."""
-        return Column(**self.given())
-
 
 @keys_from(Column, without=_all_but("tap"))
 class TorqueTable(ChannelTable):
@@ -60,7 +116,7 @@ class InjectedTable(ChannelTable):
         """Yield that no such injection exists."""
         yield from super().faults()
         any_signal = Channel(np.zeros(1), "N", 1.0)
-        if refused := refusal(lambda: Injection(any_signal, self.to_column().at, self.in_torque)):
+        if refused := refusal(lambda: Injection(any_signal, self.build().at, self.in_torque)):
             yield "in_torque", refused
 
 
@@ -102,10 +158,10 @@ class RecordTable(Table):
         """Return the options of the format's reader that are given."""
         return {key: value for key, value in self.given().items() if key in OPTIONS}
 
-    def source(self) -> Source:
+    def build(self) -> Source:
         """Return the file of the record, and how it is read."""
         options = self.options()
-        resample = None if self.resample is None else Resampling(**self.resample.given())
+        resample = None if self.resample is None else self.resample.build()
         return Source(**self.given("channels", "resample", *options), resample=resample, options=options)
 
 
@@ -113,11 +169,12 @@ class RecordTable(Table):
 class DriveTable(Table):
     """[drive]: whose traces the record is made of, and the numbers behind the drive's own units."""
 
-    def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that the numbers contradict each other."""
-        if refused := refusal(self.drive):
-            yield "", refused
 
-    def drive(self) -> Drive:
-        """Return what is known of the drive."""
-        return Drive(**self.given())
+@keys_from(Run)
+class RunTable(Table):
+    """[[records]]: one of several records that are identified together, and what is known to differ in it."""
+
+
+@keys_from(Together)
+class TogetherTable(Table):
+    """[together]: how several records are identified together."""

@@ -1,7 +1,8 @@
-"""Files sent by a browser: bounded in size, and stored under a name of ours."""
+"""What comes from the browser: the state that all addresses share, forms and files, bounded and under names of ours."""
 
 from __future__ import annotations
 
+import asyncio
 import re
 import shutil
 from collections.abc import Collection
@@ -12,14 +13,60 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
 from starlette.types import Message
 
-from jointid.apps.web.folder import PageError
-from jointid.apps.web.limits import format_size
+from jointid.apps.web.folder import Folder, Limits, PageError
+from jointid.apps.web.form import clean_entries
+from jointid.apps.web.jobs import Jobs
 
+_FORM = 512 * 2**10  # bytes of a form without a file
 _AROUND = 2**16  # bytes of a form around its file
 _LONGEST = 80  # characters of a name
 _OTHER = re.compile(r"[^\w .()+-]")
+
+
+class AppState:
+    """The state of one page.
+
+    Attributes:
+        folder: in which everything is kept.
+        root: begins every address of the page; it holds the token.
+        limits: of uploads and runs.
+        jobs: the processes at work.
+        files: held by a request while it replaces or reads the record, so that one from another tab waits.
+    """
+
+    def __init__(self, folder: Path, token: str, limits: Limits) -> None:
+        self.folder = Folder(folder)
+        self.root = f"/{token}"
+        self.limits = limits
+        self.jobs = Jobs(limits)
+        self.files = asyncio.Lock()
+
+    @classmethod
+    def of(cls, request: Request) -> AppState:
+        """Return the state of the page that a request is for."""
+        found = request.app.state.page
+        assert isinstance(found, cls)
+        return found
+
+    def redirect(self, path: str) -> Response:
+        """Lead the browser to another address of the page, such as "/channels"."""
+        return RedirectResponse(f"{self.root}{path}", 303)
+
+    async def save_form(self, request: Request) -> dict[str, str]:
+        """Keep the entries of a form without a file, and return the draft with them."""
+        async with bound_body(request, _FORM, "The form is larger than any of this page.").form() as sent:
+            entries = clean_entries((name, value) for name, value in sent.multi_items() if isinstance(value, str))
+        draft = {**self.folder.draft, **entries}
+        self.folder.save_draft(draft)
+        return draft
+
+
+def format_size(size: float) -> str:
+    """Return a size in bytes as a sentence says it."""
+    return f"{size / 2**20:.0f} MB" if size >= 2**20 else f"{size / 2**10:.0f} kB"
 
 
 def clean_name(raw: str) -> str:

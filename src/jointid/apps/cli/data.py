@@ -1,0 +1,80 @@
+"""`jointid data`: files of records, without identifying anything."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+from cyclopts import Parameter
+
+from jointid.apps.cli.console import Several, check_outputs, deliver, show
+
+Decimal: TypeAlias = Literal[".", ","]
+Header: TypeAlias = Annotated[bool | None, Parameter(negative="--no-header")]
+
+
+def inspect(
+    file: Path,
+    /,
+    *,
+    delimiter: str | None = None,
+    decimal: Decimal | None = None,
+    header: Header = None,
+    json: Path | None = None,
+    figure: Path | None = None,
+) -> None:
+    """List what is in a file: every channel with its rows, unit, sample time, range and a small picture.
+
+    Any format that records are read from, and the folder of a ROS 2 bag. What is taken for a clock is said.
+
+    Args:
+        file: the file, or the folder of a bag.
+        delimiter: of a text file, where it is not found by itself.
+        decimal: mark of a text file, likewise.
+        header: whether a text file names its columns, likewise.
+        json: also write the answer as JSON to this file.
+        figure: also save a picture of all channels, PNG, SVG or PDF by its suffix.
+    """
+    from jointid import inspect as look
+    from jointid.output.figures.channels import channels_figure
+
+    check_outputs(json, figures=(figure,))
+    deliver(look(file, **_given(delimiter, decimal, header)), json, (figure, channels_figure))
+
+
+def convert(
+    source: Path,
+    target: Path,
+    /,
+    *,
+    columns: Several = None,
+    delimiter: str | None = None,
+    decimal: Decimal | None = None,
+    header: Header = None,
+    mat_version: Literal["7", "7.3"] | None = None,
+) -> None:
+    """Write the columns of a file into a file of another format, and say what was renamed or had no place.
+
+    Every number is kept to the last bit. The suffix of the target tells its format; a target without a suffix becomes
+    the folder of a ROS 2 bag.
+
+    Args:
+        source: the file that is read, or the folder of a bag.
+        target: the file that is written; one that is there is replaced, but never the source.
+        columns: take this column alone; may be given several times.
+        delimiter: of a text file that is read, where it is not found by itself.
+        decimal: mark of a text file that is read, likewise.
+        header: whether a text file that is read names its columns, likewise.
+        mat_version: of a MAT file that is written; 7.3 is HDF5.
+    """
+    from jointid import convert as turn
+
+    check_outputs(*([target] if target.suffix else []))
+    writing = {} if mat_version is None else {"version": mat_version}
+    show(turn(source, target, columns, reading=_given(delimiter, decimal, header), writing=writing))
+
+
+def _given(delimiter: str | None, decimal: str | None, header: bool | None) -> dict[str, Any]:
+    """Return the options of a text file's reader that were given."""
+    options = {"delimiter": delimiter, "decimal": decimal, "header": header}
+    return {name: value for name, value in options.items() if value is not None}

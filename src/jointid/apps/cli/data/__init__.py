@@ -1,1 +1,0 @@
-"""`jointid data`: files of records, without identifying anything."""

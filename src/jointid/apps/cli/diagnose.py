@@ -1,0 +1,123 @@
+"""`jointid diagnose`: what an estimate is worth, one question a command."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from jointid.apps.cli.console import (
+    DEFAULTS,
+    Changes,
+    FilteringName,
+    Flag,
+    Options,
+    Quiet,
+    Several,
+    check_outputs,
+    deliver,
+    ready,
+    show,
+)
+
+
+def methods(joint: Path, /, *, options: Options = DEFAULTS, filtering: FilteringName | None = None) -> None:
+    """Identify a joint by every method that the record and the joint file allow, and set the answers side by side.
+
+    Args:
+        joint: the joint file (TOML); of its method the settings of didim are used.
+        options: those that most commands have.
+        filtering: of every method, as for identify.
+    """
+    from jointid import DIDIM, FlexibleDIDIM, compare_methods
+
+    check_outputs(options.json)
+    file = options.load(joint, filtering=filtering)
+    record = file.record(options.record)
+    ready(options.progress)
+    comparison = compare_methods(
+        record,
+        file.loop or file.joint,
+        filtering=file.filtering,
+        parameters=file.parameters,
+        didim=file.method if isinstance(file.method, DIDIM | FlexibleDIDIM) else None,
+        progress=options.progress,
+    )
+    deliver(comparison, options.json)
+
+
+def intervals(
+    joint: Path,
+    /,
+    *,
+    record: Path | None = None,
+    changes: Changes = (),
+    of: Several = None,
+    bootstrap: Flag = False,
+    refit: Flag = False,
+    quiet: Quiet = False,
+) -> None:
+    """Identify a joint by didim, then follow its criterion along single quantities, or draw bootstraps.
+
+    Args:
+        joint: the joint file (TOML).
+        record: the record, instead of the one the joint file names.
+        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
+        of: a parameter, a sum such as "motor_viscous + load_viscous", or compliance; may be given several times.
+        bootstrap: draw over blocks of time, and over stretches of position, direction and speed.
+        refit: every draw is a whole fit, which takes minutes; otherwise it is one linear step.
+        quiet: say nothing of the progress.
+    """
+    from jointid import MethodError
+    from jointid import intervals as run
+    from jointid.diagnostics.intervals import require_quantities
+
+    if not of and not bootstrap:
+        raise MethodError("There is nothing to do without --of or --bootstrap; give --of stiffness, say.")
+    options = Options(record, changes, quiet=quiet)
+    file = options.load(joint, method="didim")
+    if file.loop is not None:
+        require_quantities(of or (), file.loop)
+    logged, estimate = options.identify(file)
+    show(run(estimate, logged, of or (), bootstrap=bootstrap or refit, refit=refit, progress=options.progress))
+
+
+def loop(joint: Path, /, *, options: Options = DEFAULTS) -> None:
+    """Identify a joint by didim, and test whether its controller and its log are as declared.
+
+    Gains, delay, time stamps, the log's gain and an offset are freed one at a time and together.
+
+    Args:
+        joint: the joint file (TOML); its method is didim.
+        options: those that most commands have.
+    """
+    from jointid import check_loop
+
+    check_outputs(options.json)
+    record, estimate = options.identify_by_didim(joint)
+    deliver(check_loop(estimate, record), options.json)
+
+
+def sensors(
+    joint: Path,
+    /,
+    *,
+    options: Options = DEFAULTS,
+    encoder_step: float | None = None,
+    noise: Literal["loop", "log"] | None = None,
+) -> None:
+    """Identify a joint from torque and reference, and predict what an encoder or another motion would add.
+
+    Args:
+        joint: the joint file (TOML); its method is didim.
+        options: those that most commands have.
+        encoder_step: of the encoders, in m or rad, on the side of a transmission that is reported; without it that of
+            the record's own, or a millionth of the travel.
+        noise: where the torque's residual comes from, a force in the loop or the log itself; without it as the tap of
+            the torque says.
+    """
+    from jointid import advise, design_stiffness_test
+
+    check_outputs(options.json)
+    record, estimate = options.identify_by_didim(joint)
+    ask = design_stiffness_test if estimate.checks.bounds else advise
+    deliver(ask(estimate, record, encoder_step=encoder_step, noise=noise, progress=options.progress), options.json)

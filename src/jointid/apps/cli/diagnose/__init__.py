@@ -1,1 +1,0 @@
-"""`jointid diagnose`: what an estimate is worth, one question a command."""

@@ -1,0 +1,170 @@
+"""What becomes of estimates: `jointid report`, `validate`, `compare` and `export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from jointid.apps.cli.console import (
+    DEFAULTS,
+    Changes,
+    FilteringName,
+    Flag,
+    Options,
+    check_outputs,
+    deliver,
+    ready,
+    show,
+)
+from jointid.common.errors import RecordError
+
+Language = Literal["joint-file", "state-space", "matlab", "mjcf", "urdf", "modelica"]
+
+
+def report(
+    joint: Path,
+    /,
+    *,
+    options: Options = DEFAULTS,
+    html: Path | None = None,
+    markdown: Path | None = None,
+    figures: Path | None = None,
+    method: str | None = None,
+    filtering: FilteringName | None = None,
+    friction: str | None = None,
+    no_profiles: Flag = False,
+) -> None:
+    """Identify a joint from a record, and report it as one page: result, verdicts, figures, and how to repeat it.
+
+    Args:
+        joint: the joint file (TOML).
+        options: those that most commands have.
+        html: the page, one file that opens without a network; report.html where nothing else is asked for.
+        markdown: folder for the same as Markdown, report.md, and its figures as SVG.
+        figures: folder for the figures as PNG and SVG, for a paper.
+        method: as for identify.
+        filtering: as for identify.
+        friction: as for identify.
+        no_profiles: do not follow the criterion along every parameter, which takes a few seconds.
+    """
+    from jointid.output.report.page import require_extra
+    from jointid.output.report.report import report_file, require_page
+    from jointid.output.report.reproducibility import repetition
+
+    page = html if html or markdown or figures else Path("report.html")
+    check_outputs(page, options.json)
+    if page is not None:
+        require_page(page)
+        require_extra(plots=True)
+    choices = {"method": method, "filtering": filtering, "friction": friction}
+    file = options.load(joint, **choices)
+    source = Path(file.record_path(options.record))
+    again = repetition(joint, source, choices, "report.html" if page is None else page.name)
+    ready(options.progress)
+    profiles = () if no_profiles else None
+    told = report_file(file, source, repetition=again, profiles=profiles, progress=options.progress)
+    written = [] if page is None else [told.save(page)]
+    written += [] if markdown is None else [told.save_markdown(markdown)[0]]
+    written += [] if figures is None else [*told.save_figures(figures)]
+    written += [] if options.json is None else [options.json]
+    deliver(told.estimate, options.json)
+    show("\nWritten: " + ", ".join(map(str, written)))
+
+
+def validate(
+    joint: Path,
+    /,
+    *,
+    estimate: Path,
+    options: Options = DEFAULTS,
+    figure: Path | None = None,
+    residuals: Path | None = None,
+) -> None:
+    """Compare an estimate with a record: the direct test on its own, the cross test on another.
+
+    Args:
+        joint: the joint file (TOML).
+        estimate: what identify --json wrote.
+        options: those that most commands have.
+        figure: also save measured, simulated and error torque as PNG, SVG or PDF.
+        residuals: also save the error against velocity and position, and its autocorrelation, likewise.
+    """
+    from jointid import validate as run
+    from jointid.output import json as answers
+    from jointid.output.figures.figures import residual_figure, torque_figure
+
+    check_outputs(options.json, figures=(figure, residuals))
+    friction = answers.read_friction(estimate)
+    file = options.load(joint, friction=friction)
+    identified = answers.read_identified(estimate, file.joint, file.loop)
+    record = options.load(joint, friction=friction, method=identified.method).record(options.record)
+    ready(options.progress)
+    deliver(run(identified, record), options.json, (figure, torque_figure), (residuals, residual_figure))
+
+
+def compare(before: Path, after: Path, /, *, level: float = 0.05, json: Path | None = None) -> None:
+    """Say what changed between two estimates of the same joint, and whether it is more than their errors.
+
+    Args:
+        before: the first (A): what identify --json wrote, or the page of a report.
+        after: the second (B), likewise.
+        level: chance that anything is called changed where nothing is, for all quantities together.
+        json: also write the answer as JSON to this file.
+    """
+    from jointid import compare_estimates
+    from jointid.output import json as answers
+
+    check_outputs(json)
+    deliver(compare_estimates(answers.read_report(before), answers.read_report(after), level), json)
+
+
+def export(
+    joint: Path,
+    /,
+    *,
+    estimate: Path,
+    changes: Changes = (),
+    out: Path,
+    format: Language | None = None,  # noqa: A002
+    side: Literal["motor", "load"] | None = None,
+    fixed: Flag = False,
+    period: float | None = None,
+    delay: float | None = None,
+    timestep: float | None = None,
+) -> None:
+    """Write an estimate for another tool, and say what that tool's language does not hold of it.
+
+    The ending of the file says for which: .toml a joint file with the values filled in, .json a linear state space for
+    SciPy and python-control, .m the same for MATLAB, .xml MuJoCo's MJCF, .urdf URDF, .mo Modelica.
+
+    Args:
+        joint: the joint file (TOML).
+        estimate: what identify --json wrote.
+        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
+        out: the file to write.
+        format: the language, instead of the one the ending of the file means.
+        side: of a transmission, whose numbers are written; without it the load's for URDF and MJCF, and else the side
+            that was identified.
+        fixed: of a joint file: the values are kept, instead of being starts.
+        period: of a state space, in s, to sample it with; without it the record's sample time.
+        delay: of a state space, in s, from a sample of the torque to its effect; without it as identified.
+        timestep: of MJCF, in s.
+    """
+    from jointid.output import json as answers
+    from jointid.output.export.export import export as run
+    from jointid.output.export.export import exporter_named, exporter_of, read_estimated
+    from jointid.output.export.joint_toml import JointToml
+
+    check_outputs(out)
+    if out.exists() and out.samefile(estimate):
+        raise RecordError(f"{out} is the estimate itself, which would be replaced; name another file.")
+    given = {"values": "fixed" if fixed else None, "period": period, "delay": delay, "timestep": timestep}
+    settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    exporter = exporter_of(out, **settings) if format is None else exporter_named(format, **settings)
+    file = Options(changes=changes).load(joint, friction=answers.read_friction(estimate))
+    if isinstance(exporter, JointToml):
+        exporter = JointToml(file, exporter.values, out.parent)
+    exported = run(read_estimated(estimate, file.joint, file.name), exporter, side=side)
+    exported.save(out)
+    show(exported)
+    show(f"written: {out}")
