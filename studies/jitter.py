@@ -25,11 +25,11 @@ from jointid.models.joints import FlexibleJoint
 from jointid.paper.twin import CONTROLLERS, DURATION, SAMPLE_TIME, TABLE_2
 from jointid.records.columns import Column
 from jointid.records.formats import Table, write_table
-from jointid.records.reading.read import read
+from jointid.records.reading import read
 from jointid.records.record import Record, Timing
+from jointid.records.resampling import Resampling
 from jointid.records.signals.excitation import pulses, trapezoids
 from jointid.records.signals.filtering import Filtering
-from jointid.records.time_base.resampling import Resampling
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 

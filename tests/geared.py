@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from jointid.common.transmission import Transmission
 from jointid.models.controllers import Cascade
-from jointid.models.transmission import Transmission
 
 RATE = 1e-3
 LAW = Cascade(kp=25.0, kv=0.02, limit=3.0)

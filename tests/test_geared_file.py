@@ -12,14 +12,14 @@ import pytest
 
 from jointid.apps.cli.app import main
 from jointid.common.errors import JointFileError, MethodError, RecordError
+from jointid.common.transmission import Transmission
 from jointid.config import JointFile, dumps, loads, save
 from jointid.estimation.identify import identify
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import RigidJoint
-from jointid.models.transmission import Transmission
 from jointid.output.json import estimate_answer, read_identified, write
 from jointid.records.columns import Column
-from jointid.records.reading.read import read
+from jointid.records.reading import read
 from jointid.records.record import Record
 from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop

@@ -1,6 +1,7 @@
 """The public names and where they live: the one list, which `__init__.py` loads them by."""
 
 from .common.errors import ExtraError, JointFileError, JointidError, MethodError, RecordError
+from .common.transmission import Transmission
 from .config import JointFile, load
 from .controller_id.learn import learn_loop
 from .diagnostics.check_loop import check_loop
@@ -36,7 +37,6 @@ from .models.gravity import Counterbalance, Gravity
 from .models.joints import FlexibleJoint, RigidJoint, frequencies, rigid_sums
 from .models.linear import frequency_response
 from .models.parameters import Parameter
-from .models.transmission import Transmission
 from .output.export.export import export, read_estimated, state_space
 from .output.export.joint_toml import JointToml
 from .output.export.linear import Matlab, StateSpaceJson
@@ -47,17 +47,17 @@ from .output.json import read_report
 from .output.json.to_dict import to_dict
 from .output.report.report import Report, report_estimate, report_file
 from .paper.twin import twin
+from .records.chunks import Log
 from .records.columns import Column
+from .records.converting import convert
 from .records.drives.drive import Drive
-from .records.files.converting import convert
-from .records.files.inspection import inspect
-from .records.files.writing import write
-from .records.reading.chunks import Log
-from .records.reading.read import read
+from .records.inspection import inspect
+from .records.reading import read
 from .records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
+from .records.resampling import Resampling
 from .records.signals.excitation import pulses, trapezoids
 from .records.signals.filtering import Filtering
-from .records.time_base.resampling import Resampling
+from .records.writing import write
 from .simulation.closed_loop import Initial, simulate, simulate_many
 from .simulation.drive_side import DriveSide
 from .simulation.loop_input import ClosedLoop, prepare

@@ -41,8 +41,8 @@ from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.records.columns import Column
 from jointid.records.drives.drive import Drive
 from jointid.records.record import InjectionPoint, Tap, Timing
+from jointid.records.resampling import Resampling
 from jointid.records.signals.filtering import Filtering
-from jointid.records.time_base.resampling import Resampling
 from tests.joint_files import (
     BOTH_ENCODERS,
     CASCADE,

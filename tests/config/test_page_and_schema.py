@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 
+from jointid.common.transmission import Transmission
 from jointid.common.units import units_of
 from jointid.config import (
     json_schema,
@@ -19,7 +20,6 @@ from jointid.models.controllers import (
 )
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
-from jointid.models.transmission import Transmission
 from jointid.records.columns import known_units
 from jointid.records.drives.drive import Drive
 from jointid.records.signals.filtering import Filtering

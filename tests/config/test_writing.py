@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jointid.common.errors import JointFileError
+from jointid.common.transmission import SIDES, Transmission
 from jointid.config import (
     JointFile,
     Run,
@@ -46,10 +47,8 @@ from jointid.models.friction import AsymmetricFriction, SymmetricFriction
 from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.models.parameters import Parameter
-from jointid.models.transmission import SIDES, Transmission
 from jointid.records.columns import Column, known_units
-from jointid.records.drives.drive import Drive
-from jointid.records.drives.profiles import profile_names
+from jointid.records.drives.drive import Drive, profile_names
 from jointid.records.record import InjectionPoint, Tap, Timing
 from jointid.records.signals.filtering import Filtering
 from tests.joint_files import (

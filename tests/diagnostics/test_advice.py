@@ -24,7 +24,7 @@ from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.output.json import advice_answer, dumps, revealing_answer
 from jointid.paper.twin import CONTROLLERS, SAMPLE_TIME, Twin, twin
 from jointid.records.record import Channel, Record, Tap
-from jointid.records.signals.encoder_step import find_encoder_step
+from jointid.records.signals.encoder import find_encoder_step
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 

@@ -8,7 +8,7 @@ import pytest
 
 from jointid.models.controllers import Cascade
 from jointid.records.columns import Column
-from jointid.records.reading.read import read
+from jointid.records.reading import read
 from jointid.records.record import InjectionPoint, Record
 
 GAIN = 35.15065188

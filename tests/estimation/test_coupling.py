@@ -12,8 +12,7 @@ import jointid as ji
 from jointid.estimation.methods.cross_axis import coupling_warnings
 from jointid.records.drives.drive import Drive
 from jointid.records.formats import Table, write_table
-from jointid.records.reading.other_axes import find_other_axes
-from jointid.records.reading.read import read
+from jointid.records.reading import find_other_axes, read
 from jointid.uncertainty.coupling import coupling
 
 T = 1e-3

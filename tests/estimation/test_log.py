@@ -22,8 +22,8 @@ from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.paper.twin import CONTROLLERS, TABLE_2
+from jointid.records.chunks import Chunk, InMemory, Log
 from jointid.records.formats import Table, write_table
-from jointid.records.reading.chunks import Chunk, InMemory, Log
 from jointid.records.record import Channel, Record
 from jointid.records.signals.excitation import trapezoids
 from jointid.records.signals.filtering import Filtering

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from jointid.apps.cli.app import main
-from jointid.records.reading.chunks import Chunk, Log
+from jointid.records.chunks import Chunk, Log
 from tests.estimation.test_log import rigid, stored
 
 JOINT_FILE = """

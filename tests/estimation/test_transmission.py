@@ -12,6 +12,7 @@ from itertools import compress
 import numpy as np
 import pytest
 
+from jointid.common.transmission import Side, Transmission
 from jointid.diagnostics.check_loop import check_loop
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
@@ -26,7 +27,7 @@ from jointid.models.disturbances import Drift, PositionHarmonics
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
 from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
-from jointid.models.transmission import OtherSide, Side, Transmission
+from jointid.models.refer import OtherSide
 from jointid.output.json import estimate_answer
 from jointid.records.record import Channel, Record
 from jointid.records.signals.excitation import pulses, trapezoids

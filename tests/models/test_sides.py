@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from jointid.common.transmission import Transmission
 from jointid.models.disturbances import Drift, PositionHarmonics, effect_parameters
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
-from jointid.models.transmission import OtherSide, Transmission
-from jointid.records.record import Channel, Timing
-from jointid.records.refer import refer_channel
+from jointid.models.refer import OtherSide
+from jointid.records.record import Channel, Timing, refer_channel
 from tests.geared import TURNED_SCREW
 
 R = abs(TURNED_SCREW.motor_per_load)

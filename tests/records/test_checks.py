@@ -10,17 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jointid.common.errors import RecordError
-from jointid.records.checks.finite import finite_faults
-from jointid.records.checks.record_checks import (
+from jointid.records.checks import (
     check_record,
     limit_faults,
     scale_faults,
     still_faults,
 )
-from jointid.records.columns import Column
-from jointid.records.reading.read import read
+from jointid.records.clock import clock_faults
+from jointid.records.columns import Column, finite_faults
+from jointid.records.reading import read
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap
-from jointid.records.time_base.uniformity import clock_faults
 
 RATE = 1e-3
 TIME = np.arange(2000) * RATE

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,14 +13,14 @@ from hypothesis import strategies as st
 
 import jointid as ji
 from jointid.common.errors import RecordError
-from jointid.records.checks.record_warnings import find_record_warnings
+from jointid.records.checks import find_record_warnings
 from jointid.records.columns import Column
 from jointid.records.drives.drive import Drive
 from jointid.records.formats import Table, write_table
-from jointid.records.reading.read import read
-from jointid.records.record import Record, Timing, record_of
-from jointid.records.signals.unwrap import find_quantum, unwrap, wrap_faults
-from jointid.records.time_base.update_rate import update_interval
+from jointid.records.reading import read
+from jointid.records.record import Channel, Record, Timing
+from jointid.records.resampling import update_interval
+from jointid.records.signals.encoder import find_quantum, unwrap, wrap_faults
 
 T = 1e-3
 TIME = np.arange(1000) * T
@@ -119,7 +120,10 @@ def test_a_rhythm_and_a_rounding_are_found() -> None:
 
 
 def notes(**values: np.ndarray) -> tuple[str, ...]:
-    record: Record = record_of(T, unit="N m", position_unit="rad", **values)
+    channels: dict[str, Any] = {
+        name: Channel(array, "N m" if name == "torque" else "rad", T) for name, array in values.items()
+    }
+    record = Record(**channels)
     return find_record_warnings(record, record.channels)
 
 

@@ -11,7 +11,7 @@ import pytest
 from jointid.apps.cli.app import main
 from jointid.common.errors import RecordError
 from jointid.config import load
-from jointid.records.files.converting import convert
+from jointid.records.converting import convert
 from jointid.records.formats import Table, read_table, write_table
 from tests.records.logged import LOGGED
 

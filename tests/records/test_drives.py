@@ -11,13 +11,12 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import JointFileError, RecordError
+from jointid.common.transmission import Transmission
 from jointid.common.units import COUNTS, SHARE, unit
 from jointid.config import load, loads
-from jointid.models.transmission import Transmission
 from jointid.records.columns import Column, known_units
-from jointid.records.drives.drive import Drive
-from jointid.records.drives.profiles import load_profile, profile_names
-from jointid.records.reading.read import read
+from jointid.records.drives.drive import Drive, load_profile, profile_names
+from jointid.records.reading import read
 from jointid.records.record import CHANNELS, Record, Tap, Timing
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jointid.common.errors import ExtraError, RecordError
+from jointid.records.chunks import Log
 from jointid.records.columns import Column
 from jointid.records.formats import FORMATS, Holds, Table, format_of, read_blocks, read_table, read_tables, write_table
-from jointid.records.reading.chunks import Log
-from jointid.records.reading.read import read
-from jointid.records.time_base.resampling import Resampling
+from jointid.records.reading import read
+from jointid.records.resampling import Resampling
 from tests.records.logged import LOGGED, POSITION, ROWS, TIME, TORQUE, Logged
 from tests.records.spoiled import spoiled
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import RecordError
-from jointid.records.formats import Table, isolated, read_blocks, read_table, write_table
+from jointid.records.formats import Table, read_blocks, read_table, untrusted, write_table
 from tests.records.logged import matlab_dataset, matlab_header
 from tests.records.spoiled import spoiled
 
@@ -149,8 +149,8 @@ def test_a_text_that_ends_the_library_or_keeps_it_busy_for_ever_is_one_sentence(
     assert read_table(path).units == {"q": "rad"}
     reader = tmp_path / "reader.py"
     reader.write_text(program)
-    monkeypatch.setattr(isolated, "_PROGRAM", reader)
-    monkeypatch.setattr(isolated, "PATIENCE", 0.3)
+    monkeypatch.setattr(untrusted, "_PROGRAM", reader)
+    monkeypatch.setattr(untrusted, "PATIENCE", 0.3)
     with pytest.raises(RecordError, match=r"run\.h5 cannot be read as HDF5: it is damaged"):
         read_table(path)
 

@@ -14,9 +14,8 @@ from jointid.common.errors import RecordError
 from jointid.output.figures.channels import channels_figure
 from jointid.output.figures.figures import save
 from jointid.output.json import dumps, inspection_answer
-from jointid.records.files.inspection import draw_sparkline, inspect
-from jointid.records.files.outline import OutlineBuilder
 from jointid.records.formats import Table, write_table
+from jointid.records.inspection import OutlineBuilder, draw_sparkline, inspect
 from tests.records.logged import LOGGED, ROWS
 
 numbers = st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=1, max_size=3000)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import RecordError
+from jointid.records.chunks import InMemory, Log
 from jointid.records.columns import Column
 from jointid.records.formats import Table, read_blocks, read_table, write_table
-from jointid.records.reading.chunks import InMemory, Log
-from jointid.records.reading.read import read
-from jointid.records.record import Record, record_of
+from jointid.records.reading import read
+from jointid.records.record import Channel, Injection, Record
 
 CHANNELS = {"torque": "torque", "reference": "reference"}
 ROWS = 97
@@ -125,15 +125,11 @@ def test_one_piece_in_so_many_is_read(path: Path) -> None:
 
 def test_what_is_injected_is_cut_too() -> None:
     values = np.arange(30.0)
-    record = record_of(0.01, unit="N", position_unit="m", torque=values, reference=values)
-    from jointid.records.record import Channel, Injection
-
-    injected = Injection(Channel(values, "N", 0.01))
-    whole = Record(torque=record.torque, reference=record.reference, injected=injected)
+    whole = Record(torque=Channel(values, "N", 0.01), injected=Injection(Channel(values, "N", 0.01)))
     (_, second, _) = InMemory(whole).chunks(10, 2)
     assert second.record.injected is not None
     np.testing.assert_array_equal(second.record.injected.channel.values, values[10:22])
-    assert second.record.injected.at is injected.at
+    assert second.record.injected.at is whole.injected.at
 
 
 def test_a_jump_of_the_clock_is_found_where_it_is(tmp_path: Path) -> None:

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from jointid.common.errors import JointidError, RecordError
 from jointid.records.columns import Column
-from jointid.records.files.writing import write
 from jointid.records.formats import Table, read_table, write_table
-from jointid.records.reading.read import read
+from jointid.records.reading import read
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
+from jointid.records.writing import write
 
 NAN = float("nan")
 RATE = 1e-3

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 import jointid as ji
 from jointid.common.errors import JointFileError, RecordError
 from jointid.config import dumps, loads
+from jointid.records.clock import measure_irregularity
 from jointid.records.formats import Table, write_table
 from jointid.records.record import Timing
-from jointid.records.time_base.uniformity import measure_irregularity
 
 T = 1e-3
 LATE = T * 0.3 * np.random.default_rng(3).random(400)
@@ -118,7 +118,7 @@ def test_a_held_torque_is_interpolated_only_when_that_is_asked(saved: Saved) -> 
 def test_the_means_of_an_average_add_up(seed: int, ratio: float) -> None:
     """The integral over the new periods is that over the old ones, at any rate."""
     from jointid.records.record import Channel
-    from jointid.records.time_base.resampling import Stamped, resample_together
+    from jointid.records.resampling import Stamped, resample_together
 
     rng = np.random.default_rng(seed)
     stamps = np.arange(60) * T + 0.3 * T * rng.random(60)

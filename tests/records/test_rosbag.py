@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from jointid.common.errors import RecordError
 from jointid.records.formats import Table, read_table, write_table
 from jointid.records.formats.isolated_readers import message_types
-from jointid.records.formats.messages import Field, Types
+from jointid.records.formats.messages import Definition, Field, decode_message
 from tests.records.logged import POSITION, bag
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -198,9 +198,9 @@ def test_a_topic_of_two_kinds_is_told_and_not_mixed(tmp_path: Path) -> None:
 # -------------
 
 
-def types_of(definition: str) -> Types:
+def types_of(definition: str) -> dict[str, Definition]:
     found = message_types("my/msg/A", definition)
-    return Types({kind: tuple(Field(*field) for field in fields) for kind, fields in found.items()})
+    return {kind: tuple(Field(*field) for field in fields) for kind, fields in found.items()}
 
 
 @pytest.mark.parametrize(
@@ -217,7 +217,7 @@ def types_of(definition: str) -> Types:
 )
 def test_no_definition_makes_a_message_larger_than_its_bytes(definition: str, data: bytes) -> None:
     with pytest.raises(ValueError, match=r"the message|messages within messages"):
-        types_of(definition).decode("my/msg/A", b"\x00\x01\x00\x00" + data)
+        decode_message("my/msg/A", b"\x00\x01\x00\x00" + data, types_of(definition))
 
 
 def test_a_definition_is_never_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import RecordError
-from jointid.models.transmission import Transmission
+from jointid.common.transmission import Transmission
 from jointid.records.columns import Column
-from jointid.records.drives.drive import Drive
-from jointid.records.drives.profiles import profile_names
-from jointid.records.files.writing import write
+from jointid.records.drives.drive import Drive, profile_names
 from jointid.records.formats import read_table
-from jointid.records.reading.read import read
+from jointid.records.reading import read
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
+from jointid.records.writing import write
 
 T = 1e-3
 TIME = np.arange(500) * T

@@ -9,7 +9,7 @@ import pytest
 
 from jointid.estimation.identify import identify
 from jointid.records.drives.drive import Drive
-from jointid.records.reading.read import read
+from jointid.records.reading import read
 from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
 from studies.servo import FILTERING, LOG, RATED, SERVO, accuracy, servo_twin

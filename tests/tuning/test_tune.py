@@ -11,6 +11,7 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.common.messages import Message
+from jointid.common.transmission import Transmission
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
@@ -18,7 +19,6 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import PD, PID, Cascade, StateSpaceController
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint, frequencies
-from jointid.models.transmission import Transmission
 from jointid.output.figures.tuning_figure import tuning_figure
 from jointid.output.json import dumps, tuning_answer
 from jointid.paper.twin import TABLE_2, twin

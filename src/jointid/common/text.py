@@ -56,3 +56,8 @@ def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequenc
 def shown(name: str) -> str:
     """Return a name from a file as it can be printed, on one line; see `printable`."""
     return printable(name).replace("\n", "\\n")
+
+
+def counted(number: int, noun: str, plural: str = "") -> str:
+    """Return a number of things in words: "1 sample", "2 samples"."""
+    return f"{number} {noun if number == 1 else plural or f'{noun}s'}"

@@ -12,6 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from jointid.common import messages, units
+from jointid.common.transmission import Side
 from jointid.config.schema import GravityTable, JointTable, MethodTable, ParameterTable, TransmissionTable, keys_of
 from jointid.config.schema_record import ChannelTable
 from jointid.config.table import refusal
@@ -22,10 +23,8 @@ from jointid.models.friction import FRICTIONS
 from jointid.models.gravity import GRAVITY_PARAMETERS
 from jointid.models.joints import Joint
 from jointid.models.parameters import TORQUE_UNIT, Kind, Parameter
-from jointid.models.transmission import Side
 from jointid.records.columns import known_units
 from jointid.records.drives.drive import Drive
-from jointid.records.drives.profiles import find_side
 from jointid.simulation.loop_input import ClosedLoop
 
 if TYPE_CHECKING:
@@ -341,7 +340,7 @@ def _si_unit(
 def _side(channel: str, table: ChannelTable | None, drive: Drive | None) -> Side:
     """Return the side of a transmission on which a channel is measured."""
     declared = None if table is None else table.build()
-    return find_side(channel, declared, drive.traces, drive.axis) if drive else find_side(channel, declared, None, None)
+    return (drive or Drive()).side(channel, declared)
 
 
 def _lacking(channel: str, unit: str, kind: Kind, transmission: TransmissionTable | None, drive: Drive) -> str | None:

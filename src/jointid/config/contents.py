@@ -21,14 +21,14 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller, with_numbers
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
-from jointid.records.checks.record_checks import check_record
+from jointid.records.checks import check_record
+from jointid.records.chunks import Log
 from jointid.records.columns import Column
 from jointid.records.drives.drive import Drive
-from jointid.records.files.writing import write
-from jointid.records.reading.chunks import Log
-from jointid.records.reading.read import read
+from jointid.records.reading import read
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
+from jointid.records.writing import write
 from jointid.simulation.loop_input import ClosedLoop
 
 
@@ -172,7 +172,7 @@ class JointFile:
         """Write a record, on the joint's side of its transmission, as this file reads it: `record(path)` gives it back.
 
         Raises:
-            RecordError: see `jointid.records.files.writing.write`.
+            RecordError: see `jointid.records.writing.write`.
         """
         write(record, path, self.columns, **self._reading, **self.source.options)
 

@@ -15,12 +15,12 @@ import tomli_w
 
 from jointid.common import messages
 from jointid.common.errors import JointFileError
+from jointid.common.transmission import Transmission
 from jointid.config.contents import JointFile
 from jointid.config.serialise import controller_table
 from jointid.config.validation import named_method
 from jointid.models.controllers import Controller
 from jointid.models.parameters import TORQUE_UNIT
-from jointid.models.transmission import Transmission
 
 _PLACE = re.compile(r"(?P<reason>.*) \(at (line (?P<line>\d+), column (?P<column>\d+)|end of document)\)", re.DOTALL)
 

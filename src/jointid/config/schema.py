@@ -17,6 +17,7 @@ from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
 from jointid.common import messages, units
 from jointid.common.messages import Says
 from jointid.common.settings import settings_of
+from jointid.common.transmission import Transmission
 from jointid.config.keys import Bound, Flag, LengthUnit, Natural, Number, Positive, Size, Text, keys_from
 from jointid.config.schema_controller import ControllerTable
 from jointid.config.schema_record import DriveTable, RecordTable, RunTable, TogetherTable
@@ -27,7 +28,6 @@ from jointid.models.friction import FRICTIONS, friction_named
 from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.models.parameters import Kind
-from jointid.models.transmission import Transmission
 from jointid.records.signals.filtering import Filtering
 
 EFFECTS = ("harmonics", "period", "drift")

@@ -11,6 +11,7 @@ from pydantic import Field, create_model
 
 from jointid.common import messages
 from jointid.common.messages import Says
+from jointid.common.transmission import Side, Transmission
 from jointid.config.keys import Matrix, Number, Numbers, Typed, keys_from, keys_of_kinds
 from jointid.config.table import Table, refusal
 from jointid.models.controllers import (
@@ -22,7 +23,6 @@ from jointid.models.controllers import (
     StateSpaceController,
     as_filter,
 )
-from jointid.models.transmission import Side, Transmission
 
 _NO_KEYS = ("ratio",)  # which the transmission and `side` say
 

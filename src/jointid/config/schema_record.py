@@ -14,12 +14,12 @@ from jointid.common.settings import declare, documented, setting, settings_of
 from jointid.common.units import units_of
 from jointid.config.keys import Flag, Text, keys_from
 from jointid.config.table import Table, accept_by, refusal
+from jointid.records.clock import CLOCK_TOLERANCE
 from jointid.records.columns import Column
 from jointid.records.drives.drive import Drive
 from jointid.records.formats import Csv, format_of
 from jointid.records.record import Channel, Injection
-from jointid.records.time_base.resampling import Resampling
-from jointid.records.time_base.uniformity import CLOCK_TOLERANCE
+from jointid.records.resampling import Resampling
 
 OPTIONS = ("delimiter", "decimal", "header")
 """The keys of [record] that are options of the format's reader."""
@@ -30,7 +30,7 @@ Delimiter = Annotated[Text, accept_by(lambda mark: Csv(delimiter=mark))]
 @documented
 @dataclass(frozen=True, slots=True)
 class Source:
-    """The file of the record, and how it is read; see `jointid.records.reading.read`."""
+    """The file of the record, and how it is read; see `jointid.records.reading`."""
 
     file: str | None = setting(None, "path of the record, from the joint file's folder", accept=format_of)
     time: str | None = setting(

@@ -10,6 +10,7 @@ import numpy as np
 
 from jointid.common.errors import JointFileError
 from jointid.common.settings import settings_of
+from jointid.common.transmission import SIDES, Transmission
 from jointid.config.schema import FILTERINGS
 from jointid.estimation.methods.registry import Method, method_of
 from jointid.models.controllers import FILTERS, LAWS, Controller, DigitalFilter
@@ -18,9 +19,8 @@ from jointid.models.friction import FRICTIONS
 from jointid.models.gravity import Gravity
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
-from jointid.models.transmission import SIDES, Transmission
+from jointid.records.resampling import Resampling
 from jointid.records.signals.filtering import Filtering
-from jointid.records.time_base.resampling import Resampling
 
 _KINDS: Mapping[type, str] = {made: kind for kind, made in FILTERS.items()}
 _LAWS: Mapping[type, str] = {made: law for law, made in LAWS.items()}

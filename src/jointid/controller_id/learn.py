@@ -12,6 +12,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Message
 from jointid.common.progress import Progress, silent
 from jointid.common.text import number
+from jointid.common.transmission import Transmission
 from jointid.controller_id.fitting import FittedLaw, Task, order_rates
 from jointid.controller_id.learned import (
     Alternative,
@@ -24,7 +25,6 @@ from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.search import Rival, search
 from jointid.controller_id.structures import VELOCITY, Structure
 from jointid.models.controllers import Controller, numbers_of, shift_start, with_numbers
-from jointid.models.transmission import Transmission
 from jointid.records.record import Record, Tap
 from jointid.uncertainty.covariance import Covariance, covariance_of, larger, robust
 

@@ -9,10 +9,10 @@ from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph, Table, common_facts
 from jointid.common.messages import Message
 from jointid.common.text import number
+from jointid.common.transmission import Transmission
 from jointid.controller_id.structures import Structure
 from jointid.models.controllers import Controller
-from jointid.models.transmission import Transmission
-from jointid.records.time_base.uniformity import Resampled
+from jointid.records.record import Resampled
 
 
 class Equivalence(StrEnum):

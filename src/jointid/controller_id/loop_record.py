@@ -15,15 +15,14 @@ from jointid.controller_id.structures import LATE, RATES, SLOWER
 from jointid.models.controllers import (
     INJECTED,
     POSITION,
-    REFERENCE_VELOCITY,
-    Cascade,
     Interpolation,
     SampledLaw,
+    law_inputs,
     run,
 )
 from jointid.records.record import InjectionPoint, Record, Tap, Timing
-from jointid.records.signals.encoder_step import find_encoder_step
-from jointid.records.signals.law_inputs import at_period, law_inputs
+from jointid.records.signals.encoder import find_encoder_step
+from jointid.records.signals.instants import at_period
 
 _NEEDED = ("torque", "reference", "motor_position")
 _FEWEST = 500  # samples
@@ -194,11 +193,12 @@ def _below_limit(torque: FloatArray, plateau: float | None) -> FloatArray:
 def _read_inputs(record: Record, period: float, samples: int, rate: int, filled: Interpolation | None) -> FloatArray:
     """Return the inputs of a law with that many periods per sample, (periods, INPUTS)."""
     periods, own = samples * rate, period / rate
-    inputs = law_inputs(Cascade(kp=1.0, kv=1.0, interpolation=filled), record, own, periods)
-    assert record.motor_position is not None
-    inputs[:, POSITION] = _interpolate(at_period(record.motor_position, period, samples, "position"), rate)
+    assert record.motor_position is not None and record.reference is not None
+    velocity = None
     if record.reference_velocity is not None:
-        inputs[:, REFERENCE_VELOCITY] = at_period(record.reference_velocity, own, periods, "reference_velocity", filled)
+        velocity = at_period(record.reference_velocity, own, periods, "reference_velocity", filled)
+    inputs = law_inputs(at_period(record.reference, own, periods, "reference", filled), velocity)
+    inputs[:, POSITION] = _interpolate(at_period(record.motor_position, period, samples, "position"), rate)
     if record.injected is not None and record.injected.at is InjectionPoint.BEFORE_LIMIT:
         inputs[:, INJECTED] = at_period(record.injected.channel, own, periods, "injected")
     return inputs

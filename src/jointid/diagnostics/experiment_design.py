@@ -23,6 +23,7 @@ from jointid.common.document import Block, Document, Documented, Facts, Listing,
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.text import number
+from jointid.common.transmission import Transmission
 from jointid.diagnostics.sensor_information import (
     Noise,
     add_information,
@@ -34,9 +35,8 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_pr
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITIAL_TORQUE
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.models.parameters import POSITION_UNIT
-from jointid.models.transmission import Transmission
 from jointid.records.record import Record, Tap
-from jointid.records.signals.encoder_step import find_encoder_step
+from jointid.records.signals.encoder import find_encoder_step
 from jointid.simulation.closed_loop import Outcome
 from jointid.uncertainty.covariance import covariance_of, stationary
 

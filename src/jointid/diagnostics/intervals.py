@@ -16,10 +16,10 @@ from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, common_facts
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
+from jointid.common.transmission import Transmission
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.nuisance_parameters import surrounding
 from jointid.estimation.result.estimate import Estimate, fingerprint
-from jointid.models.transmission import Transmission
 from jointid.records.record import Record
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.problem import Problem

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from jointid.common.document import Document, Documented, Listing, Table
 from jointid.common.messages import Message
 from jointid.common.text import number
+from jointid.common.transmission import Side
 from jointid.diagnostics.fault_signatures import INJECTED_GAIN, LIMIT, OFFSET, PRESLIDING, STRIBECK
-from jointid.models.transmission import Side
 from jointid.uncertainty.verdict import Reason
 
 _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed

@@ -27,7 +27,7 @@ from jointid.estimation.result.params import EstimatedParameter
 from jointid.models.friction import friction_named
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
-from jointid.records.checks.record_checks import check_record
+from jointid.records.checks import check_record
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop

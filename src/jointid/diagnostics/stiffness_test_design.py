@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.text import number
+from jointid.common.transmission import Transmission, transmission_lines
 from jointid.diagnostics.experiment_design import choose_encoder_steps, find_noise_source, rebuild_declared_problem
 from jointid.diagnostics.sensor_information import Noise, add_information, compute_encoder_information
 from jointid.diagnostics.variations import add_pulses, choose_pulse
@@ -32,7 +33,6 @@ from jointid.estimation.search.exploration import FASTEST
 from jointid.estimation.search.starts import pseudo_regular
 from jointid.models.joints import acts_on_whole
 from jointid.models.parameters import POSITION_UNIT, TORQUE_UNIT
-from jointid.models.transmission import Transmission, transmission_lines
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome

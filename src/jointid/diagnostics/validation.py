@@ -15,6 +15,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Facts, common_facts
 from jointid.common.errors import MethodError
+from jointid.common.transmission import Transmission
 from jointid.estimation.methods.inverse_model import idim_channels, motion_of
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of, with_torque
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
@@ -29,10 +30,8 @@ from jointid.estimation.search.starts import initial_state, reconstructed_positi
 from jointid.models.disturbances import effect_parameters
 from jointid.models.joints import Motion
 from jointid.models.parameters import POSITION_UNIT
-from jointid.models.transmission import Transmission
-from jointid.records.checks.record_checks import check_record
-from jointid.records.record import Record
-from jointid.records.time_base.uniformity import Resampled
+from jointid.records.checks import check_record
+from jointid.records.record import Record, Resampled
 from jointid.simulation.closed_loop import Initial, Simulation, require_finished
 from jointid.simulation.loop_input import ClosedLoop, prepare
 from jointid.solvers.gauss_newton import GaussNewton

@@ -15,7 +15,7 @@ from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter
-from jointid.records.reading.chunks import InMemory, LongRecord
+from jointid.records.chunks import InMemory, LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import DriveSide

@@ -51,7 +51,7 @@ from jointid.estimation.result.drift import drift
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Checks, Data, Fit, Windows
 from jointid.models.parameters import Parameter, adjusted
-from jointid.records.reading.chunks import LongRecord
+from jointid.records.chunks import LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop

@@ -11,8 +11,7 @@ from jointid.estimation.methods.registry import Method, default_method, method_o
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter, Quantity, adjusted
-from jointid.records.checks.record_checks import check_record
-from jointid.records.checks.record_warnings import find_record_warnings
+from jointid.records.checks import check_record, find_record_warnings
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import DriveSide

@@ -16,9 +16,9 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.settings import check_settings, documented, setting
+from jointid.common.transmission import Side
 from jointid.models.joints import Joint, Motion
 from jointid.models.parameters import Parameter, Quantity
-from jointid.models.transmission import Side
 
 
 class Effect(Protocol):

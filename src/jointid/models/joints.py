@@ -23,10 +23,10 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.transmission import Transmission
 from jointid.models.friction import Friction, SymmetricFriction
 from jointid.models.gravity import Gravity
 from jointid.models.parameters import POSITION_UNIT, TORQUE_UNIT, Kind, Parameter, Quantity, unit_of
-from jointid.models.transmission import Transmission
 
 MODE_DAMPING = 0.02
 """Damping ratio that is assumed of a mode whose stiffness is not identified."""

@@ -7,16 +7,17 @@ log the *average* over the period that ends at the sample. Reading one as anothe
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from jointid.common import units
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.records.time_base.uniformity import Resampled
+from jointid.common.text import counted
+from jointid.common.transmission import SI_UNITS, Side, Transmission
 
 
 class Timing(StrEnum):
@@ -110,8 +111,68 @@ class Injection:
             )
 
 
+@dataclass(frozen=True, slots=True)
+class Irregularity:
+    """Deviation of time stamps from a uniform clock: the straight line of least squares through them.
+
+    Attributes:
+        sample_time: of the uniform clock, s.
+        largest, rms: deviation of the stamps from it, s.
+        gaps: steps of `GAP` sample times and more; longest_gap: samples left out in the longest.
+        repeats: stamps that are those before them again.
+        backward: steps back.
+    """
+
+    sample_time: float
+    largest: float
+    rms: float
+    gaps: int = 0
+    longest_gap: int = 0
+    repeats: int = 0
+    backward: int = 0
+
+    def __str__(self) -> str:
+        """Return it in words."""
+        told = [
+            f"{1e3 * self.sample_time:.6g} ms, off by up to {self.largest / self.sample_time:.2g} samples "
+            f"({self.rms / self.sample_time:.2g} rms)"
+        ]
+        if self.gaps:
+            told.append(f"{counted(self.gaps, 'gap')} of up to {counted(self.longest_gap, 'sample')}")
+        told += [counted(self.repeats, "repeated stamp")] if self.repeats else []
+        told += [counted(self.backward, "step back", "steps back")] if self.backward else []
+        return ", ".join(told)
+
+
+@dataclass(frozen=True, slots=True)
+class Resampled:
+    """Resampling that a record went through.
+
+    Attributes:
+        sample_time: of the record, s.
+        methods: by channel, "hold", "linear", "cubic", or "mean" of what was logged as an average.
+        longest_gap: samples that might be missing in a row.
+        clocks: by time column, what the stamps were.
+        channels: by channel, its time column.
+    """
+
+    sample_time: float
+    methods: Mapping[str, str]
+    longest_gap: int
+    clocks: Mapping[str, Irregularity]
+    channels: Mapping[str, str]
+
+    def __str__(self) -> str:
+        """Return it in a sentence."""
+        how = ", ".join(f"{name} {method}" for name, method in self.methods.items())
+        logged = "; ".join(f'"{name}" {clock}' for name, clock in self.clocks.items())
+        return f"to {1e3 * self.sample_time:g} ms ({how}); stamps of {logged}"
+
+
 CHANNELS = ("torque", "reference", "reference_velocity", "motor_position", "load_position", "injected")
 """The channel names a record can have, in the order they are always listed."""
+
+_TORQUES = ("torque", "injected")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,6 +250,13 @@ class Record:
         changes: dict[str, Any] = dict.fromkeys(names)
         return replace(self, **changes)
 
+    def with_channels(self, channels: Mapping[str, Channel]) -> Record:
+        """Return this record with these channels, by name, in place of its own."""
+        changes: dict[str, Any] = dict(channels)
+        if self.injected is not None and "injected" in changes:
+            changes["injected"] = replace(self.injected, channel=changes["injected"])
+        return replace(self, **changes)
+
     def require(self, names: tuple[str, ...], method: str) -> None:
         """Raise a `RecordError` that names every channel of `names` that is not there, and what is."""
         missing = [name for name in names if getattr(self, name) is None]
@@ -199,24 +267,50 @@ class Record:
             )
 
 
-def record_of(
-    sample_time: float, *, unit: str, position_unit: str, name: str = "record", **values: ArrayLike
-) -> Record:
-    """Build a record from arrays that share one sample time: sampled positions, a torque held between samples."""
-    velocity_unit = f"{position_unit}/s"
-    units = dict.fromkeys(CHANNELS, position_unit) | {"torque": unit, "reference_velocity": velocity_unit}
-    made = {
-        key: Channel(
-            np.asarray(array, dtype=np.float64),
-            units[key],
-            sample_time,
-            Timing.HELD if key == "torque" else Timing.SAMPLED,
-            "array",
+def require_units(record: Record, kind: str, torque_unit: str | None) -> None:
+    """Raise a `RecordError` if a record's channels are in units that are not those of the joint.
+
+    Args:
+        record: of the joint.
+        kind: of the joint.
+        torque_unit: that its torque is kept in; None is the SI unit.
+    """
+    wrong = []
+    for name, channel in record.items():
+        expected = torque_unit if torque_unit and name in _TORQUES else si_unit(name, kind)
+        if channel.unit != expected:
+            wrong.append(f"{name} in {channel.unit}, not {expected}")
+    if wrong:
+        raise RecordError(
+            f"This {kind} joint does not fit the record, which has {'; '.join(wrong)}: correct the joint's kind "
+            "or torque_unit, or the units of the channels."
         )
-        for key, array in values.items()
-    }
-    allowed = {each.name for each in fields(Record)} - {"tap", "injected", "name", "other_axes", "begin", "resampled"}
-    unknown = set(made) - allowed
-    if unknown:
-        raise RecordError(f"No channel is called {', '.join(sorted(unknown))}; there are {', '.join(sorted(allowed))}.")
-    return Record(**made, name=name)  # type: ignore[arg-type]
+
+
+def refer_channel(transmission: Transmission, name: str, channel: Channel, side: Side) -> Channel:
+    """Return a channel of that name as it is on the joint's side, from the side it was logged on."""
+    return _refer(name, channel, transmission.position(side), transmission.kind)
+
+
+def refer_to_drive(transmission: Transmission, record: Record, sides: Mapping[str, Side]) -> Record:
+    """Return a record of the joint's side as a drive logs it: each channel on its own side, by name."""
+    return record.with_channels(
+        {
+            name: _refer(name, channel, 1.0 / transmission.position(sides[name]), transmission.kind_of(sides[name]))
+            for name, channel in record.items()
+        }
+    )
+
+
+def _refer(name: str, channel: Channel, position: float, kind: str) -> Channel:
+    factor = 1.0 / position if name in _TORQUES else position
+    of_drive = units.unit(channel.unit).dimension in ("current", "voltage")
+    return replace(channel, values=channel.values * factor, unit=channel.unit if of_drive else si_unit(name, kind))
+
+
+def si_unit(name: str, kind: str) -> str:
+    """Return the SI unit of a channel of that name on a side that moves so."""
+    position, torque = SI_UNITS[kind]
+    if name in _TORQUES:
+        return torque
+    return f"{position}/s" if name == "reference_velocity" else position

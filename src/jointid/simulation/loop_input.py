@@ -19,16 +19,17 @@ from jointid.models.controllers import (
     INJECTED,
     POSITION,
     Controller,
+    Interpolation,
     SampledLaw,
+    law_inputs,
     respond,
     scaled,
     shift_start,
 )
 from jointid.models.joints import Joint
 from jointid.models.linear import SNAP
-from jointid.records.record import InjectionPoint, Record, Tap, Timing
-from jointid.records.refer import require_units
-from jointid.records.signals.law_inputs import at_period, law_inputs, period_ratio
+from jointid.records.record import InjectionPoint, Record, Tap, Timing, require_units
+from jointid.records.signals.instants import at_period, period_ratio
 
 if TYPE_CHECKING:
     from jointid.simulation.kernels.drive import Feedback
@@ -142,7 +143,7 @@ def prepare(loop: ClosedLoop, record: Record) -> LoopInput:
         RecordError: a channel the controller reads is missing, or its clock does not divide the controller's.
     """
     record.require(loop.controller.channels, "The simulation of this controller")
-    require_units(record, loop.joint)
+    require_units(record, loop.joint.kind, loop.joint.torque_unit)
     assert record.reference is not None
     log = record.torque or record.reference
     law = shift_start(loop.controller, record.begin).law(log.sample_time)
@@ -153,7 +154,12 @@ def prepare(loop: ClosedLoop, record: Record) -> LoopInput:
             f"{law.period:.4g} s; use a longer one, or correct the period."
         )
     period_ratio(law.period, log.sample_time, "the log")
-    inputs = law_inputs(loop.controller, record, law.period, periods)
+    filled: Interpolation | None = getattr(loop.controller, "interpolation", None)
+    velocity = None
+    if "reference_velocity" in loop.controller.channels:
+        assert record.reference_velocity is not None
+        velocity = at_period(record.reference_velocity, law.period, periods, "reference_velocity", filled)
+    inputs = law_inputs(at_period(record.reference, law.period, periods, "reference", filled), velocity)
     after, logged = np.zeros(periods), np.zeros(periods)
     if record.injected is not None:
         signal = at_period(record.injected.channel, law.period, periods, "injected")

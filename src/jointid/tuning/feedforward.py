@@ -18,11 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointid.common import units
+from jointid.common.transmission import Transmission
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import ServoController
 from jointid.models.friction import PARTS
 from jointid.models.parameters import Quantity, unit_of
-from jointid.models.transmission import Transmission
 
 _ROWS: tuple[tuple[str, str, Quantity, str, int], ...] = (
     ("inertia", "acceleration_feedforward", Quantity.INERTIA, "J / (g r^2)", 2),

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Code, Document, Documented, Facts, Heading, Paragraph, Table, common_facts
 from jointid.common.text import number
+from jointid.common.transmission import Transmission
 from jointid.models.controllers import Controller, Notch
 from jointid.models.linear import ComplexArray
-from jointid.models.transmission import Transmission
 from jointid.tuning.feedforward import FeedForward
 from jointid.tuning.margins import Margins
 from jointid.tuning.minimum_detectable_change import MinimumDetectableChange

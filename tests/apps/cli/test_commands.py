@@ -18,11 +18,11 @@ from jointid.controller_id.learned import LearnedLoop
 from jointid.models.controllers import Cascade
 from jointid.models.joints import FlexibleJoint
 from jointid.paper.twin import CONTROLLERS, JOINT_FILE, TABLE_2, twin
-from jointid.records.files.writing import write
 from jointid.records.formats import Table, write_table
-from jointid.records.reading.read import read
+from jointid.records.reading import read
 from jointid.records.record import Record
 from jointid.records.signals.excitation import trapezoids
+from jointid.records.writing import write
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from tests.apps.commands import commands

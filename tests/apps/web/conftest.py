@@ -11,8 +11,8 @@ from jointid.apps.web.application import build_application
 from jointid.apps.web.folder import Limits
 from jointid.models.controllers import Cascade
 from jointid.models.joints import RigidJoint
-from jointid.records.files.writing import write
 from jointid.records.signals.excitation import trapezoids
+from jointid.records.writing import write
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from tests.apps.web.asking import ADDRESS, TOKEN, Asker

@@ -123,7 +123,7 @@ def simulate(
 def _simulate_joint(joint: Path, estimate: Path | None, out: Path | None, options: Options) -> None:
     from jointid import prepare
     from jointid import simulate as run
-    from jointid.models.transmission import transmission_lines
+    from jointid.common.transmission import transmission_lines
     from jointid.output import json as answers
     from jointid.simulation.closed_loop import require_finished
 

@@ -16,9 +16,9 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.text import number
-from jointid.records.drives.profiles import load_profile, profile_names
-from jointid.records.files.outline import OutlineBuilder
+from jointid.records.drives.drive import load_profile, profile_names
 from jointid.records.formats import Table
+from jointid.records.inspection import OutlineBuilder
 from jointid.records.record import CHANNELS
 
 _DRAWN = 64  # columns whose outline is kept; the others are listed by name

@@ -6,7 +6,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.result.estimate import Estimate
-from jointid.records.checks.record_warnings import find_record_warnings
+from jointid.records.checks import find_record_warnings
 from jointid.records.record import Record
 from jointid.records.signals.filtering import decimate, differentiate_twice, lowpass
 from jointid.uncertainty.coupling import coupling

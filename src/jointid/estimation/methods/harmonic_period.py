@@ -16,12 +16,12 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.transmission import Side
 from jointid.estimation.methods.inverse_model import InverseModel, through_window
 from jointid.estimation.methods.linear import Rows
 from jointid.models.disturbances import Effect, PositionHarmonics, effect_columns
 from jointid.models.joints import Motion
 from jointid.models.parameters import Parameter, Quantity
-from jointid.models.transmission import Side
 from jointid.records.signals.filtering import Filtering
 
 _PERIODS = 2.0  # on the way, at least

@@ -19,8 +19,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.models.disturbances import Effect, effect_columns
 from jointid.models.joints import Joint, Motion
-from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
-from jointid.records.refer import require_units
+from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, require_units
 from jointid.records.signals.filtering import (
     Filtering,
     apply_window,
@@ -147,7 +146,7 @@ def motion_of(
         RecordError: a channel is missing, not sampled, or at another rate.
     """
     needed = idim_channels(joint.model)
-    require_units(record, joint)
+    require_units(record, joint.kind, joint.torque_unit)
     record.require(needed, "IDIM of a flexible joint" if joint.model == "flexible" else "IDIM")
     torque = motor_torque(record)
     positions = []

@@ -22,8 +22,7 @@ from jointid.estimation.problems.closed_loop import require_free
 from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
 from jointid.models.joints import Joint
 from jointid.models.parameters import Parameter, Quantity
-from jointid.records.record import Channel, Record, Tap, Timing
-from jointid.records.refer import require_units
+from jointid.records.record import Channel, Record, Tap, Timing, require_units
 from jointid.records.signals.filtering import Filtering, decimate, lowpass, thin_channel, window_parts, window_torque
 from jointid.simulation.drive_side import (
     LOAD_STATE,
@@ -198,7 +197,7 @@ def torque_and_position(
         MethodError: no parameter of the joint is free.
     """
     record.require(closing.channels, method)
-    require_units(record, closing.joint)
+    require_units(record, closing.joint.kind, closing.joint.torque_unit)
     require_free(parameters)
     torque, position = motor_torque(record), record.motor_position
     assert position is not None

@@ -33,7 +33,7 @@ from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITI
 from jointid.estimation.search.starts import beginning_position
 from jointid.models.controllers import REFERENCE
 from jointid.models.parameters import Parameter
-from jointid.records.reading.chunks import Chunk, LongRecord
+from jointid.records.chunks import Chunk, LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome

@@ -18,7 +18,7 @@ from jointid.estimation.result.params import EstimatedParameter, Params, on_othe
 from jointid.estimation.result.parts import Checks, Data, Fit, Settings
 from jointid.models.disturbances import Effect
 from jointid.models.joints import Joint
-from jointid.models.transmission import OtherSide, other_side
+from jointid.models.refer import OtherSide, other_side
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import ClosedLoop
 

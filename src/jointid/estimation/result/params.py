@@ -9,7 +9,7 @@ from typing import overload
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.models.transmission import OtherSide
+from jointid.models.refer import OtherSide
 from jointid.uncertainty.identifiability import Known
 from jointid.uncertainty.verdict import StiffnessBound
 

@@ -12,8 +12,8 @@ from jointid.estimation.result.drift import DriftTest
 from jointid.estimation.result.params import EstimatedParameter
 from jointid.models.disturbances import Effect
 from jointid.models.joints import Joint
+from jointid.records.record import Resampled
 from jointid.records.signals.filtering import Filtering
-from jointid.records.time_base.uniformity import Resampled
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.regression import Conditioning

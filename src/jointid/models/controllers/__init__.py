@@ -35,6 +35,7 @@ from jointid.models.controllers.sampled import (
     LawRun,
     SampledLaw,
     invert,
+    law_inputs,
     referred,
     respond,
     run,
@@ -55,7 +56,7 @@ __all__ = [
     "POSITION", "REFERENCE", "REFERENCE_VELOCITY",
     "Cascade", "Controller", "DiagramController", "DigitalFilter", "Filter", "FirstOrder", "Interpolation",
     "LawRun", "MovingAverage", "Notch", "SampledLaw", "SecondOrder", "ServoController", "StateSpaceController",
-    "as_filter", "invert", "number", "numbers_of", "referred", "respond", "run", "scaled", "shift_start",
+    "as_filter", "invert", "law_inputs", "number", "numbers_of", "referred", "respond", "run", "scaled", "shift_start",
     "with_numbers",
 ]  # fmt: skip
 

@@ -280,6 +280,22 @@ def referred(law: SampledLaw, ratio: float) -> SampledLaw:
     return replace(turned, B=turned.B * seen, D=turned.D * seen, limits=np.abs(turned.limits))
 
 
+def law_inputs(reference: FloatArray, velocity: FloatArray | None) -> FloatArray:
+    """Return a law's inputs, (periods, INPUTS), without the position and the injected signal.
+
+    Args:
+        reference: (periods,).
+        velocity: (periods,) of the reference, where a channel of its own has it.
+    """
+    inputs = np.zeros((reference.size, INPUTS))
+    inputs[:, REFERENCE], inputs[:, CONSTANT] = reference, 1.0
+    inputs[1:, DIRECTION] = np.sign(np.diff(reference))
+    inputs[0, DIRECTION] = inputs[1, DIRECTION]
+    if velocity is not None:
+        inputs[:, REFERENCE_VELOCITY] = velocity
+    return inputs
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LawRun:
     """A run of a law, period by period.

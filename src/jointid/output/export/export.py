@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeAlias
 
 from jointid.common.errors import MethodError, RecordError
+from jointid.common.transmission import SIDES, Side
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import Joint
-from jointid.models.transmission import SIDES, Side
 from jointid.output.export.joint_model import JointModel, joint_model
 from jointid.output.export.joint_toml import JointToml
 from jointid.output.export.linear import Matlab, StateSpaceJson

@@ -12,12 +12,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from jointid.common.errors import MethodError, RecordError
+from jointid.common.transmission import Side
 from jointid.estimation.result.params import EstimatedParameter, on_other_side
 from jointid.models.friction import Directions
 from jointid.models.gravity import Gravity
 from jointid.models.joints import Joint
 from jointid.models.parameters import POSITION_UNIT, TORQUE_UNIT, Kind
-from jointid.models.transmission import OtherSide, Side
+from jointid.models.refer import OtherSide
 from jointid.output.json.estimates import ESTIMATE_SCHEMA, LONG_SCHEMA, TOGETHER_SCHEMA
 from jointid.output.json.parts import Json, gravity_answer, transmission_answer
 

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 from jointid.common.errors import JointFileError, MethodError
+from jointid.common.transmission import Side
 from jointid.config import JointFile, dumps, loads, with_parameters, with_paths
 from jointid.config.serialise import parameter_table
 from jointid.estimation.result.params import EstimatedParameter
 from jointid.models.parameters import Parameter
-from jointid.models.transmission import Side
 from jointid.output.export.joint_model import JointModel
 from jointid.output.export.naming import number
 from jointid.output.export.provenance import effects_left_out, interval, remarks

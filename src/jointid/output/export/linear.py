@@ -11,7 +11,7 @@ from jointid import __version__
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.json_file import dumps
-from jointid.models.transmission import Side
+from jointid.common.transmission import Side
 from jointid.output.export.joint_model import JointModel
 from jointid.output.export.naming import identifier, number
 from jointid.output.export.provenance import remarks

@@ -14,9 +14,9 @@ from xml.etree import ElementTree as ET
 
 from jointid.common.errors import MethodError
 from jointid.common.text import number as shown
+from jointid.common.transmission import Side
 from jointid.models.joints import frequencies
 from jointid.models.parameters import TORQUE_UNIT
-from jointid.models.transmission import Side
 from jointid.output.export.bodies import (
     AXES,
     GRAVITY,

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
+from jointid.common.transmission import Side
 from jointid.estimation.result.params import EstimatedParameter
 from jointid.models.friction import DIRECTIONS, PARTS
-from jointid.models.transmission import Side
 from jointid.output.export.joint_model import JointModel
 from jointid.output.export.naming import identifier, number
 from jointid.output.export.provenance import effects_left_out, interval, remarks

@@ -11,8 +11,8 @@ from typing import ClassVar
 from xml.etree import ElementTree as ET
 
 from jointid.common.text import number as shown
+from jointid.common.transmission import Side
 from jointid.models.joints import frequencies
-from jointid.models.transmission import Side
 from jointid.output.export.bodies import AXES, body_of, borne, document, inertial, lost_weight, require_mechanical
 from jointid.output.export.joint_model import JointModel, Mass
 from jointid.output.export.naming import identifier, number

@@ -8,7 +8,7 @@ import numpy as np
 
 from jointid.common.text import shown
 from jointid.output.figures.charts import MEASURED
-from jointid.records.files.inspection import InspectedChannel, Inspection
+from jointid.records.inspection import InspectedChannel, Inspection
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from jointid.output.json.parts import Json
-from jointid.records.files.inspection import InspectedChannel, Inspection
+from jointid.records.inspection import InspectedChannel, Inspection
 
 INSPECTION_SCHEMA = "jointid.inspection/1"
 

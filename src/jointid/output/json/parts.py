@@ -7,12 +7,13 @@ from dataclasses import asdict
 from typing import Any
 
 from jointid.common.errors import MethodError
+from jointid.common.transmission import Transmission
 from jointid.estimation.result.params import EstimatedParameter, on_other_side
 from jointid.models.disturbances import Drift, Effect, PositionHarmonics
 from jointid.models.joints import Joint
-from jointid.models.transmission import OtherSide, Transmission
+from jointid.models.refer import OtherSide
+from jointid.records.record import Resampled
 from jointid.records.signals.filtering import Filtering
-from jointid.records.time_base.uniformity import Resampled
 from jointid.simulation.closed_loop import Initial
 
 Json = dict[str, Any]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from jointid.models.joints import Joint
 from jointid.output.json.parts import Json, resampled_answer, transmission_answer
-from jointid.records.time_base.uniformity import Resampled
+from jointid.records.record import Resampled
 from jointid.simulation.closed_loop import Simulation
 
 SIMULATION_SCHEMA = "jointid.simulation/1"

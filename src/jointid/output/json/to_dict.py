@@ -27,7 +27,7 @@ from jointid.output.json.learned import learned_answer
 from jointid.output.json.parts import Json
 from jointid.output.json.reported import drift_answer
 from jointid.output.json.tuning import detectable_answer, tuning_answer
-from jointid.records.files.inspection import Inspection
+from jointid.records.inspection import Inspection
 from jointid.tuning.minimum_detectable_change import MinimumDetectableChange
 from jointid.tuning.tuned import Tuned
 

@@ -20,7 +20,7 @@ from jointid.records.formats.tdms import Tdms
 
 __all__ = [
     "FORMATS", "Block", "Csv", "Format", "Hdf5", "Holds", "Matlab", "Npy", "Parquet", "RosBag", "Streamed", "Table",
-    "Tdms", "WholeError", "format_of", "read_blocks", "read_table", "read_tables", "write_table",
+    "Tdms", "format_of", "read_blocks", "read_table", "read_tables", "write_table",
 ]  # fmt: skip
 
 FORMATS: tuple[Format, ...] = (Csv(), Matlab(), Npy(), Hdf5(), Parquet(), Tdms(), RosBag())
@@ -77,7 +77,7 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
         options: of the format's reader; see `Csv`.
 
     Raises:
-        RecordError: there is no such file, it cannot be read, or its format has no rows one after the other.
+        RecordError: see `read_table`; or the format has no rows one after the other.
     """
     path = Path(path)
     reader = format_of(path, **options)
@@ -95,9 +95,6 @@ def read_tables(path: str | os.PathLike[str], rows: int, **options: object) -> I
         path: the file.
         rows: of a table, 1 or more; the last one may have fewer.
         options: of the format's reader; see `Csv`.
-
-    Raises:
-        RecordError: there is no such file, or it cannot be read; the sentence says why.
     """
     try:
         # How the rows of a text are written is told by all of them, where they fit into memory.

@@ -12,6 +12,7 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 from typing import ClassVar
@@ -20,12 +21,24 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.common.text import short
+from jointid.common.text import counted, short
 from jointid.common.units import UnitError, unit
-from jointid.records.formats.dialect import BLANKS, Dialect, Fit, is_number, sniff
 from jointid.records.formats.scope import find_scope, read_scope
-from jointid.records.formats.table import Holds, NotStreamedError, Table
-from jointid.records.formats.textfile import Line, TextFile, build_text, is_comment, read_lines, stream_lines
+from jointid.records.formats.table import Block, Holds, NotStreamedError, Table, join_tables, require_place
+from jointid.records.formats.text import (
+    BLANKS,
+    Dialect,
+    Fit,
+    Line,
+    TextFile,
+    build_text,
+    is_comment,
+    is_number,
+    point_rows,
+    read_lines,
+    sniff,
+    stream_lines,
+)
 
 WIDEST = 100_000
 """Columns that are read: no drive logs so many, and each is an array of its own."""
@@ -46,39 +59,26 @@ class Layout:
     """Layout of the rows of a file.
 
     Attributes:
+        file: its name.
         dialect: of the rows.
         names: of the columns.
         start: the first row among the lines that are neither empty nor comments.
         closed: True if every row ends with the delimiter, behind which there is no column.
     """
 
+    file: str
     dialect: Dialect
     names: Sequence[str]
     start: int
     closed: bool
 
-
-@dataclass(frozen=True, slots=True)
-class Lines:
-    """Rows of a file as text, which may be its last; a `Block`."""
-
-    file: str
-    layout: Layout
-    lines: Sequence[Line]
-    last: bool = True
-
-    @property
-    def rows(self) -> int:
-        """Count of rows."""
-        return len(self.lines)
-
-    def table(self, rows: int | None = None) -> Table:
-        """Return the numbers of all, or of the first so many."""
-        dialect, lines = self.layout.dialect, self.lines[:rows]
-        if self.layout.closed:
-            lines = [Line(i, row.rstrip(BLANKS).removesuffix(dialect.delimiter)) for i, row in lines]
-        values = _parse_values(self.file, lines, dialect, self.layout.names, self.last)
-        return Table(dict(zip(self.layout.names, values.T, strict=True)), source=self.file)
+    def read(self, lines: Sequence[Line], ends: bool, count: int) -> Table:
+        """Return the numbers of the first so many of some lines, with which the file may end."""
+        rows = lines[:count]
+        if self.closed:
+            rows = [Line(i, row.rstrip(BLANKS).removesuffix(self.dialect.delimiter)) for i, row in rows]
+        values = _parse_values(self.file, rows, self.dialect, self.names, ends)
+        return Table(dict(zip(self.names, values.T, strict=True)), source=self.file)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,11 +120,17 @@ class Csv:
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
         try:
-            long = (
-                path.stat().st_size > _LONG
-                and find_scope(build_text(path.name, list(islice(stream_lines(path), 200)))) is None
-            )
-            return self._long_table(path) if long else self._table(read_lines(path))
+            if path.stat().st_size > _LONG:
+                beginning = build_text(path.name, list(islice(stream_lines(path), _BEGINNING)))
+                if find_scope(beginning) is None:  # the text would take several times the memory of its numbers
+                    return join_tables([block.table() for block in self.blocks(path, _LONG_BLOCK)])
+            text = read_lines(path)
+            scope = None if self.header is False else find_scope(text)
+            if scope is not None:
+                return read_scope(text, scope, self.decimal)
+            layout = self._layout(text)
+            rows = text.lines[layout.start :]
+            return layout.read(rows, True, len(rows))
         except csv.Error as error:
             raise RecordError(f"{path.name} cannot be split into cells ({error}); is it delimited text?") from error
 
@@ -136,12 +142,7 @@ class Csv:
         are read. Scalars have no place in delimited text, nor have names that would be read as numbers, or that
         spreadsheet programs would run as formulas.
         """
-        if table.scalars:
-            scalars = ", ".join(table.scalars)
-            raise RecordError(f"Delimited text has no place for the scalars {scalars}; write a .mat file.")
-        if len({values.size for values in table.columns.values()}) != 1:
-            lengths = ", ".join(f"{name} {values.size}" for name, values in table.columns.items())
-            raise RecordError(f"Delimited text has columns of one length; got {lengths or 'no column'}.")
+        require_place(table, "Delimited text", self.holds)
         mark, point = self.delimiter or (";" if self.decimal == "," else ","), self.decimal or "."
         if mark == point:
             raise RecordError(
@@ -151,7 +152,7 @@ class Csv:
         rows = map(mark.join, zip(*cells, strict=True))
         path.write_text("\n".join([*_write_header(table, mark), *rows, ""]), encoding="utf-8", newline="\n")
 
-    def blocks(self, path: Path, rows: int) -> Iterator[Lines]:
+    def blocks(self, path: Path, rows: int) -> Iterator[Block]:
         """Yield so many rows after so many; how they are written is told by the file's first lines."""
         try:
             lines = stream_lines(path)
@@ -169,26 +170,13 @@ class Csv:
         block = list(islice(found, rows))
         while block:
             following = list(islice(found, rows))
-            yield Lines(path.name, layout, block, not following)
+            yield Block(len(block), partial(layout.read, block, not following))
             block = following
 
     def legal_name(self, name: str, others: Collection[str] = ()) -> str:
         """Return a name in one line that is no number; see `Format.legal_name`."""
         plain = "".join(c if c.isprintable() else "_" for c in name).strip() or "column"
         return f"column {plain}" if is_number(plain) and not name.isdecimal() else plain
-
-    def _table(self, text: TextFile) -> Table:
-        scope = None if self.header is False else find_scope(text)
-        if scope is not None:
-            return read_scope(text, scope, self.decimal)
-        layout = self._layout(text)
-        return Lines(text.name, layout, text.lines[layout.start :]).table()
-
-    def _long_table(self, path: Path) -> Table:
-        """Return the numbers of a file whose text would take several times their memory: block after block."""
-        tables = [block.table() for block in self.blocks(path, _LONG_BLOCK)]
-        names = list(tables[0].columns) if tables else []
-        return Table({name: np.concatenate([one.columns[name] for one in tables]) for name in names}, source=path.name)
 
     def _layout(self, text: TextFile) -> Layout:
         fit = self._fit(text)
@@ -219,7 +207,7 @@ class Csv:
                 f'{text.name} has more than one column called "{twice[0]}"; rename them, or give '
                 "header = false to call the columns by their numbers."
             )
-        return Layout(dialect, names, start, unnamed)
+        return Layout(text.name, dialect, names, start, unnamed)
 
     def _fit(self, text: TextFile) -> Fit:
         """Return the reading of the rows; where there are two, the one that the line of names speaks for."""
@@ -267,8 +255,8 @@ class Csv:
             comma = fit.dialect.delimiter == "," and 2 * len(names) == fit.width
             advice = "export it with a decimal point or with semicolons" if comma else "mend it"
             raise RecordError(
-                f"{text.name}: line {above.number} has {_format_count(len(names), 'name')} for "
-                f"{_format_count(fit.width, 'column')}; {advice}, or give header = false to call the columns by "
+                f"{text.name}: line {above.number} has {counted(len(names), 'name')} for "
+                f"{counted(fit.width, 'column')}; {advice}, or give header = false to call the columns by "
                 "their numbers."
             )
         return _add_units(fit.dialect.split(text.lines[start - 2].text), names) if start > 1 else names
@@ -295,12 +283,9 @@ def _is_unit(text: str) -> bool:
 
 def _parse_values(file: str, rows: Sequence[Line], dialect: Dialect, names: Sequence[str], ends: bool) -> FloatArray:
     """Return the numbers of the rows, shape (rows, columns); the file may end with them."""
-    plain = [row.text for row in rows]
-    if dialect.decimal == ",":  # a point is then a thousands separator, and no number
-        plain = [row.replace(".", "?").replace(",", ".") for row in plain]
     try:
         mark = None if dialect.delimiter == BLANKS else dialect.delimiter
-        return np.loadtxt(plain, dtype=np.float64, delimiter=mark, comments=None, ndmin=2)
+        return np.loadtxt(point_rows(rows, dialect.decimal), dtype=np.float64, delimiter=mark, comments=None, ndmin=2)
     except ValueError:  # quotes, an empty cell or a fault: only the slow way can tell
         return np.array([_parse_row(file, row, ends and row is rows[-1], dialect, names) for row in rows])
 
@@ -317,8 +302,7 @@ def _parse_row(file: str, line: Line, last: bool, dialect: Dialect, names: Seque
         place = f"line {line.number}, the last," if last else f"line {line.number}"
         remedy = "the file was cut off or ends in a remark; delete that line" if last else "mend or delete that line"
         raise RecordError(
-            f"{file}: {place} has {_format_count(len(cells), 'cell')} for {_format_count(len(names), 'column')}; "
-            f"{remedy}."
+            f"{file}: {place} has {counted(len(cells), 'cell')} for {counted(len(names), 'column')}; {remedy}."
         )
     values = []
     for name, cell in zip(names, cells, strict=True):
@@ -354,7 +338,3 @@ def _write_header(table: Table, delimiter: str) -> list[str]:
             "printable, is no number and does not begin or end with a blank; rename the column."
         )
     return [line]
-
-
-def _format_count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -1,17 +1,52 @@
-"""HDF5 files: every dataset of numbers is a column, called by its path."""
+"""HDF5: every dataset of numbers is a column, called by its path; MAT files of version 7.3 are read by the same slices.
+
+Only what is in the file itself is read: external and soft links are not followed, and datasets that are put together
+from other files (virtual, or with external storage) are passed over. What a dataset declares is known before any of its
+numbers is in memory.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+import json
+import math
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
+import numpy as np
+
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
-from jointid.records.formats import h5
-from jointid.records.formats.table import Holds, Table
+from jointid.records.formats.table import Block, Holds, Table, split_rows
+from jointid.records.formats.untrusted import (
+    PIECES,
+    WHOLE,
+    explain_damage,
+    format_size,
+    list_passed,
+    read_parts,
+    require_size,
+    require_unique_names,
+)
 
-_CHUNK = 16384  # numbers that are compressed together
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+NUMBERS = "fiub"
+"""Kinds of NumPy's types that are real numbers."""
+
+PACKING = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
+"""Datasets are written packed and with a checksum, so that damage is noticed."""
+
+_REMEDY = "log or copy it again"
+_PACKED = 16384  # numbers that are compressed together
+_CHUNK = 2**30  # bytes that are decompressed at once; h5py's own are a mebibyte
+_WIDEST = 1000  # columns of a matrix; one that is wider is a picture
+_MEMBERS = 100_000  # of all groups of a file
+_UNITS = ("units", "unit", "Units", "Unit", "UNITS")
+
+Member: TypeAlias = Any
+"""A group or a dataset of h5py, which has no types."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +64,13 @@ class Hdf5:
 
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
-        return h5.read(path, _scan, self.name)
+        with open_contents(path, self.name, _scan) as contents:
+            return contents.read(0, contents.rows)
 
-    def blocks(self, path: Path, rows: int) -> Iterator[h5.Rows]:
+    def blocks(self, path: Path, rows: int) -> Iterator[Block]:
         """Yield so many rows after so many."""
-        return h5.blocks(path, rows, _scan, self.name)
+        with open_contents(path, self.name, _scan, PIECES) as contents:
+            yield from split_rows(contents.rows, rows, contents.read)
 
     def write(self, path: Path, table: Table) -> None:
         """Write a compressed dataset with a checksum for each column, its unit as its attribute "units"."""
@@ -50,15 +87,8 @@ class Hdf5:
         h5py = extra("h5py", "logs", "Writing HDF5")
         with h5py.File(path, "w", track_order=True) as file:
             for name, values in table.columns.items():
-                dataset = file.create_dataset(
-                    name,
-                    data=values,
-                    chunks=(min(values.size, _CHUNK),),
-                    compression="gzip",
-                    compression_opts=1,
-                    shuffle=True,
-                    fletcher32=True,
-                )
+                chunks = (min(values.size, _PACKED),)
+                dataset = file.create_dataset(name, data=values, chunks=chunks, **PACKING)
                 if name in table.units:
                     dataset.attrs["units"] = table.units[name]
             for name, value in table.scalars.items():
@@ -74,24 +104,241 @@ class Hdf5:
         return f"{paths[0]}/value" if is_group else paths[0]
 
 
-def _scan(file: h5.Member) -> h5.Contents:
-    contents, groups = h5.Contents(), {_address(file)}
-    _walk(file, "", contents, groups, [0])
-    return contents
-
-
-def _walk(group: h5.Member, path: str, contents: h5.Contents, groups: set[int], seen: list[int]) -> None:
-    """Note what a group holds; one that holds itself is entered once."""
+def _scan(contents: Contents) -> None:
     h5py = extra("h5py", "logs", "Reading HDF5")
-    for name, member in h5.list_members(group, contents, path, seen):
-        full = f"{path}{name}"
-        if isinstance(member, h5py.Dataset):
-            contents.take(member, full)
-        elif isinstance(member, h5py.Group) and _address(member) not in groups:
-            groups.add(_address(member))
-            _walk(member, f"{full}/", contents, groups, seen)
+    entered = set()
+
+    def walk(group: Member, path: str) -> None:
+        """List a group; one that holds itself is entered once."""
+        address = h5py.h5o.get_info(group.id).addr
+        if address in entered:
+            return
+        entered.add(address)
+        for name, member in contents.members(group, path):
+            if isinstance(member, h5py.Dataset):
+                contents.take(member, f"{path}{name}")
+            elif isinstance(member, h5py.Group):
+                walk(member, f"{path}{name}/")
+
+    walk(contents.file, "")
 
 
-def _address(group: h5.Member) -> int:
-    h5py = extra("h5py", "logs", "Reading HDF5")
-    return int(h5py.h5o.get_info(group.id).addr)
+class DatasetColumns(NamedTuple):
+    """A dataset that gives columns.
+
+    Attributes:
+        place: its path in the file.
+        names: of the columns.
+        rows: of each.
+        fields: of the columns in a dataset of records, else empty.
+        turned: True if the samples run along the second dimension.
+        unit: of all of them, None without one.
+        unit_at: name of the attribute with the unit, where that is a text of no fixed length.
+    """
+
+    place: str
+    names: tuple[str, ...]
+    rows: int
+    fields: tuple[str, ...] = ()
+    turned: bool = False
+    unit: str | None = None
+    unit_at: str = ""
+
+    def values(self, file: Member, first: int, last: int) -> list[FloatArray]:
+        """Return the rows from the first up to the last of every column."""
+        dataset = file[self.place]
+        if self.fields:
+            records = dataset.fields(list(self.fields))[first:last]
+            return [records[name].astype(np.float64) for name in self.fields]
+        if dataset.ndim == 1:
+            return [dataset[first:last].astype(np.float64)]
+        matrix = dataset[:, first:last].T if self.turned else dataset[first:last, :]
+        return list(np.ascontiguousarray(matrix.T, dtype=np.float64))
+
+
+@dataclass(slots=True)
+class Contents:
+    """An open file: its datasets and their shapes, without their numbers; filled while the file is walked through.
+
+    Attributes:
+        path: of the file.
+        format: what messages call it.
+        file: of h5py.
+        signals: the datasets that give columns.
+        scalars, passed: see `Table`.
+        seen: how many datasets, groups and references there were.
+    """
+
+    path: Path
+    format: str
+    file: Member
+    signals: list[DatasetColumns] = field(default_factory=list)
+    scalars: dict[str, float] = field(default_factory=dict)
+    passed: dict[str, str] = field(default_factory=dict)
+    seen: int = 0
+
+    @property
+    def rows(self) -> int:
+        """Of the longest column."""
+        return max((signal.rows for signal in self.signals), default=0)
+
+    def members(self, group: Member, path: str) -> Iterator[tuple[str, Member]]:
+        """Yield the name and the object of every member that is in the file itself; others are noted as passed over.
+
+        Args:
+            group: whose members they are.
+            path: of the group, for the notes, with the mark that ends it.
+        """
+        h5py = extra("h5py", "logs", "HDF5")
+        for name in group:
+            self.count_member()
+            link = group.get(name, getlink=True)
+            if isinstance(link, h5py.HardLink):
+                yield name, group[name]
+            else:
+                other = "another file" if isinstance(link, h5py.ExternalLink) else "another place"
+                self.passed[f"{path}{name}"] = f"a link to {other}, which is not followed"
+
+    def count_member(self) -> None:
+        """Count a dataset or group, or a reference to one; raise a `RecordError` at more than any log has."""
+        self.seen += 1
+        if self.seen > _MEMBERS:
+            raise RecordError(f"{self.path.name} has more than {_MEMBERS} datasets and groups; log fewer channels.")
+
+    def take(self, dataset: Member, name: str, *, matlab: bool = False) -> None:
+        """Note a dataset; what holds no numbers is left out, and numbers that cannot be columns are noted as such.
+
+        A matrix gives the columns "name[0]", "name[1]", ...; its samples run along the longer side. A dataset of
+        records gives "name.field".
+
+        Args:
+            dataset: of h5py.
+            name: what its columns are called.
+            matlab: True if MATLAB wrote it: rows and columns the other way round, complex numbers as records, and
+                every single number as a vector.
+        """
+        shape, dtype = dataset.shape, dataset.dtype
+        fields = tuple(field for field in dtype.names or () if dtype[field].kind in NUMBERS)
+        if shape is None or not (dtype.kind in NUMBERS or (fields and len(shape) == 1 and not matlab)):
+            return
+        why = refusal_reason(dataset) or _shape_refusal(shape)
+        if why is not None:
+            self.passed[name] = why
+        elif fields:
+            names = tuple(f"{name}.{field}" for field in fields)
+            self.signals.append(DatasetColumns(dataset.name, names, shape[0], fields))
+        elif not shape or (math.prod(shape) == 1 and (matlab or len(shape) > 1)):
+            self.scalars[name] = float(np.asarray(dataset[()]).item())
+        else:
+            self.signals.append(_dataset_columns(dataset, name, matlab))
+
+    def read(self, first: int, count: int) -> Table:
+        """Read so many rows from the first on, of the columns that are so long."""
+        columns: dict[str, FloatArray] = {}
+        units: dict[str, str] = {}
+        with explain_damage(self.path, self.format, _REMEDY):
+            for signal in self.signals:
+                if signal.rows > first:
+                    values = signal.values(self.file, first, min(first + count, signal.rows))
+                    columns.update(zip(signal.names, values, strict=True))
+                if signal.unit is not None:
+                    units.update(dict.fromkeys(signal.names, signal.unit))
+            return Table(columns, self.scalars, self.path.name, units, self.passed)
+
+
+@contextmanager
+def open_contents(path: Path, name: str, scan: Callable[[Contents], None], limit: int = WHOLE) -> Iterator[Contents]:
+    """Open a file, with all that is known of its columns but their numbers.
+
+    Args:
+        path: the file.
+        name: of its format.
+        scan: the function that lists what is in it, under the names of its format.
+        limit: bytes of numbers that it may declare.
+
+    Raises:
+        RecordError: the file is damaged, holds no numbers, two of one name, or too many.
+    """
+    h5py = extra("h5py", "logs", f"Reading {path.name}")
+    path.open("rb").close()  # what cannot be opened is said by the system, not by the library
+    with explain_damage(path, name, _REMEDY):
+        file = h5py.File(path, "r")
+    with file:
+        contents = Contents(path, name, file)
+        with explain_damage(path, name, _REMEDY):
+            scan(contents)
+            signals = contents.signals
+            if not (signals or contents.scalars):
+                raise RecordError(
+                    f"{path.name} holds no numbers{list_passed(contents.passed)}; expected datasets of one or two "
+                    "dimensions."
+                )
+            require_unique_names(path, [name for signal in signals for name in signal.names])
+            contents.signals = _read_units(path, signals)
+        require_size(path, sum(signal.rows * len(signal.names) for signal in signals), limit)
+        yield contents
+
+
+def refusal_reason(dataset: Member) -> str | None:
+    """Return the reason to refuse a dataset: its numbers are in other files, or its chunks are too large; or None."""
+    h5py = extra("h5py", "logs", "HDF5")
+    properties = dataset.id.get_create_plist()
+    if properties.get_layout() == h5py.h5d.VIRTUAL:
+        return "a virtual dataset, whose numbers are elsewhere"
+    if properties.get_external_count():
+        return "its numbers are in another file"
+    packed = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize if dataset.chunks else 0
+    if packed > _CHUNK:
+        return f"its chunks are declared as {format_size(packed)} each"
+    return None
+
+
+def _shape_refusal(shape: tuple[int, ...]) -> str | None:
+    """Return the reason why an array of this shape gives no columns, or None."""
+    if 0 in shape:
+        return "it is empty"
+    if len(shape) > 2:
+        return f"it has {len(shape)} dimensions"
+    if len(shape) == 2 and min(shape) > _WIDEST:
+        return f"it is a matrix of {shape[0]} x {shape[1]}"
+    return None
+
+
+def _dataset_columns(dataset: Member, name: str, matlab: bool) -> DatasetColumns:
+    """Return the columns of a vector or a matrix."""
+    shape = dataset.shape
+    unit, unit_at = _unit(dataset)
+    signal = DatasetColumns(dataset.name, (name,), shape[0], unit=unit, unit_at=unit_at)
+    if len(shape) == 1:
+        return signal
+    # Of a square matrix the samples are its rows, which MATLAB stores as columns.
+    turned = shape[1] > shape[0] or (matlab and shape[1] == shape[0])
+    rows, width = (shape[1], shape[0]) if turned else shape
+    names = (name,) if width == 1 else tuple(f"{name}[{index}]" for index in range(width))
+    return signal._replace(names=names, rows=rows, turned=turned)
+
+
+def _unit(dataset: Member) -> tuple[str | None, str]:
+    """Return the unit that a dataset states, or the name of the attribute if its text has no fixed length."""
+    for key in _UNITS:
+        if key not in dataset.attrs or math.prod(dataset.attrs.get_id(key).shape or ()) != 1:
+            continue
+        kind = dataset.attrs.get_id(key).dtype
+        if kind.kind == "O":
+            return None, key
+        if kind.kind == "S":
+            text = np.asarray(dataset.attrs[key]).ravel()[0].decode("utf-8", "replace").strip()
+            return text or None, ""
+    return None, ""
+
+
+def _read_units(path: Path, signals: list[DatasetColumns]) -> list[DatasetColumns]:
+    """Return the signals with their units; texts of no fixed length are read by another process.
+
+    Where such a text is stored, a damaged file can keep the library going round in a circle.
+    """
+    asked = [(signal.place, signal.unit_at) for signal in signals if signal.unit_at]
+    if not asked:
+        return signals
+    texts = iter(json.loads(b"".join(read_parts("hdf5_texts", path, json.dumps(asked)))))
+    return [signal._replace(unit=next(texts) or None) if signal.unit_at else signal for signal in signals]

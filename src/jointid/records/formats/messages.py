@@ -7,9 +7,7 @@ Every length is checked against the bytes there are, and a message against a bud
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -44,23 +42,22 @@ class Field(NamedTuple):
 Definition: TypeAlias = tuple[Field, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Types:
-    """The definitions of message types by their names, "package/msg/Type"."""
+def decode_message(name: str, data: bytes, known: Mapping[str, Definition]) -> dict[str, Value]:
+    """Return the fields of a message.
 
-    known: Mapping[str, Definition]
+    Args:
+        name: of its type, "package/msg/Type".
+        data: its bytes.
+        known: the definitions of message types by their names.
 
-    def decode(self, name: str, data: bytes) -> dict[str, Value]:
-        """Return the fields of a message.
-
-        Raises:
-            ValueError: the bytes are not such a message.
-            PassedOverError: it has more parts than are read.
-            KeyError: it needs a type that is not known.
-        """
-        if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
-            raise ValueError("the message is not plain CDR")
-        return _Decoder(self.known, data[4:], "<" if data[1] else ">").message(name, 0)
+    Raises:
+        ValueError: the bytes are not such a message.
+        SkippedTopicError: it has more parts than are read.
+        KeyError: it needs a type that is not known.
+    """
+    if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
+        raise ValueError("the message is not plain CDR")
+    return _Decoder(known, data[4:], "<" if data[1] else ">").message(name, 0)
 
 
 class _Decoder:
@@ -104,7 +101,7 @@ class _Decoder:
             start = self.take(count, 1)
             return self.data[start : start + max(count - 1, 0)].decode("utf-8", "replace")
         if kind in _TIME:
-            return Instant(int(self.number("i4")), int(self.number("u4")))
+            return Instant(int(self.number("i4")) * 10**9 + int(self.number("u4")))
         return self.message(kind, deep + 1)
 
     def number(self, kind: str) -> Any:
@@ -126,23 +123,15 @@ class _Decoder:
             raise SkippedTopicError(f"a message of it has more than {_BUDGET} parts")
 
 
-class Instant(NamedTuple):
-    """A time or a duration."""
-
-    seconds: int
-    nanoseconds: int
-
-    @property
-    def total(self) -> int:
-        """Nanoseconds."""
-        return self.seconds * 10**9 + self.nanoseconds
+class Instant(int):
+    """A time or a duration in nanoseconds."""
 
 
 def header_stamp(message: Mapping[str, Value]) -> int | None:
     """Return the stamp in the header of a message [ns]; None where there is none, or it is 0."""
     header = message.get("header")
     stamp = header.get("stamp") if isinstance(header, dict) else None
-    return stamp.total if isinstance(stamp, Instant) and stamp.total else None
+    return stamp if isinstance(stamp, Instant) and stamp else None
 
 
 def flatten_numbers(
@@ -163,28 +152,23 @@ def flatten_numbers(
     for key, value in message.items():
         inner = "" if key in _OF_ITS_OWN else f"/{key}"
         if isinstance(value, Instant):
-            yield f"{path}{inner}", value.total / 1e9
+            yield f"{path}{inner}", value / 1e9
         elif isinstance(value, float):
             yield f"{path}{inner}", value
         elif isinstance(value, dict) and key not in ("header", "layout"):
             yield from flatten_numbers(value, f"{path}{inner}", names)
         elif isinstance(value, np.ndarray) and value.dtype.itemsize > 1 and value.size <= _WIDEST:
             named = names is not None and len(names) == value.size
-            places = [f"{path}/{n}{inner}" for n in names or ()] if named else _number_places(path + inner, value.size)
+            places = (
+                [f"{path}/{name}{inner}" for name in names or ()]
+                if named
+                else [f"{path}{inner}[{index}]" for index in range(value.size)]
+            )
             yield from zip(places, value.tolist(), strict=True)
         elif names and isinstance(value, list) and len(value) == len(names) and isinstance(value[0], dict):
             for name, part in zip(names, value, strict=True):
                 yield from flatten_numbers(part, f"{path}/{name}")
 
 
-def _number_places(path: str, count: int) -> list[str]:
-    return [f"{path}[{index}]" for index in range(count)]
-
-
 def _is_names(value: Value) -> bool:
     return isinstance(value, list) and bool(value) and all(isinstance(text, str) for text in value)
-
-
-def encode_float64(value: float) -> bytes:
-    """Return a std_msgs/Float64 as bytes."""
-    return b"\x00\x01\x00\x00" + struct.pack("<d", value)

@@ -14,7 +14,7 @@ from typing import IO, Any, ClassVar
 import numpy as np
 
 from jointid.common.errors import RecordError
-from jointid.records.formats.table import Holds, Table
+from jointid.records.formats.table import Block, Holds, Table, require_place, split_rows
 
 _VERSIONS = ((1, 0), (2, 0), (3, 0))
 
@@ -33,17 +33,12 @@ class Npy:
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
         layout = _read_layout(path)
-        return Rows(path, layout, 0, layout.rows).table()
+        return layout.read(0, layout.rows)
 
     def write(self, path: Path, table: Table) -> None:
         """Write a record array, a field of eight bytes for each column. Scalars have no place in it."""
-        if table.scalars:
-            raise RecordError(f"NPY has no place for the scalars {', '.join(table.scalars)}; write a .mat file.")
-        if len({values.size for values in table.columns.values()}) != 1:
-            lengths = ", ".join(f"{name} {values.size}" for name, values in table.columns.items())
-            raise RecordError(f"NPY has columns of one length; got {lengths or 'no column'}.")
-        size = next(iter(table.columns.values())).size
-        array = np.empty(size, dtype=[(name, "<f8") for name in table.columns])
+        require_place(table, self.name, self.holds)
+        array = np.empty(table.rows, dtype=[(name, "<f8") for name in table.columns])
         for name, values in table.columns.items():
             array[name] = values
         with path.open("wb") as file:
@@ -53,40 +48,28 @@ class Npy:
         """Return the name, which can be any but none; see `Format.legal_name`."""
         return name or "_"
 
-    def blocks(self, path: Path, rows: int) -> Iterator[Rows]:
+    def blocks(self, path: Path, rows: int) -> Iterator[Block]:
         """Yield so many rows after so many."""
         layout = _read_layout(path)
-        for first in range(0, layout.rows, rows):
-            yield Rows(path, layout, first, min(rows, layout.rows - first))
+        yield from split_rows(layout.rows, rows, layout.read)
 
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
     """Offset, type and count of the rows of a file."""
 
+    path: Path
     begin: int
     row: np.dtype[Any]
     rows: int
 
-
-@dataclass(frozen=True, slots=True)
-class Rows:
-    """Neighbouring rows of a file; a `Block`."""
-
-    path: Path
-    layout: _Layout
-    first: int
-    rows: int
-
-    def table(self, rows: int | None = None) -> Table:
-        """Read all, or the first so many."""
-        count, row = self.rows if rows is None else min(rows, self.rows), self.layout.row
+    def read(self, first: int, count: int) -> Table:
+        """Read so many rows from the first on."""
         # Not mapped into memory: what is mapped counts as memory in use until somebody else asks for it.
         with self.path.open("rb") as file:
-            file.seek(self.layout.begin + self.first * row.itemsize)
-            array = np.fromfile(file, dtype=row, count=count)
-        names = row.names or ()
-        return Table({name: array[name].astype(np.float64) for name in names}, source=self.path.name)
+            file.seek(self.begin + first * self.row.itemsize)
+            array = np.fromfile(file, dtype=self.row, count=count)
+        return Table({name: array[name] for name in self.row.names or ()}, source=self.path.name)
 
 
 def _read_layout(path: Path) -> _Layout:
@@ -112,7 +95,7 @@ def _read_layout(path: Path) -> _Layout:
     rows = (size - begin) // row.itemsize
     if rows < shape[0] or shape[0] <= 0:
         raise RecordError(f"{path.name} should hold {shape[0]} rows and has {rows}; log or copy it again.")
-    return _Layout(begin, row, int(shape[0]))
+    return _Layout(path, begin, row, int(shape[0]))
 
 
 def _read_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:

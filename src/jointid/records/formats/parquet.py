@@ -7,6 +7,7 @@ import math
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
-from jointid.records.formats.table import Holds, MemoryBlock, Table
+from jointid.records.formats.table import Block, Holds, Table, join_tables, require_place
 from jointid.records.formats.untrusted import PIECES, explain_damage, require_size, require_unique_names
 
 _GROUP = 65536  # rows that are written together
@@ -50,32 +51,29 @@ class Parquet:
             parts = list(_read_parts(path, file))
         if not parts:
             raise RecordError(f"{path.name} holds no row of numbers; log or copy it again.")
-        return _join(parts)
+        return join_tables(parts)
 
-    def blocks(self, path: Path, rows: int) -> Iterator[MemoryBlock]:
+    def blocks(self, path: Path, rows: int) -> Iterator[Block]:
         """Yield so many rows after so many."""
         with _open(path) as file:
             require_size(path, _count_declared(file), PIECES)
-            parts: list[Table] = []
-            found = _read_parts(path, file)
+            found, parts = _read_parts(path, file), list[Table]()
             while True:
                 with explain_damage(path, self.name, _REMEDY):
                     part = next(found, None)
                 if part is None:
                     break
                 parts.append(part)
-                while sum(_count_rows(each) for each in parts) >= rows:
-                    whole = _join(parts)
-                    yield MemoryBlock(_cut(whole, 0, rows))
-                    parts = [_cut(whole, rows, _count_rows(whole))] if _count_rows(whole) > rows else []
+                while sum(each.rows for each in parts) >= rows:
+                    whole = join_tables(parts)
+                    yield _held(whole.cut(0, rows))
+                    parts = [whole.cut(rows, whole.rows)] if whole.rows > rows else []
             if parts:
-                yield MemoryBlock(_join(parts))
+                yield _held(join_tables(parts))
 
     def write(self, path: Path, table: Table) -> None:
         """Write columns of eight bytes, with checksums; units are metadata of the columns, scalars of the file."""
-        if len({values.size for values in table.columns.values()}) != 1:
-            lengths = ", ".join(f"{name} {values.size}" for name, values in table.columns.items())
-            raise RecordError(f"Parquet has columns of one length; got {lengths or 'no column'}.")
+        require_place(table, self.name, self.holds)
         refused = [name for name in table.columns if name != self.legal_name(name)]
         if refused:
             raise RecordError(f"{refused[0]!r} cannot name a column of Parquet, which is text; rename it.")
@@ -97,6 +95,11 @@ class Parquet:
     def legal_name(self, name: str, others: Collection[str] = ()) -> str:
         """Return the name as text; see `Format.legal_name`."""
         return name.encode("utf-8", "replace").decode("utf-8") or "_"
+
+
+def _held(table: Table) -> Block:
+    """Return rows that are already in memory."""
+    return Block(table.rows, partial(table.cut, 0))
 
 
 @contextmanager
@@ -130,13 +133,11 @@ class _Decoder:
     """State of decoding a file: where instants begin, and how long lists are.
 
     Attributes:
-        path: of the file.
         begins: the first instant of each column of instants, as its whole number.
         origin: the first instant of the column of instants that comes first, in ns; None before there is one.
         passed: what is not read, and why.
     """
 
-    path: Path
     begins: dict[str, int] = field(default_factory=dict)
     origin: int | None = None
     passed: dict[str, str] = field(default_factory=dict)
@@ -194,7 +195,7 @@ def _read_parts(path: Path, file: Arrow) -> Iterator[Table]:
     types = extra("pyarrow.types", "logs", "Reading Parquet")
     schema = file.schema_arrow
     lists = [entry.name for entry in schema if types.is_list(entry.type) or types.is_large_list(entry.type)]
-    decoding = _Decoder(path, passed=dict.fromkeys(lists, _ANY_LENGTH))
+    decoding = _Decoder(passed=dict.fromkeys(lists, _ANY_LENGTH))
     require_unique_names(path, list(schema.names))
     units = {entry.name: unit for entry in schema if (unit := _read_unit(entry.metadata))}
     scalars = _read_scalars(schema.metadata or {})
@@ -229,20 +230,3 @@ def _read_scalars(metadata: Mapping[bytes, bytes]) -> dict[str, float]:
     if _SCALARS not in metadata:
         return {}
     return {str(name): float(text) for name, text in json.loads(metadata[_SCALARS]).items()}
-
-
-def _count_rows(table: Table) -> int:
-    return next(iter(table.columns.values())).size
-
-
-def _cut(table: Table, first: int, last: int) -> Table:
-    columns = {name: values[first:last] for name, values in table.columns.items()}
-    return Table(columns, table.scalars, table.source, table.units, table.passed)
-
-
-def _join(parts: list[Table]) -> Table:
-    first = parts[0]
-    if len(parts) == 1:
-        return first
-    columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in first.columns}
-    return Table(columns, first.scalars, first.source, first.units, first.passed)

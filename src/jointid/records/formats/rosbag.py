@@ -4,29 +4,51 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import struct
+import tempfile
 from array import array
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
-from jointid.records.formats import bagwriting
-from jointid.records.formats.bagwriting import Stamps
-from jointid.records.formats.isolated import read_parts
-from jointid.records.formats.messages import Field, SkippedTopicError, Types, flatten_numbers, header_stamp
-from jointid.records.formats.table import Holds, Table
-from jointid.records.formats.untrusted import explain_damage, require_size, require_unique_names
+from jointid.records.formats.messages import (
+    Definition,
+    Field,
+    SkippedTopicError,
+    decode_message,
+    flatten_numbers,
+    header_stamp,
+)
+from jointid.records.formats.table import Holds, Table, require_place
+from jointid.records.formats.untrusted import (
+    explain_damage,
+    list_passed,
+    read_parts,
+    require_size,
+    require_unique_names,
+)
 
 _DATE = 2**58  # nanoseconds, nine years: a stamp beyond is a date, one before counts from some beginning
 _WIDEST = 1000  # columns of one topic
 _HEAD = struct.Struct("<IqI")  # of a message in a batch: its topic, its time, its length
 _REMEDY = "record it again, or rebuild it with ros2 bag reindex"
 _DIGITS = re.compile(r"(\d+)")
+_JOINT = re.compile(r"(/.+)/([^/]+)/(position|velocity|effort)")
+_FIELDS = ("position", "velocity", "effort")
+_VERSION = 9  # of the bag's format
+_FLOAT64_HEAD = b"\x00\x01\x00\x00"  # of a message in little-endian CDR
+_CLOCKS = ("t", "time")
+_ROUNDING = 1e-14
+_NINE_YEARS = 2.0**28  # seconds; a stamp beyond is read as a date
+
+Stamps = NDArray[np.int64]
 
 
 class Topic(NamedTuple):
@@ -42,15 +64,7 @@ class Topic(NamedTuple):
     name: str
     type: str
     encoding: str
-    types: Types
-
-
-class Message(NamedTuple):
-    """One message: its topic, the time of the log in nanoseconds, and its bytes."""
-
-    topic: Topic
-    time: int
-    data: bytes
+    types: Mapping[str, Definition]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,17 +87,45 @@ class RosBag:
         reading = _BagTable(path)
         for file in list_files(path):
             with explain_damage(file, self.name, _REMEDY):
-                for message in read_messages(file):
-                    reading.take(message)
+                for topic, time, data in read_messages(file):
+                    reading.take(topic, time, data)
         return reading.table()
 
     def write(self, path: Path, table: Table) -> None:
-        """Write joint states as such, and every other column as a topic of single numbers; see `bagwriting`."""
-        if table.scalars:
-            raise RecordError(
-                f"A ROS 2 bag has no place for the scalars {', '.join(table.scalars)}; write a .mat file."
-            )
-        bagwriting.write_bag(path, table)
+        """Write a bag: a folder, or one file by its suffix.
+
+        Columns "/topic/joint/position", "velocity" and "effort" beside a "/topic/time" of whole nanoseconds, which may
+        be off by rounding, become joint states. Every other column becomes a topic of std_msgs/Float64, stamped by
+        "column/time" or else by the table's time; a bag has no other way to keep numbers by name.
+
+        Raises:
+            RecordError: the folder is already there, or two topics would have one name.
+        """
+        require_place(table, "A ROS 2 bag", self.holds)
+        rosbag2 = extra("rosbags.rosbag2", "logs", "Writing ROS 2 bags")
+        typesys = extra("rosbags.typesys", "logs", "Writing ROS 2 bags")
+        store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+        joints = list(_find_joint_states(table))
+        taken = {name for group in joints for name in (*group.columns.values(), f"{group.topic}/time")}
+        clocks = _find_clocks(table, taken)
+        storage = rosbag2.StoragePlugin.SQLITE3 if path.suffix.lower() == ".db3" else rosbag2.StoragePlugin.MCAP
+
+        def fill(folder: Path) -> None:
+            with rosbag2.Writer(folder, version=_VERSION, storage_plugin=storage) as writer:
+                for group in joints:
+                    _write_joints(writer, store, table, group)
+                for name, values in table.columns.items():
+                    if name in taken or name in clocks.values():
+                        continue
+                    link = writer.add_connection(name, "std_msgs/msg/Float64", typestore=store)
+                    clock = table.columns.get(clocks.get(name, ""))
+                    stamps = _to_nanoseconds(clock) if clock is not None else None
+                    for stamp, value in zip(
+                        _common_stamps(table, values.size) if stamps is None else stamps, values, strict=True
+                    ):
+                        writer.write(link, int(stamp), _FLOAT64_HEAD + struct.pack("<d", value))
+
+        _place_file(path, fill)
 
     def legal_name(self, name: str, others: Collection[str] = ()) -> str:
         """Return the name, which can be any text but none; see `Format.legal_name`."""
@@ -106,11 +148,14 @@ def list_files(path: Path) -> list[Path]:
     return sorted(found, key=lambda file: [int(p) if p.isdigit() else p for p in _DIGITS.split(file.name)])
 
 
-def read_messages(file: Path) -> Iterator[Message]:
-    """Yield the messages of one file of a bag; the library that reads it runs in a process of its own."""
+def read_messages(file: Path) -> Iterator[tuple[Topic, int, bytes]]:
+    """Yield each message of one file of a bag: its topic, the time of the log in nanoseconds, and its bytes.
+
+    The library that reads it runs in a process of its own.
+    """
     parts = read_parts("bag", file)
     topics = [
-        Topic(name, kind, encoding, Types({key: tuple(Field(*each) for each in own) for key, own in types.items()}))
+        Topic(name, kind, encoding, {key: tuple(Field(*each) for each in own) for key, own in types.items()})
         for name, kind, encoding, types in json.loads(next(parts))
     ]
     for batch in parts:
@@ -118,7 +163,7 @@ def read_messages(file: Path) -> Iterator[Message]:
         while at < len(batch):
             number, time, length = _HEAD.unpack_from(batch, at)
             at += _HEAD.size + length
-            yield Message(topics[number], time, batch[at - length : at])
+            yield topics[number], time, batch[at - length : at]
 
 
 @dataclass(slots=True)
@@ -130,17 +175,17 @@ class _Series:
     stamped: array[int] = field(default_factory=lambda: array("q"))
     columns: dict[str, array[float]] = field(default_factory=dict)
 
-    def take(self, message: Message) -> int:
+    def take(self, time: int, data: bytes) -> int:
         """Add a message; return how many numbers it added.
 
         Raises:
             ValueError: its bytes are no such message.
             KeyError: the definition of a type is not there.
-            PassedOverError: it has too many parts, or two numbers of one name.
+            SkippedTopicError: it has too many parts, or two numbers of one name.
         """
-        fields = self.topic.types.decode(self.topic.type, message.data)
+        fields = decode_message(self.topic.type, data, self.topic.types)
         stamp, row = header_stamp(fields), len(self.logged)
-        self.logged.append(message.time)
+        self.logged.append(time)
         if stamp is not None:
             self.stamped.append(stamp)
         for path, value in flatten_numbers(fields, self.topic.name):
@@ -177,9 +222,8 @@ class _BagTable:
         self.passed: dict[str, str] = {}
         self.numbers = 0
 
-    def take(self, message: Message) -> None:
+    def take(self, topic: Topic, time: int, data: bytes) -> None:
         """Add a message; a topic that cannot be read is passed over from its first one on."""
-        topic = message.topic
         if topic.name in self.passed:
             return
         if topic.encoding != "cdr":
@@ -189,7 +233,7 @@ class _BagTable:
         try:
             if series.topic != topic:
                 raise SkippedTopicError("its messages are of more than one kind")
-            self.numbers += series.take(message)
+            self.numbers += series.take(time, data)
         except KeyError:
             del self.series[topic.name]
             self.passed[topic.name] = f"the bag has no definition of {topic.type}"
@@ -203,8 +247,7 @@ class _BagTable:
         found = {series.topic.name: series.table() for series in self.series.values() if series.logged}
         found = {name: (stamps, columns) for name, (stamps, columns) in found.items() if columns}
         if not found:
-            passed = "; ".join(f"{name!r}: {why}" for name, why in list(self.passed.items())[:3])
-            said = f" ({passed})" if passed else ""
+            said = list_passed(self.passed)
             raise RecordError(f"{self.path.name} holds no topic of numbers{said}; record a topic of joint states.")
         dates = [int(stamps.min()) for stamps, _ in found.values() if stamps.min() >= _DATE]
         pairs, units, clocks = list[tuple[str, FloatArray]](), dict[str, str](), dict[str, str]()
@@ -215,3 +258,93 @@ class _BagTable:
             clocks |= dict.fromkeys(columns, f"{name}/time")
         require_unique_names(self.path, [name for name, _ in pairs])
         return Table(dict(pairs), {}, self.path.name, units, self.passed, clocks)
+
+
+class _Joints(NamedTuple):
+    """A topic of joint states: its clock in nanoseconds, and the columns by joint and field."""
+
+    topic: str
+    stamps: Stamps
+    columns: dict[tuple[str, str], str]
+
+
+def _place_file(path: Path, fill: Callable[[Path], None]) -> None:
+    """Make a bag's folder, or only the file in it where the path has a suffix."""
+    if not path.suffix:
+        if path.exists():
+            raise RecordError(f"{path} is already there, and a bag is not written over; name another folder.")
+        fill(path)
+        return
+    with tempfile.TemporaryDirectory(dir=path.absolute().parent) as folder:
+        fill(Path(folder) / "bag")
+        (made,) = (Path(folder) / "bag").glob(f"*{path.suffix.lower()}")
+        shutil.move(made, path)
+
+
+def _find_joint_states(table: Table) -> Iterator[_Joints]:
+    """Yield the topics of joint states, whose columns are as long as their clock."""
+    topics: dict[str, dict[tuple[str, str], str]] = {}
+    for name in table.columns:
+        if match := _JOINT.fullmatch(name):
+            topics.setdefault(match[1], {})[match[2], match[3]] = name
+    for topic, columns in topics.items():
+        clock = table.columns.get(f"{topic}/time")
+        alike = clock is not None and all(table.columns[name].size == clock.size for name in columns.values())
+        stamps = _to_nanoseconds(clock) if clock is not None and alike else None
+        if stamps is not None and not any(np.isnan(table.columns[name]).all() for name in columns.values()):
+            yield _Joints(topic, stamps, columns)
+
+
+def _find_clocks(table: Table, taken: set[str]) -> dict[str, str]:
+    """Return the name of its clock for every column that has one."""
+    clocks = {}
+    for name, values in table.columns.items():
+        clock = f"{name}/time"
+        if name in taken or clock not in table.columns:
+            continue
+        if table.columns[clock].size != values.size or _to_nanoseconds(table.columns[clock]) is None:
+            raise RecordError(
+                f'The column "{clock}" cannot be the clock of "{name}" in a ROS 2 bag, which counts whole nanoseconds '
+                "for every number; rename it."
+            )
+        clocks[name] = clock
+    return clocks
+
+
+def _to_nanoseconds(clock: np.ndarray[Any, Any]) -> Stamps | None:
+    """Return instants in whole nanoseconds, None if they differ from that by more than rounding."""
+    if not (np.isfinite(clock).all() and clock.min() >= 0 and clock.max() < _NINE_YEARS):
+        return None
+    stamps = np.round(clock * 1e9).astype(np.int64)
+    return stamps if np.allclose(stamps / 1e9, clock, rtol=_ROUNDING, atol=0.0) else None
+
+
+def _common_stamps(table: Table, size: int) -> Stamps:
+    """Return the table's time in whole nanoseconds, rounded; without one so many nanoseconds after the other."""
+    for name, values in table.columns.items():
+        is_clock = name.partition(" ")[0].lower() in _CLOCKS and values.size == size
+        if is_clock and np.isfinite(values).all() and values.min() >= 0 and values.max() < _NINE_YEARS:
+            stamps = np.round(values * 1e9).astype(np.int64)
+            if np.all(np.diff(stamps) > 0):
+                return stamps
+    return np.arange(size)
+
+
+def _write_joints(writer: Any, store: Any, table: Table, group: _Joints) -> None:
+    """Write a topic of joint states; a joint without one of the fields others have is NaN in it."""
+    kinds = store.types
+    names = list(dict.fromkeys(joint for joint, _ in group.columns))
+    fields = {}
+    for each in _FIELDS:
+        present = [table.columns[c] if (c := group.columns.get((n, each))) else None for n in names]
+        missing = np.full(group.stamps.size, np.nan)
+        made = [missing if column is None else column for column in present]
+        fields[each] = np.column_stack(made) if any(column is not None for column in present) else None
+    link = writer.add_connection(group.topic, "sensor_msgs/msg/JointState", typestore=store)
+    for row, stamp in enumerate(group.stamps.tolist()):
+        time = kinds["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
+        values = {key: np.empty(0) if matrix is None else matrix[row] for key, matrix in fields.items()}
+        message = kinds["sensor_msgs/msg/JointState"](
+            header=kinds["std_msgs/msg/Header"](stamp=time, frame_id=""), name=names, **values
+        )
+        writer.write(link, stamp, store.serialize_cdr(message, "sensor_msgs/msg/JointState"))

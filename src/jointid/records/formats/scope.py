@@ -6,6 +6,7 @@ short ones end early. The layout is that of Beckhoff's TE13xx Scope View manual,
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -16,7 +17,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.text import short
 from jointid.records.formats.table import Table
-from jointid.records.formats.textfile import Line, TextFile
+from jointid.records.formats.text import Line, TextFile, point_rows
 
 _ROWS = frozenset({
     "Name", "SymbolComment", "Data-Type", "SampleTime[ms]", "VariableSize", "SymbolBased", "IndexGroup", "IndexOffset",
@@ -118,7 +119,6 @@ def read_scope(text: TextFile, scope: Scope, decimal: str | None = None) -> Tabl
 
 
 def _number_rows(text: TextFile, scope: Scope) -> list[Line]:
-    """Return the lines of numbers."""
     if scope.delimiter == " ":
         raise RecordError(
             f"{text.name} was exported with blanks between its columns, which also stand for what is missing; export "
@@ -140,7 +140,6 @@ def _number_rows(text: TextFile, scope: Scope) -> list[Line]:
 def _channel_names(file: str, scope: Scope) -> dict[int, str]:
     """Return the name of each channel by its column, with its unit in brackets."""
     channels = [column for group in scope.groups() for column in group[1:]]
-    said = "Name"
     for said in ("Name", "SymbolName"):
         names = {column: scope.cell(said, column) for column in channels}
         if len(set(names.values())) == len(channels) and all(names.values()):
@@ -197,20 +196,14 @@ class _Numbers:
 
     def count(self, column: int) -> int:
         """Return the count of rows of a group: from the first on, all that have a time."""
-        low, high = 0, len(self.rows)
-        while low < high:
-            middle = (low + high) // 2
-            low, high = (middle + 1, high) if self._cell(middle, column) else (low, middle)
-        return low
+        return bisect_left(range(len(self.rows)), True, key=lambda row: not self._cell(row, column))
 
     def columns(self, wanted: Sequence[int], count: int) -> dict[int, FloatArray]:
         """Return the numbers of some columns, shape (count,) each."""
         if count == 0:
             channel = self.scope.cell("Name", wanted[1])
             raise RecordError(f'{self.file} has no number of the channel "{channel}"; leave it out of the export.')
-        plain, mark = [row.text for row in self.rows[:count]], self.scope.delimiter
-        if self.point == ",":  # a point is then a thousands separator, and no number
-            plain = [row.replace(".", "?").replace(",", ".") for row in plain]
+        plain, mark = point_rows(self.rows[:count], self.point), self.scope.delimiter
         try:
             values = np.loadtxt(plain, delimiter=mark, usecols=wanted, comments=None, ndmin=2)
             found = dict(zip(wanted, values.T, strict=True))

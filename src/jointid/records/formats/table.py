@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import Field, dataclass, field, replace
 from enum import Flag, auto
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Protocol, runtime_checkable
@@ -66,6 +67,15 @@ class Table:
         rest = f" and {len(names) - len(close)} more" if len(close) < len(names) else ""
         return (", ".join(f'"{short(name, _QUOTED)}"' for name in close) or "none") + rest
 
+    @property
+    def rows(self) -> int:
+        """Count of rows: the length of the longest column."""
+        return max((values.size for values in self.columns.values()), default=0)
+
+    def cut(self, first: int, last: int) -> Table:
+        """Return the rows from the first up to the last."""
+        return replace(self, columns={name: values[first:last] for name, values in self.columns.items()})
+
     def take(self, names: Iterable[str]) -> Table:
         """Return the table with the columns of these names alone, in their order.
 
@@ -82,6 +92,15 @@ class Table:
         return replace(self, columns={name: self.columns[name] for name in names})
 
 
+def join_tables(tables: Sequence[Table]) -> Table:
+    """Return tables one below the other, one or more; a column that a later one lacks ends there."""
+    first = tables[0]
+    if len(tables) == 1:
+        return first
+    parts = {name: [table.columns[name] for table in tables if name in table.columns] for name in first.columns}
+    return replace(first, columns={name: np.concatenate(values) for name, values in parts.items()})
+
+
 class Holds(Flag):
     """Contents that a file can hold beside columns of one length."""
 
@@ -90,6 +109,21 @@ class Holds(Flag):
     UNITS = auto()
     LENGTHS = auto()  # columns that differ in length
     CLOCKS = auto()  # which column is the time of which
+
+
+def require_place(table: Table, target: str, holds: Holds) -> None:
+    """Raise a `RecordError` if a table has scalars, or columns of several lengths, that have no place in a file.
+
+    Args:
+        table: to be written.
+        target: what the sentence calls the format.
+        holds: what it has a place for.
+    """
+    if table.scalars and Holds.SCALARS not in holds:
+        raise RecordError(f"{target} has no place for the scalars {', '.join(table.scalars)}; write a .mat file.")
+    if len({values.size for values in table.columns.values()}) != 1 and Holds.LENGTHS not in holds:
+        lengths = ", ".join(f"{name} {values.size}" for name, values in table.columns.items())
+        raise RecordError(f"{target} has columns of one length; got {lengths or 'no column'}.")
 
 
 class Format(Protocol):
@@ -134,13 +168,17 @@ class Format(Protocol):
         ...
 
 
-class Block(Protocol):
-    """Neighbouring rows of a file, not read until they are asked for."""
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Neighbouring rows of a file, not read until they are asked for.
 
-    @property
-    def rows(self) -> int:
-        """Count of rows, 1 or more."""
-        ...
+    Attributes:
+        rows: how many, 1 or more.
+        read: the function that reads so many of them, from the first on.
+    """
+
+    rows: int
+    read: Callable[[int], Table]
 
     def table(self, rows: int | None = None) -> Table:
         """Read them, or the first so many.
@@ -148,7 +186,19 @@ class Block(Protocol):
         Raises:
             RecordError: a row is damaged; the sentence names its line.
         """
-        ...
+        return self.read(self.rows if rows is None else min(rows, self.rows))
+
+
+def split_rows(total: int, rows: int, read: Callable[[int, int], Table]) -> Iterator[Block]:
+    """Yield so many rows after so many of a file in which any row can be gone to; the last block may have fewer.
+
+    Args:
+        total: rows of the file.
+        rows: of a block.
+        read: the function that reads rows: the first of them, and how many.
+    """
+    for first in range(0, total, rows):
+        yield Block(min(rows, total - first), partial(read, first))
 
 
 @runtime_checkable
@@ -162,7 +212,7 @@ class Streamed(Protocol):
 
         Raises:
             RecordError: the file is not of this format.
-            WholeError: this file has no rows one after the other.
+            NotStreamedError: this file has no rows one after the other.
             OSError: the file cannot be opened.
         """
         ...
@@ -170,19 +220,3 @@ class Streamed(Protocol):
 
 class NotStreamedError(RecordError):
     """A file that can only be read whole was to be read in chunks."""
-
-
-@dataclass(frozen=True, slots=True)
-class MemoryBlock:
-    """Rows that are already in memory; a `Block`."""
-
-    held: Table
-
-    @property
-    def rows(self) -> int:
-        """Count of rows."""
-        return max(values.size for values in self.held.columns.values())
-
-    def table(self, rows: int | None = None) -> Table:
-        """Return all, or the first so many."""
-        return replace(self.held, columns={name: values[:rows] for name, values in self.held.columns.items()})

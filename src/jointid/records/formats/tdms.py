@@ -13,7 +13,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
-from jointid.records.formats.table import Holds, Table
+from jointid.records.formats.table import Block, Holds, Table, split_rows
 from jointid.records.formats.untrusted import PIECES, explain_damage, require_size, require_unique_names
 
 _NAMELESS = "Untitled"  # what LabVIEW calls a group that has no name
@@ -46,16 +46,13 @@ class Tdms:
         """Read every column; see `Format.read`."""
         with _open(path) as contents:
             require_size(path, sum(channel.rows for channel in contents.channels))
-            rows = max(channel.rows for channel in contents.channels)
-            return _Rows(contents, 0, rows).table()
+            return contents.read(0, contents.rows)
 
-    def blocks(self, path: Path, rows: int) -> Iterator[_Rows]:
+    def blocks(self, path: Path, rows: int) -> Iterator[Block]:
         """Yield so many rows after so many."""
         with _open(path) as contents:
             require_size(path, sum(channel.rows for channel in contents.channels), PIECES)
-            longest = max(channel.rows for channel in contents.channels)
-            for first in range(0, longest, rows):
-                yield _Rows(contents, first, min(rows, longest - first))
+            yield from split_rows(contents.rows, rows, contents.read)
 
     def write(self, path: Path, table: Table) -> None:
         """Write a channel of eight bytes for each column; scalars are properties of the file."""
@@ -71,7 +68,7 @@ class Tdms:
         nptdms = extra("nptdms", "logs", "Writing TDMS")
         with path.open("wb") as file, nptdms.TdmsWriter(file) as writer:
             writer.write_segment([nptdms.RootObject(properties=dict(table.scalars))])
-            for first in range(0, max(values.size for values in table.columns.values()), _SEGMENT):
+            for first in range(0, table.rows, _SEGMENT):
                 objects = []
                 for name, values in table.columns.items():
                     group, _, channel = name.rpartition("/")
@@ -121,33 +118,27 @@ class _Contents:
     scalars: dict[str, float]
     slabs: dict[str, tuple[int, FloatArray]] = field(default_factory=dict)
 
-    def values(self, channel: _Channel, first: int, last: int) -> FloatArray:
+    @property
+    def rows(self) -> int:
+        """Of the longest column."""
+        return max(channel.rows for channel in self.channels)
+
+    def read(self, first: int, count: int) -> Table:
+        """Read so many rows from the first on, of the columns that are so long."""
+        last = first + count
+        with explain_damage(self.path, Tdms.name, _REMEDY):
+            columns = {c.name: self._values(c, first, min(last, c.rows)) for c in self.channels if c.rows > first}
+        units = {c.name: c.unit for c in self.channels if c.unit}
+        clocks = {c.name: c.clock for c in self.channels if c.clock}
+        return Table(columns, self.scalars, self.path.name, units, clocks=clocks)
+
+    def _values(self, channel: _Channel, first: int, last: int) -> FloatArray:
         """Return rows of a column, and hold some that follow."""
         begin, held = self.slabs.get(channel.name, (0, np.empty(0)))
         if not begin <= first <= last <= begin + held.size:
             end = min(channel.rows, max(last, first + _SLAB // len(self.channels)))
             begin, held = self.slabs[channel.name] = first, channel.values(first, end)
         return held[first - begin : last - begin]
-
-
-@dataclass(frozen=True, slots=True)
-class _Rows:
-    """Neighbouring rows of an open file; a `Block`."""
-
-    contents: _Contents
-    first: int
-    rows: int
-
-    def table(self, rows: int | None = None) -> Table:
-        """Read all, or the first so many."""
-        contents = self.contents
-        path, channels = contents.path, contents.channels
-        last = self.first + (self.rows if rows is None else min(rows, self.rows))
-        with explain_damage(path, Tdms.name, _REMEDY):
-            there = [c for c in channels if c.rows > self.first]
-            columns = {c.name: contents.values(c, self.first, min(last, c.rows)) for c in there}
-        units = {c.name: c.unit for c in channels if c.unit}
-        return Table(columns, contents.scalars, path.name, units, clocks={c.name: c.clock for c in channels if c.clock})
 
 
 @contextmanager

@@ -132,9 +132,10 @@ def lowpass(values: FloatArray, cutoff: float, sample_time: float, order: int = 
 
     Ends are padded by 3 x order samples, reflected about the end point. Raises `RecordError` on a shorter signal.
     """
-    return _filter_both_ways(
-        *_design_butterworth(2 * cutoff * sample_time, order), values, _require_padding(values, order)
-    )
+    from scipy.signal import sosfiltfilt
+
+    sections, padding = _design_butterworth(2 * cutoff * sample_time, order), _require_padding(values, order)
+    return np.asarray(sosfiltfilt(sections, values, axis=0, padlen=padding))
 
 
 def _require_padding(values: FloatArray, order: int) -> int:
@@ -145,26 +146,6 @@ def _require_padding(values: FloatArray, order: int) -> int:
             "use a longer record."
         )
     return padding
-
-
-def _filter_both_ways(sections: FloatArray, settled: FloatArray, values: FloatArray, padding: int) -> FloatArray:
-    """Return values filtered both ways, as `scipy.signal.sosfiltfilt`, which works out what has settled every time.
-
-    Args:
-        sections: of the filter.
-        settled: (sections, 2) their states at a constant 1.
-        values: (samples,) or (samples, columns).
-        padding: samples by which the ends are reflected about their ends.
-    """
-    from scipy.signal import sosfilt
-
-    before = 2 * values[:1] - values[padding:0:-1]
-    behind = 2 * values[-1:] - values[-2 : -padding - 2 : -1]
-    line = np.concatenate([before, values, behind])
-    states = settled.reshape(*settled.shape, *(1,) * (values.ndim - 1))
-    for _ in range(2):  # each time through what was turned round
-        line = sosfilt(sections, line, axis=0, zi=states * line[0])[0][::-1]
-    return np.asarray(line[padding : line.shape[0] - padding])
 
 
 def thin_channel(channel: Channel, sample_time: float) -> Channel:
@@ -195,8 +176,10 @@ def decimate(values: FloatArray, filtering: Filtering, sample_time: float) -> Fl
         filtering: cut-off and decimation.
         sample_time: seconds.
     """
+    from scipy.signal import sosfiltfilt
+
     cutoff, keep, first, padding = _plan_decimation(values, filtering, sample_time)
-    return _filter_both_ways(*_design_chebyshev(cutoff), values, padding)[first::keep]
+    return np.asarray(sosfiltfilt(_design_chebyshev(cutoff), values, axis=0, padlen=padding))[first::keep]
 
 
 def decimate_all(parts: Sequence[FloatArray], filtering: Filtering, sample_time: float) -> list[FloatArray]:
@@ -229,26 +212,24 @@ def _plan_decimation(values: FloatArray, filtering: Filtering, sample_time: floa
 
 
 @lru_cache(maxsize=64)
-def _design_butterworth(cutoff: float, order: int) -> tuple[FloatArray, FloatArray]:
-    """Return a position filter's sections and their states at a constant 1: slow to design."""
-    from scipy.signal import butter, sosfilt_zi
+def _design_butterworth(cutoff: float, order: int) -> FloatArray:
+    """Return a position filter's sections; the cut-off as a fraction of the Nyquist frequency."""
+    from scipy.signal import butter
 
-    sections = np.asarray(butter(order, cutoff, output="sos"))
-    return sections, np.asarray(sosfilt_zi(sections))
+    return np.asarray(butter(order, cutoff, output="sos"))
 
 
 @lru_cache(maxsize=64)
-def _design_chebyshev(cutoff: float) -> tuple[FloatArray, FloatArray]:
-    """Return the decimation filter's sections and their states at a constant 1: slow to design."""
-    from scipy.signal import cheby1, sosfilt_zi
+def _design_chebyshev(cutoff: float) -> FloatArray:
+    """Return the decimation filter's sections."""
+    from scipy.signal import cheby1
 
-    sections = np.asarray(cheby1(_ORDER, _RIPPLE, cutoff, output="sos"))
-    return sections, np.asarray(sosfilt_zi(sections))
+    return np.asarray(cheby1(_ORDER, _RIPPLE, cutoff, output="sos"))
 
 
 @lru_cache(maxsize=64)
 def _design_thinning(cutoff: float, keep: int, padding: int) -> Thinning:
-    """Return the decimation filter by its modes; the cut-off as a fraction of the Nyquist frequency."""
+    """Return the decimation filter by its modes."""
     from scipy.signal import cheby1
 
     return Thinning.of(Modes.of(*cheby1(_ORDER, _RIPPLE, cutoff, output="zpk")), keep, padding)

@@ -1,4 +1,4 @@
-"""Unwrap a counter, and find the step that a signal is rounded to."""
+"""Positions as an encoder counts them: unwrapped, and the step that a signal is rounded to."""
 
 from __future__ import annotations
 
@@ -7,12 +7,16 @@ import math
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.records.record import Channel
 
 SAFE_STEP = 0.4
 """Share of a wrap that one sample may move: from a half on, forwards and backwards cannot be told apart."""
 
 _WHOLE = 1e-2  # how near to a whole number of samples, or of steps, counts as one
 _GRAIN = 1e-12  # of the travel: what is nearer than this is one value that was computed twice
+_MULTIPLE = 0.05  # of a step: how far a position may be from a multiple of it
+_MOSTLY = 0.95  # of the positions that are such multiples
+_PARTS = 5  # steps that the smallest gap may be: an axis that never rests may skip some
 
 
 def unwrap(values: FloatArray, wrap: float) -> FloatArray:
@@ -50,4 +54,23 @@ def find_quantum(values: FloatArray) -> float | None:
         if rest.max() <= _WHOLE * step:
             return step * grain
         step = float(rest[rest > _WHOLE * step].min())
+    return None
+
+
+def find_encoder_step(channel: Channel | None) -> float | None:
+    """Return the step of the encoder that a position was read from, in its unit; None where none is to be seen.
+
+    The smallest gap between two positions is a small whole number of steps, of which all other positions are multiples.
+    """
+    if channel is None:
+        return None
+    values = np.sort(channel.values) - channel.values.min()
+    gaps = np.diff(values)
+    gaps = gaps[gaps > 1e-12 * values[-1]]
+    if not gaps.size:
+        return None
+    for parts in range(1, _PARTS + 1):
+        step = float(gaps.min()) / parts
+        if np.mean(np.abs(values / step - np.round(values / step)) < _MULTIPLE) >= _MOSTLY:
+            return step
     return None

@@ -11,14 +11,12 @@ import numpy as np
 from jointid.common import units
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.models.transmission import Side, Transmission
+from jointid.common.transmission import Transmission
+from jointid.records.clock import is_same_rate
 from jointid.records.columns import Column, unit_in_name, unit_of_column
 from jointid.records.drives.drive import Drive
-from jointid.records.drives.profiles import find_side
 from jointid.records.formats import Table, write_table
-from jointid.records.record import Channel, Record
-from jointid.records.refer import refer_to_drive
-from jointid.records.time_base.clock import is_same_rate
+from jointid.records.record import Channel, Record, refer_to_drive
 
 _ONE = 1e-9  # relative: two channels of one column differ by rounding alone
 
@@ -36,7 +34,7 @@ def write(
     transmission: Transmission | None = None,
     **options: object,
 ) -> None:
-    """Write a record to a file that `jointid.records.reading.read` gives back, told the same of it.
+    """Write a record to a file that `jointid.records.reading` gives back, told the same of it.
 
     A channel that neither `columns` nor the drive's profile has a name for is written in SI under its own. A record of
     which nothing is said comes back to the last bit, once reading is told what a table of numbers does not hold: the
@@ -63,9 +61,8 @@ def write(
     writing = _Writer(drive or Drive(), kind, transmission)
     named = writing.name_columns(record, wanted)
     if transmission is not None:
-        record = refer_to_drive(
-            transmission, record, {name: writing.side(name, named.get(name)) for name in record.channels}
-        )
+        sides = {name: writing.drive.side(name, named.get(name)) for name in record.channels}
+        record = refer_to_drive(transmission, record, sides)
     channels = dict(record.items())
     table = _time_column(channels, time, time_unit, sample_time)
     for name, channel in channels.items():
@@ -119,13 +116,9 @@ class _Writer:
     kind: str
     transmission: Transmission | None
 
-    def side(self, name: str, column: Column | None) -> Side:
-        """Return the side of a transmission on which a channel is measured."""
-        return find_side(name, column, self.drive.traces, self.drive.axis)
-
     def kind_of(self, name: str, column: Column | None) -> str:
-        """Return how that side moves."""
-        return self.kind if self.transmission is None else self.transmission.kind_of(self.side(name, column))
+        """Return how the side moves on which a channel is measured."""
+        return self.kind if self.transmission is None else self.transmission.kind_of(self.drive.side(name, column))
 
     def name_columns(self, record: Record, wanted: Mapping[str, Column]) -> dict[str, Column]:
         """Return the columns that have a name, as declared or by the drive's profile."""

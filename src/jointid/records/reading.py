@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+import re
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,23 +12,18 @@ import numpy as np
 
 from jointid.common import units
 from jointid.common.errors import RecordError
-from jointid.models.transmission import Transmission
-from jointid.records.checks.finite import finite_faults
-from jointid.records.checks.record_checks import scale_faults
-from jointid.records.columns import Column, known_units, unit_fault, unit_of_column
+from jointid.common.transmission import Transmission
+from jointid.records.checks import scale_faults
+from jointid.records.clock import CLOCK_TOLERANCE, Clock, Clocks, beginning_faults, find_clock
+from jointid.records.columns import Column, finite_faults, known_units, unit_fault, unit_of_column
 from jointid.records.drives.drive import Drive
-from jointid.records.drives.profiles import find_side
 from jointid.records.formats import Table, read_table
-from jointid.records.reading.other_axes import find_other_axes
-from jointid.records.record import CHANNELS, Channel, Injection, Record, Tap, Timing
-from jointid.records.refer import refer_channel
-from jointid.records.signals.unwrap import unwrap, wrap_faults
-from jointid.records.time_base.clock import Clock, Clocks, beginning_faults, find_clock
-from jointid.records.time_base.resampling import Resampling, Stamped, resample_together
-from jointid.records.time_base.uniformity import CLOCK_TOLERANCE
-from jointid.records.time_base.update_rate import align_updates
+from jointid.records.record import CHANNELS, Channel, Injection, Record, Tap, Timing, refer_channel
+from jointid.records.resampling import Resampling, Stamped, align_updates, resample_together
+from jointid.records.signals.encoder import unwrap, wrap_faults
 
 _MOVES = 0.01  # of this axis's travel: an axis that moves less is held
+_NUMBER = re.compile(r"\d+")
 
 
 def read(
@@ -245,7 +241,7 @@ class _Columns:
         """Return how the side moves on which a channel is measured."""
         if self.transmission is None:
             return self.kind
-        return self.transmission.kind_of(find_side(channel, column, self.drive.traces, self.drive.axis))
+        return self.transmission.kind_of(self.drive.side(channel, column))
 
     def resolve_unit(
         self, what: str, name: str, known: tuple[str, ...], kind: str, *, of_load: bool
@@ -298,17 +294,17 @@ class _Columns:
         )
         if gear is None:
             return channel
-        return refer_channel(gear, name, channel, find_side(name, column, self.drive.traces, self.drive.axis))
+        return refer_channel(gear, name, channel, self.drive.side(name, column))
 
     def find_other_positions(self, found: Mapping[str, Column], clocks: Clocks) -> dict[str, Channel]:
         """Return the positions of other axes that moved, by their columns; one that cannot be read is left out."""
-        position = next((channel for channel in ("motor_position", "reference") if channel in found), None)
+        position = _own_position(found)
         own = position and replace(self, faults=[]).build_channel(position, found, clocks)
         made: dict[str, Channel] = {}
         if not (position and own):
             return made
         # A profile knows the side of this axis's column, and nothing of the others'.
-        side = find_side(position, found[position], self.drive.traces, self.drive.axis)
+        side = self.drive.side(position, found[position])
         alike = replace(found[position], side=None if self.transmission is None else side)
         for name in find_other_axes({channel: column.column for channel, column in found.items()}, self.table.columns):
             apart = replace(self, faults=[])
@@ -333,7 +329,7 @@ def _add_stamps(
     """Return the channels with their instants; raise what has none, or is thinned to its updates."""
     faults = []
     made = {}
-    position = next((name for name in ("motor_position", "reference") if name in found), "")
+    position = _own_position(found)
     for name, channel in {**logged, **others}.items():
         column = found[name] if name in found else replace(found[position], column=name)
         clock = clocks.clock_of(column)
@@ -349,7 +345,6 @@ def _add_stamps(
 
 
 def _build_record(channels: Mapping[str, Channel], found: Mapping[str, Column], name: str) -> Record:
-    """Return the record that the channels make."""
     torque, injected = channels.get("torque"), channels.get("injected")
     if torque is not None and injected is not None and torque.unit != injected.unit:
         raise RecordError(
@@ -365,3 +360,38 @@ def _build_record(channels: Mapping[str, Channel], found: Mapping[str, Column], 
         injected=None if injected is None else Injection(injected, found["injected"].at, found["injected"].in_torque),
         name=name,
     )
+
+
+def _own_position(channels: Collection[str]) -> str:
+    """Return the channel that tells this axis from others, "" without one."""
+    return next((channel for channel in ("motor_position", "reference") if channel in channels), "")
+
+
+def find_other_axes(channels: Mapping[str, str], names: Collection[str]) -> tuple[str, ...]:
+    """Return the position columns of other axes, in the log's order.
+
+    An axis has its number in several names: `pos[2]` and `torque[2]` beside `pos[0]` and `torque[0]`. One name with a
+    number tells nothing: `data[0]` and `data[1]` may be anything.
+
+    Args:
+        channels: the column of each channel of this joint.
+        names: of all columns.
+    """
+    numbered = {channel: dict(_axis_numbers(column, names)) for channel, column in channels.items()}
+    position = _own_position(channels)
+    if not position:
+        return ()
+    for number, others in numbered[position].items():
+        alike = [channel for channel, found in numbered.items() if number in found]
+        if len({numbered[channel][number] for channel in alike}) > 1:
+            return tuple(name for name in names if name in others and name not in channels.values())
+    return ()
+
+
+def _axis_numbers(column: str, names: Collection[str]) -> Iterator[tuple[int, frozenset[str]]]:
+    """Yield each number in a column's name for which there are columns with another one, and those columns."""
+    for match in _NUMBER.finditer(column):
+        alike = re.compile(re.escape(column[: match.start()]) + r"\d+" + re.escape(column[match.end() :]))
+        others = frozenset(name for name in names if name != column and alike.fullmatch(name))
+        if others:
+            yield int(match[0]), others

@@ -12,15 +12,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-
 from jointid.common.errors import RecordError
+from jointid.records.clock import is_same_rate
 from jointid.records.columns import Column
 from jointid.records.drives.drive import Drive
 from jointid.records.formats import Table, read_blocks
-from jointid.records.reading.read import RecordReader
+from jointid.records.formats.table import join_tables
+from jointid.records.reading import RecordReader
 from jointid.records.record import Channel, Record
-from jointid.records.time_base.clock import is_same_rate
 
 _LOOK = 1000  # rows that tell the sample time
 
@@ -75,7 +74,7 @@ class Log:
 
     Attributes:
         path: the file, of a format that has rows one after the other; MAT files of version 7 and ROS 2 bags have not.
-        columns, settings: see `jointid.records.reading.read`. All channels have one sample time.
+        columns, settings: see `jointid.records.reading`. All channels have one sample time.
         options: of the format's reader.
 
     Raises:
@@ -141,7 +140,7 @@ class Log:
         for number, block in enumerate(read_blocks(self.path, length, **self.options)):
             rest = number > 0 and block.rows < overlap
             if held is not None:
-                yield held[0], _join(held[1], block.table(overlap)) if overlap else held[1], rest
+                yield held[0], join_tables([held[1], block.table(overlap)]) if overlap else held[1], rest
             held = (number, block.table()) if number % every == 0 and not rest else None
         if held is not None:
             yield *held, True
@@ -203,18 +202,6 @@ def _cut(record: Record, first: int, end: int) -> Record:
 
 
 def _map_channels(record: Record, change: Callable[[Channel], Channel], begin: float) -> Record:
-    """Return a record with every channel changed."""
-    made: dict[str, Any] = {name: change(channel) for name, channel in record.items()}
-    if record.injected is not None:
-        made["injected"] = replace(record.injected, channel=made["injected"])
     others = {name: change(channel) for name, channel in record.other_axes.items()}
-    return replace(record, **made, other_axes=others, begin=begin)
-
-
-def _join(first: Table, more: Table) -> Table:
-    following = more.columns
-    columns = {
-        name: np.concatenate([values, following[name]]) if name in following else values  # shorter than others
-        for name, values in first.columns.items()
-    }
-    return replace(first, columns=columns)
+    changed = record.with_channels({name: change(channel) for name, channel in record.items()})
+    return replace(changed, other_axes=others, begin=begin)

@@ -1,4 +1,4 @@
-"""Resample channels whose stamps are not uniform to a uniform clock: only where that is asked for.
+"""Bring channels to one uniform clock where that is asked for, or to the rate at which they are refreshed.
 
 Resampling is right where the *samples* were taken at the stamps. Where only the stamps jitter, the samples are uniform
 already, and resampling would add the jitter to them: `sample_time` without a time column is right there.
@@ -16,8 +16,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.settings import check_settings, declare, documented, setting
-from jointid.records.record import Channel, Timing
-from jointid.records.time_base.uniformity import Irregularity, Resampled, measure_irregularity
+from jointid.records.clock import measure_irregularity
+from jointid.records.record import Channel, Irregularity, Resampled, Timing
 
 Interpolation: TypeAlias = Literal["hold", "linear", "cubic"]
 
@@ -27,6 +27,11 @@ frequency, where a joint leaves nothing."""
 
 _ONE_INSTANT = 1e-6  # of a sample time
 _LARGEST = 10**8  # samples of one channel
+
+_SAME = 1e-6  # of a sample
+_WHOLE = 1e-2  # how near to a whole number of samples counts as one
+_CHANGES = 20  # fewer changes than this do not show a rhythm
+_LONGEST = 10_000  # refreshes within which all channels must begin at one instant
 
 
 @documented
@@ -197,3 +202,95 @@ def _interpolate(one: Stamped, grid: FloatArray, method: str, T: float) -> Float
         return np.asarray(CubicSpline(stamps, values)(grid))
     sums = np.concatenate([[0.0], np.cumsum(values[1:] * np.diff(stamps))])
     return np.asarray((np.interp(grid, stamps, sums) - np.interp(grid - T, stamps, sums)) / T)
+
+
+@dataclass(frozen=True, slots=True)
+class _Rhythm:
+    """The samples at which a channel is new: phase, phase + every, ..."""
+
+    channel: Channel
+    every: int = 1
+    phase: int = 0
+
+    def begins(self, time: float) -> int | None:
+        """Return the sample at that time [s], if it is a new one."""
+        samples = time / self.channel.sample_time
+        sample = round(samples)
+        new = abs(samples - sample) < _SAME * max(sample, 1) and (sample - self.phase) % self.every == 0
+        return sample if new else None
+
+    def thin(self, first: int) -> Channel:
+        """Return the channel at its own rate, from a sample on that is new."""
+        one = self.channel
+        return replace(one, values=one.values[first :: self.every], sample_time=one.sample_time * self.every)
+
+
+def align_updates(
+    logged: Mapping[str, Channel], update_times: Mapping[str, float | None]
+) -> tuple[dict[str, Channel], float]:
+    """Return the channels, each at its own update rate from the first instant on at which all are new; that instant.
+
+    Args:
+        logged: the channels as logged, by name.
+        update_times: time between updates [s], by channel; None, or none, where every sample is new.
+
+    Raises:
+        RecordError: a channel does not change at the rate that is declared, or no instant is new to all.
+    """
+    rhythms, faults = {}, list[str]()
+    for name, channel in logged.items():
+        rhythms[name] = _Rhythm(channel)
+        update_time = update_times.get(name)
+        if update_time is not None:
+            rhythms[name], fault = _find_rhythm(f"{name} ({channel.source})", channel, update_time)
+            faults += [fault] if fault else []
+    if faults:
+        raise RecordError(faults)
+    if all(rhythm.every == 1 for rhythm in rhythms.values()):
+        return dict(logged), 0.0
+    slowest = max(rhythms.values(), key=lambda rhythm: rhythm.every * rhythm.channel.sample_time)
+    for count in range(_LONGEST):
+        time = (slowest.phase + count * slowest.every) * slowest.channel.sample_time
+        first = {name: rhythm.begins(time) for name, rhythm in rhythms.items()}
+        if all(sample is not None for sample in first.values()):
+            return {name: rhythm.thin(first[name] or 0) for name, rhythm in rhythms.items()}, time
+        if time > min(channel.duration for channel in logged.values()):
+            break
+    slow = ", ".join(f"{n} every {r.every} samples from sample {r.phase} on" for n, r in rhythms.items() if r.every > 1)
+    raise RecordError(f"The channels are never refreshed at one instant ({slow}); leave one of them out.")
+
+
+def _find_rhythm(what: str, channel: Channel, update_time: float) -> tuple[_Rhythm, str]:
+    """Return the rhythm of a channel that is refreshed so often [s], and the fault of one that is not; "" for none."""
+    period = channel.sample_time
+    ratio = update_time / period
+    every = round(min(ratio, 1e9))
+    if every < 1 or abs(ratio / every - 1) > _WHOLE:
+        return _Rhythm(channel), (
+            f"{what} has an update time of {update_time:g} s, which is {ratio:.4g} of its samples of {period:g} s; "
+            "expected a whole number of them: correct one of the two."
+        )
+    changes = np.flatnonzero(np.diff(channel.values)) + 1
+    if changes.size == 0:
+        return _Rhythm(channel, every), ""
+    phase = int(np.argmax(np.bincount(changes % every, minlength=every)))
+    wrong = changes[changes % every != phase]
+    longer = update_interval(channel.values)
+    fault = ""
+    if wrong.size:
+        fault = (
+            f"{what} is said to be refreshed every {every} samples, but {wrong.size} of its {changes.size} changes "
+            f"come between, the first at sample {wrong[0]}; correct update_time, or leave it out."
+        )
+    elif longer > every:
+        fault = (
+            f"{what} is said to be refreshed every {every} samples, but changes only every {longer}; set update_time = "
+            f"{longer * period:g}."
+        )
+    return _Rhythm(channel, every, phase), fault
+
+
+def update_interval(values: FloatArray) -> int:
+    """Return the number of samples after which, and only then, a signal (samples,) changes; 1 if no such number."""
+    changes = np.flatnonzero(np.diff(values))
+    return int(np.gcd.reduce(np.diff(changes))) if changes.size >= _CHANGES else 1

@@ -1,4 +1,4 @@
-"""The clocks of a table: the time between samples, from stamps, from what is given, or from both."""
+"""The clocks of a table: the time between samples, and how far stamps are from a uniform clock."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.records.columns import Column, period_faults, unit_fault, unit_in_name
+from jointid.common.text import counted
+from jointid.records.columns import Column, finite_faults, format_instant, period_faults, unit_fault, unit_in_name
 from jointid.records.formats import Table
-from jointid.records.time_base.uniformity import clock_faults, measure_irregularity
+from jointid.records.record import Irregularity
 
 RATE_TOLERANCE = 1e-3
 """Largest relative difference of two sample times that count as one.
@@ -21,6 +22,19 @@ Clocks of drives and computers differ by 0.01 %; a wrong rate is wrong by far mo
 """
 
 _TIME = re.compile(r"(?:t|time)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
+
+CLOCK_TOLERANCE = 0.05
+"""Largest jitter of a time stamp step, as a share of the sample time.
+
+A twentieth of a sample is well below the half sample by which a held and an averaged torque differ, and well
+above the jitter of good loggers (0.004 % in EMPS) and of stamps rounded to a microsecond at 10 kHz (1 %).
+"""
+
+JUMP = 0.5
+"""A step this far from the sample time, as a share of it, is a jump: samples are missing or doubled."""
+
+GAP = 1.75
+"""From so many sample times on a step leaves out samples: two stamps 30 % early and late are 1.6 apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,3 +156,84 @@ def _period(stamps: FloatArray) -> float:
         return first  # stamps that were computed give their sample time back to the last bit
     # The mean over the record is better than any one step; its thirteenth digit is rounding.
     return float(f"{(stamps[-1] - stamps[0]) / index[-1]:.12g}")
+
+
+def measure_irregularity(stamps: FloatArray) -> Irregularity:
+    """Return how far stamps [s], shape (samples,), two or more and finite, are from a uniform clock.
+
+    A stamp that is repeated is no further sample, and one that runs backward is.
+    """
+    steps = np.diff(stamps)
+    forward = steps[steps > 0]
+    typical = float(np.median(forward)) if forward.size else 1.0
+    skipped = np.where(steps >= GAP * typical, np.maximum(np.round(steps / typical), 1), steps != 0)
+    number = np.concatenate([[0.0], np.cumsum(skipped)])
+    centred, times = number - number.mean(), stamps - stamps.mean()
+    period = float(centred @ times / (centred @ centred))
+    off = times - period * centred
+    return Irregularity(
+        sample_time=period,
+        largest=float(np.abs(off).max()),
+        rms=float(np.sqrt(np.mean(off**2))),
+        gaps=int(np.count_nonzero(skipped > 1)),
+        longest_gap=int(skipped.max()) - 1,
+        repeats=int(np.count_nonzero(steps == 0)),
+        backward=int(np.count_nonzero(steps < 0)),
+    )
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, name: str = "The time") -> list[str]:
+    """Return the faults of a clock: stamps that do not run forward, jumps, and jitter beyond a tolerance.
+
+    The sample time is the median step. A step that is more than half a sample time off is a jump (samples
+    left out, a repeated or a backward stamp); what is less is jitter, judged by its largest value as a share
+    of the sample time.
+
+    Args:
+        stamps: time stamps [s], shape (samples,).
+        tolerance: largest jitter, as a share of the sample time; None for stamps that are resampled, which may jump.
+        name: what the sentences call the clock.
+    """
+    if stamps.size < 2:
+        return [f"{name} has a single stamp, which tells no sample time; give sample_time."]
+    faults = finite_faults(name, stamps)
+    if faults:
+        return faults
+    steps = np.diff(stamps)
+    sample_time = float(np.median(steps))
+    if sample_time <= 0:
+        return [
+            f"{name} does not run forward (its median step is {sample_time:g} s); name another time "
+            "column, or give sample_time without time."
+        ]
+    if tolerance is None:
+        return []
+    error = np.abs(steps / sample_time - 1)
+    jumped = error > max(JUMP, tolerance)
+    if jumped.any():
+        first = int(np.argmax(jumped))
+        faults.append(
+            f"{name} jumps {counted(int(jumped.sum()), 'time')}: after sample {first}"
+            f"{format_instant(stamps, first)} it {_jump(float(steps[first]), sample_time)}; cut the record there, or "
+            "give sample_time without time if only the stamps are wrong."
+        )
+    jitter = np.where(jumped, 0.0, error)
+    if jitter.max() > tolerance:
+        first = int(np.argmax(jitter > tolerance))
+        faults.append(
+            f"{name} jitters by up to {jitter.max():.1%} of the sample time of {sample_time:g} s "
+            f"({np.sqrt(np.mean(jitter**2)):.1%} rms), first beyond {tolerance:.1%} after sample {first}"
+            f"{format_instant(stamps, first)}; give resample = {{ sample_time, method }}, or sample_time without time "
+            "if only the stamps jitter."
+        )
+    return faults
+
+
+def _jump(step: float, sample_time: float) -> str:
+    """Return what a step of the time that is no jitter does."""
+    if step == 0:
+        return "repeats its stamp"
+    lost = round(step / sample_time) - 1
+    late = f"leaves out {counted(lost, 'sample')}" if lost > 0 else "steps early"
+    return f"{'runs backward' if step < 0 else late} (a step of {step:g} s, expected {sample_time:g} s)"

@@ -6,14 +6,17 @@ import math
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
+
 from jointid.common import units
+from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Listing, Paragraph, Table
-from jointid.common.text import number, shown
+from jointid.common.text import counted, number, shown
 from jointid.records.columns import unit_in_name
-from jointid.records.files.outline import Outline, OutlineBuilder
 from jointid.records.formats import format_of, read_tables
 
 _ROWS = 65536  # that are in memory at once, where the format allows it
@@ -22,6 +25,7 @@ _LEVELS = "▁▂▃▄▅▆▇█"
 _SPARKLINE = 24  # characters
 _ROUNDING = 1e-3  # per cent of jitter; what is less is of the clock's digits
 _LONGEST = 60  # characters of a name in the table
+_STRETCHES = 1024  # that are kept at most, of equal length; a power of two
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +97,7 @@ class Inspection(Documented):
             if clock.is_time and clock.sample_time is not None and clock.jitter is not None:
                 count = sum(channel.time == clock.name for channel in self.channels) - 1
                 said.append(
-                    f"{shown(clock.name)} is the time of {count} channel{'' if count == 1 else 's'}: a sample every "
+                    f"{shown(clock.name)} is the time of {counted(count, 'channel')}: a sample every "
                     f"{clock.sample_time:.6g} s, the steps within {max(100 * clock.jitter, _ROUNDING):.2g} % of that."
                 )
         return said or ["No channel is recognised as time; give the joint file a sample_time, or the column's name."]
@@ -125,18 +129,16 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
         told.update(table.clocks)
         scalars, passed = dict(table.scalars), dict(table.passed)
     outlines = {name: made.build() for name, made in outlining.items()}
-    known = units.units_of("time")
-    channels = []
     clocks = {name: o for name, o in outlines.items() if _is_clock(name, o, _unit(name, stated))}
+    channels = []
     for name, outline in outlines.items():
+        channel = InspectedChannel(name, _unit(name, stated), outline)
         clock = name if name in clocks else told.get(name) or _find_clock(name, outline, clocks)
-        clock = clock if clock in clocks else None
-        seconds = math.nan if clock is None else _seconds(_unit(clock, stated), known)
-        if clock is None:
-            channels.append(InspectedChannel(name, _unit(name, stated), outline))
-        else:
+        if clock is not None and clock in clocks:
+            seconds = units.unit(units.spelled(_unit(clock, stated) or "s")).factor
             step, jitter = clocks[clock].step, clocks[clock].jitter
-            channels.append(InspectedChannel(name, _unit(name, stated), outline, clock, step * seconds, jitter))
+            channel = replace(channel, time=clock, sample_time=step * seconds, jitter=jitter)
+        channels.append(channel)
     files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
     size = sum(file.stat().st_size for file in files)
     return Inspection(path.name, format_of(path).name, size, tuple(channels), scalars, passed)
@@ -144,11 +146,6 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
 
 def _unit(name: str, stated: Mapping[str, str]) -> str | None:
     return stated.get(name) or unit_in_name(name, units.units_of("time"))
-
-
-def _seconds(unit: str | None, known: tuple[str, ...]) -> float:
-    name = units.spelled(unit or "s")
-    return units.unit(name).factor if name in known else math.nan
 
 
 def _is_clock(name: str, outline: Outline, unit: str | None) -> bool:
@@ -197,3 +194,97 @@ def draw_sparkline(outline: Outline) -> str:
         far = high if high - middle >= middle - low else low
         marks.append(_LEVELS[min(int((far - outline.minimum) / span * len(_LEVELS)), 7)] if span else _LEVELS[0])
     return "".join(marks)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outline:
+    """A signal in short.
+
+    Attributes:
+        rows: how many numbers it has, NaN included.
+        missing: how many of them are NaN.
+        minimum, maximum: of the others; None where all are missing.
+        first, last: its ends.
+        rises: True if every number is larger than the one before.
+        step: mean difference between neighbours.
+        jitter: largest deviation of such a difference from the mean, as a share of it; NaN where the mean is 0.
+        low, high: smallest and largest of every stretch, shape (stretches,); NaN where all of it is missing.
+        length: numbers of a stretch; the last one may have fewer.
+    """
+
+    rows: int
+    missing: int
+    minimum: float | None
+    maximum: float | None
+    first: float
+    last: float
+    rises: bool
+    step: float
+    jitter: float
+    low: FloatArray
+    high: FloatArray
+    length: int
+
+    def stretches(self, count: int) -> list[tuple[float, float]]:
+        """Return the range of so many stretches, or of as many as there are."""
+        edges = np.linspace(0, self.low.size, min(count, self.low.size) + 1).astype(int)
+        return [
+            (float(np.fmin.reduce(self.low[start:end])), float(np.fmax.reduce(self.high[start:end])))
+            for start, end in pairwise(edges)
+        ]
+
+
+@dataclass(slots=True)
+class OutlineBuilder:
+    """Builder of an outline from a signal that comes part after part."""
+
+    rows: int = 0
+    missing: int = 0
+    rises: bool = True
+    first: float = math.nan
+    last: float = math.nan
+    steps: tuple[float, float] = (math.inf, -math.inf)
+    low: FloatArray = field(default_factory=lambda: np.full(_STRETCHES, np.nan))
+    high: FloatArray = field(default_factory=lambda: np.full(_STRETCHES, np.nan))
+    length: int = 1
+
+    def take(self, values: FloatArray) -> None:
+        """Add the next numbers, shape (samples,), one or more."""
+        if self.rows == 0:
+            self.first = float(values[0])
+        before = values[:1] if self.rows == 0 else np.array([self.last])
+        with np.errstate(invalid="ignore", over="ignore"):  # infinite numbers have no difference
+            steps = np.diff(np.concatenate([before, values])[1 if self.rows == 0 else 0 :])
+        if steps.size:
+            self.rises = self.rises and bool(np.all(steps > 0))
+            self.steps = (min(self.steps[0], float(steps.min())), max(self.steps[1], float(steps.max())))
+        self.missing += int(np.count_nonzero(np.isnan(values)))
+        while self.rows + values.size > _STRETCHES * self.length:
+            self._halve()
+        stretches = np.arange(self.rows // self.length, (self.rows + values.size - 1) // self.length + 1)
+        starts = np.maximum(stretches * self.length - self.rows, 0)
+        self.low[stretches] = np.fmin(self.low[stretches], np.fmin.reduceat(values, starts))
+        self.high[stretches] = np.fmax(self.high[stretches], np.fmax.reduceat(values, starts))
+        self.rows += values.size
+        self.last = float(values[-1])
+
+    def _halve(self) -> None:
+        """Make stretches twice as long."""
+        for kept, smaller in ((self.low, np.fmin), (self.high, np.fmax)):
+            pairs = smaller.reduce(kept.reshape(-1, 2), axis=1)
+            kept[:] = np.nan
+            kept[: pairs.size] = pairs
+        self.length *= 2
+
+    def build(self) -> Outline:
+        """Return the outline; one number or more must have been taken."""
+        used = math.ceil(self.rows / self.length)
+        low, high = self.low[:used].copy(), self.high[:used].copy()
+        there = self.missing < self.rows
+        step = (self.last - self.first) / (self.rows - 1) if self.rows > 1 else 0.0
+        jitter = max(self.steps[1] - step, step - self.steps[0]) / step if step else math.nan
+        minimum, maximum = (float(np.nanmin(low)), float(np.nanmax(high))) if there else (None, None)
+        return Outline(
+            self.rows, self.missing, minimum, maximum, self.first, self.last, self.rises, step, jitter, low, high,
+            self.length,
+        )  # fmt: skip

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.common.text import shown
+from jointid.common.text import counted, shown
 from jointid.records.formats import Format, Holds, Table, format_of, read_tables, write_table
+from jointid.records.formats.table import join_tables
 from jointid.records.formats.untrusted import require_size
 
 _ROWS = 2**18  # that are read at once
@@ -38,9 +38,9 @@ class Conversion:
     notes: tuple[str, ...]
 
     def __str__(self) -> str:
-        count = len(self.columns)
-        kept = f"{shown(self.source)} ({self.formats[0]}) -> {shown(self.target)} ({self.formats[1]}): {count} column"
-        return "\n".join([f"{kept}{'' if count == 1 else 's'}.", *(self.notes or ("Nothing was lost.",))])
+        formats = f"{shown(self.source)} ({self.formats[0]}) -> {shown(self.target)} ({self.formats[1]})"
+        kept = f"{formats}: {counted(len(self.columns), 'column')}."
+        return "\n".join([kept, *(self.notes or ("Nothing was lost.",))])
 
 
 def convert(
@@ -82,21 +82,18 @@ def convert(
 
 
 def _read_columns(source: Path, columns: Sequence[str] | None, options: Mapping[str, Any]) -> Table:
-    """Return the wanted columns of a file."""
-    parts: dict[str, list[FloatArray]] = {}
-    first: Table | None = None
+    parts: list[Table] = []
     numbers = 0
     for table in read_tables(source, _ROWS, **options):
-        if first is None:
-            first = table if columns is None else table.take(columns)
-        for name, values in table.columns.items():
-            if name in first.columns:
-                parts.setdefault(name, []).append(values)
-                numbers += values.size
+        wanted = parts[0].columns if parts else table.columns if columns is None else columns
+        # Behind its end a short column is in no table; that it is in none at all shows in the first.
+        part = table.take([name for name in wanted if name in table.columns or not parts])
+        numbers += sum(values.size for values in part.columns.values())
+        parts.append(part)
         require_size(source, numbers)
-    if first is None or not parts:
+    if not (parts and parts[0].columns):
         raise RecordError(f"{source.name} has no column; there is nothing to convert.")
-    return replace(first, columns={name: np.concatenate(parts[name]) for name in first.columns})
+    return join_tables(parts)
 
 
 def _choose_names(names: list[str], writer: Format) -> dict[str, str]:

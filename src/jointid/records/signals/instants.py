@@ -1,4 +1,4 @@
-"""A record's channels as a controller reads them: at its own instants."""
+"""A channel as a controller reads it: at its own instants."""
 
 from __future__ import annotations
 
@@ -6,35 +6,11 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.models.controllers import (
-    CONSTANT,
-    DIRECTION,
-    INPUTS,
-    REFERENCE,
-    REFERENCE_VELOCITY,
-    Controller,
-    Interpolation,
-)
-from jointid.records.record import Channel, Record, Timing
+from jointid.records.record import Channel, Timing
+from jointid.records.resampling import Interpolation
 
 _SAME_RATE = 1e-4  # two clocks whose rates differ by less than crystals do are one clock
 _MOST = 200  # periods to one log sample, or the other way round: more is a mistake
-
-
-def law_inputs(controller: Controller, record: Record, period: float, periods: int) -> FloatArray:
-    """Return a law's inputs, (periods, INPUTS), without the position and the injected signal."""
-    assert record.reference is not None
-    filled: Interpolation | None = getattr(controller, "interpolation", None)
-    inputs = np.zeros((periods, INPUTS))
-    reference = at_period(record.reference, period, periods, "reference", filled)
-    inputs[:, REFERENCE], inputs[:, CONSTANT] = reference, 1.0
-    inputs[1:, DIRECTION] = np.sign(np.diff(reference))
-    inputs[0, DIRECTION] = inputs[1, DIRECTION]
-    if "reference_velocity" in controller.channels:
-        assert record.reference_velocity is not None
-        velocity = at_period(record.reference_velocity, period, periods, "reference_velocity", filled)
-        inputs[:, REFERENCE_VELOCITY] = velocity
-    return inputs
 
 
 def at_period(

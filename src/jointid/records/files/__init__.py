@@ -1,1 +1,0 @@
-"""Inspect, convert and write files of any format."""

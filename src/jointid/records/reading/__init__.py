@@ -1,1 +1,0 @@
-"""Read a record: whole from a file, or in chunks."""
