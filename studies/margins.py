@@ -21,7 +21,6 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.text import aligned
-from jointid.diagnostics.changes import compute_minimum_detectable_change
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM, refined_least_squares
 from jointid.estimation.problems.closed_loop import torque_problem
@@ -32,10 +31,10 @@ from jointid.records.record import Record
 from jointid.records.signals.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
-from jointid.tuning.margins import NAMES
+from jointid.tuning.margins import NAMES, joint_set
+from jointid.tuning.minimum_detectable_change import compute_minimum_detectable_change
 from jointid.tuning.tune import tune
 from jointid.tuning.tuned import LoopMargins
-from jointid.tuning.worst_case import joint_set
 
 _ROUNDING = 1e-3  # of a margin: how exactly it is computed
 _ENOUGH = 1e-6  # relative: far below a deviation

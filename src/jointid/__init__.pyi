@@ -4,8 +4,8 @@ from .common.errors import ExtraError, JointFileError, JointidError, MethodError
 from .common.transmission import Transmission
 from .config import JointFile, load
 from .controller_id.learn import learn_loop
-from .diagnostics.changes import compare_estimates
 from .diagnostics.check_loop import check_loop
+from .diagnostics.compare_estimates import compare_estimates
 from .diagnostics.experiment_design import advise, design_stiffness_test
 from .diagnostics.intervals import intervals
 from .diagnostics.method_comparison import compare_methods
@@ -44,7 +44,7 @@ from .simulation.drive_side import DriveSide
 from .simulation.loop_input import ClosedLoop, prepare
 from .simulation.open_loop import OpenLoop
 from .simulation.synthesis import simulated_record
-from .tuning.settings import Tuning
+from .tuning.proposals import Tuning
 from .tuning.tune import tune
 
 __version__: str

@@ -14,11 +14,10 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.config import controller_text, load, save_with_controller
 from jointid.controller_id.fitting import FittedLaw, Task, fit, order_rates
 from jointid.controller_id.learn import covariance, learn_loop
-from jointid.controller_id.learned import LearnedLoop
-from jointid.controller_id.limitations import LimitationCode
+from jointid.controller_id.learned import LearnedLoop, LimitationCode
 from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.noise import position_error
-from jointid.controller_id.search import SearchResult
+from jointid.controller_id.search import Rival
 from jointid.controller_id.structure_moves import canonical
 from jointid.controller_id.structures import INTEGRAL, Structure
 from jointid.estimation.identify import identify
@@ -140,11 +139,9 @@ def test_what_is_told_of_a_law_that_a_search_found(number: int, monkeypatch: pyt
     """The search itself takes long; here it finds the law of a twin at once, or the law of another torque."""
     twin = loop_twin(number)
 
-    def found(task: Task, *_: object) -> SearchResult:
+    def found(task: Task, *_: object) -> tuple[FittedLaw, tuple[Rival, ...]]:
         law = fit(task, twin.structure, twin.numbers, task.noise(twin.structure, twin.numbers), steps=12)
-        return SearchResult(
-            law or FittedLaw(twin.structure, twin.numbers, 0.0, task.noise(twin.structure, twin.numbers)), ()
-        )
+        return law or FittedLaw(twin.structure, twin.numbers, 0.0, task.noise(twin.structure, twin.numbers)), ()
 
     monkeypatch.setattr("jointid.controller_id.learn.search", found)
     learned = learn_loop(twin.record)

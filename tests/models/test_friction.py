@@ -20,7 +20,7 @@ from jointid.records.columns import Column
 from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
-from jointid.tuning.lumped import lumped_parameters
+from jointid.tuning.feedforward import lumped_parameters
 
 LAWS = [law() for law in FRICTIONS.values()]
 EVERY_LAW = pytest.mark.parametrize("law", LAWS, ids=list(FRICTIONS))

@@ -34,7 +34,7 @@ from jointid.models.controllers import (
     run,
 )
 from jointid.records.record import Channel, Timing
-from jointid.simulation.loop_input import at_period
+from jointid.records.signals.instants import at_period
 from tests.models.written_out import Sample, begun
 
 T = 1e-3

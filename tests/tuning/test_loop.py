@@ -13,17 +13,18 @@ from jointid.common.errors import MethodError
 from jointid.models.controllers import PID, POSITION, Cascade, Controller, FirstOrder, Notch, SampledLaw, scaled
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
-from jointid.models.linear import frequency_response, linear_joints
+from jointid.models.linear import LinearJoints, SampledDrive, discretise, frequency_response, linear_joints
 from jointid.paper.twin import CONTROLLERS, TABLE_2
-from jointid.tuning.loop import spectral_radius
-from jointid.tuning.margins import NAMES, all_margins, grid, margins_from_row
-from jointid.tuning.plant import sample_joints
-from jointid.tuning.worst_case import joint_set
+from jointid.tuning.margins import NAMES, Margins, all_margins, grid, joint_set, position_response, spectral_radius
 from studies.margins import random_drive
 from studies.servo import SERVO
 
 PERIOD = 1e-3
 RIGID = {"inertia": 105.0, "viscous": 200.0, "coulomb": 20.0, "offset": 0.0}
+
+
+def sample_joints(joints: LinearJoints, law: SampledLaw) -> SampledDrive:
+    return discretise(joints.A, joints.B, law.period, law.delay)
 
 
 def other(joint: FlexibleJoint | RigidJoint, values: dict[str, float], law: SampledLaw) -> Any:
@@ -66,7 +67,7 @@ def test_margins_are_those_of_python_control(
     import control
 
     law = controller.law(PERIOD)
-    found = margins_from_row(joint_set(joint, [values], law).margins(law)[0])
+    found = Margins(*joint_set(joint, [values], law).margins(law)[0])
     loop = other(joint, values, law)
     gains, phases, distance, _, rates, _ = control.stability_margins(loop, returnall=True)
     assert found.gain == pytest.approx(min(g for g in gains if g > 1), rel=3e-3), name
@@ -96,12 +97,12 @@ def test_a_delay_of_part_of_a_period_is_sampled_exactly(late: float) -> None:
     for at in range(4 * torque.size):
         if at % 4 == 0:
             expected.append(state)
-        state = fine.drive.transition[0] @ state + fine.drive.new[0] * put_out[at]
-    past = np.concatenate([np.zeros(coarse.drive.whole + 1), torque])
+        state = fine.transition[0] @ state + fine.new[0] * put_out[at]
+    past = np.concatenate([np.zeros(coarse.whole + 1), torque])
     state = np.zeros(4)
     for at, wanted in enumerate(expected):
         np.testing.assert_allclose(state, wanted, atol=1e-12)
-        state = coarse.drive.transition[0] @ state + coarse.drive.new[0] * past[at + 1] + coarse.drive.old[0] * past[at]
+        state = coarse.transition[0] @ state + coarse.new[0] * past[at + 1] + coarse.old[0] * past[at]
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -110,7 +111,7 @@ def test_a_loop_becomes_unstable_where_its_margins_say(seed: int) -> None:
     controller = drive.loop.controller
     law = controller.law(drive.period)
     linear = linear_joints(drive.loop.joint, [drive.truth])
-    margins = margins_from_row(joint_set(drive.loop.joint, [drive.truth], law).margins(law)[0])
+    margins = Margins(*joint_set(drive.loop.joint, [drive.truth], law).margins(law)[0])
 
     def stable(law: SampledLaw) -> bool:
         return bool(spectral_radius(law, sample_joints(linear, law))[0] < 1)
@@ -131,13 +132,13 @@ def test_a_denser_grid_says_the_same() -> None:
     linear = linear_joints(drive.loop.joint, [drive.truth])
     usual = joint_set(drive.loop.joint, [drive.truth], law)
     hertz = np.unique(np.concatenate([grid(linear, law.period), np.geomspace(usual.hertz[0], usual.hertz[-1], 40_000)]))
-    response = -law.split()[0].feedback(hertz) * usual.sampled.response(hertz)
+    response = -law.split()[0].feedback(hertz) * position_response(usual.drive, hertz, law.period)
     np.testing.assert_allclose(usual.margins(law), all_margins(response, hertz), rtol=3e-3)
 
 
 def test_a_loop_that_is_not_stable_has_no_margins() -> None:
     law = scaled(CONTROLLERS["L19"].law(PERIOD), 20.0)
-    found = margins_from_row(joint_set(FlexibleJoint(), [dict(TABLE_2)], law).margins(law)[0])
+    found = Margins(*joint_set(FlexibleJoint(), [dict(TABLE_2)], law).margins(law)[0])
     assert not found.stable
     assert str(found) == "not stable"
     assert tuple(getattr(found, name) for name in NAMES) == (0.0,) * 5
@@ -146,14 +147,14 @@ def test_a_loop_that_is_not_stable_has_no_margins() -> None:
 def test_an_integral_of_no_weight_does_not_make_a_loop_unstable() -> None:
     law, without = PID(kp=8e5, kd=1.2e4, ki=0.0).law(PERIOD), PID(kp=8e5, kd=1.2e4, ki=1e-3).law(PERIOD)
     for one in (law, without):
-        assert margins_from_row(joint_set(RigidJoint(), [RIGID], one).margins(one)[0]).stable
+        assert Margins(*joint_set(RigidJoint(), [RIGID], one).margins(one)[0]).stable
 
 
 def test_of_two_rates_stability_is_exact_and_margins_are_near() -> None:
     law = SERVO.law(PERIOD)
     assert law.phases == 8
     linear = linear_joints(FlexibleJoint(), [dict(TABLE_2)])
-    gain = margins_from_row(joint_set(FlexibleJoint(), [dict(TABLE_2)], law).margins(law)[0]).gain
+    gain = Margins(*joint_set(FlexibleJoint(), [dict(TABLE_2)], law).margins(law)[0]).gain
     sampled = sample_joints(linear, law)
     assert (
         spectral_radius(scaled(law, 0.9 * gain), sampled)[0] < 1 < spectral_radius(scaled(law, 1.1 * gain), sampled)[0]

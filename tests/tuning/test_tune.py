@@ -12,7 +12,6 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.common.messages import Message
 from jointid.common.transmission import Transmission
-from jointid.diagnostics.changes import compute_minimum_detectable_change
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
@@ -28,12 +27,11 @@ from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.interval import ellipsoid_radius, lowest_mode, possible_joints
-from jointid.tuning.margins import NAMES
-from jointid.tuning.proposals import with_gains
-from jointid.tuning.settings import Tuning
+from jointid.tuning.margins import NAMES, joint_set
+from jointid.tuning.minimum_detectable_change import compute_minimum_detectable_change
+from jointid.tuning.proposals import Tuning, with_gains
 from jointid.tuning.tune import tune
 from jointid.tuning.tuned import Tuned
-from jointid.tuning.worst_case import joint_set
 from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 from studies.margins import random_drive, true_margins
 

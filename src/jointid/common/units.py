@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal, Protocol, TypeAlias
 
 from jointid.common.errors import JointidError
 
@@ -29,6 +29,17 @@ class Unit:
     dimension: str
     factor: float
     si: str
+
+
+class DriveUnits(Protocol):
+    """What resolves a drive's own units: counts of its encoder, shares of its rated torque."""
+
+    def resolve_unit(self, unit: Unit, kind: str) -> Unit:
+        """Return a unit with its factor to SI, for a side of that kind of motion.
+
+        Raises:
+            UnitError: a number of the drive is missing.
+        """
 
 
 def _family(dimension: str, si: str, **factors: float) -> dict[str, Unit]:

@@ -33,7 +33,6 @@ from jointid.controller_id.structures import (
 from jointid.controller_id.structures import CONSTANT as BALANCE
 from jointid.models.controllers import DIRECTION, INJECTED, POSITION, REFERENCE, REFERENCE_VELOCITY
 from jointid.models.controllers.filters import Filter, as_filter
-from jointid.records.record import Timing
 
 _LEAD = 64  # samples of straight motion before the first, in which the filters settle
 _ROUNDING = 1e-14  # of the reference
@@ -48,10 +47,7 @@ EVERY = np.eye(13)
 def columns(log: LoopRecord, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
     """Return the columns of the module's equation, as the log would show them, (samples, 13).
 
-    Args:
-        log: the record.
-        structure: of the law: its filters and clocks.
-        numbers: of the filters, and of the reference's delay.
+    Of the numbers those of the filters and the reference's delay are read.
 
     Raises:
         MethodError: the filters cannot be.
@@ -80,23 +76,14 @@ def columns(log: LoopRecord, structure: Structure, numbers: Mapping[str, float])
         e, speed[:, 0], fed, speed[:, 1], e_sum, fed_sum, speed_sum, w, w_sum,
         viscous, bent, direction, np.ones(r.size),
     ])  # fmt: skip
-    return _as_logged(log, _filter_signals(torque, found, period)[lead:], rate)
+    return log.as_logged(_filter_signals(torque, found, period)[lead:], rate)
 
 
 def injected_torque(log: LoopRecord, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
     """Return the torque injected before the limit, as the log would show it, (samples, 1)."""
     rate, (_, torque) = structure.rate, filters_of(structure, numbers)
     signal = log.inputs(rate, structure.curved)[:, [INJECTED]]
-    return _as_logged(log, _filter_signals(torque, signal, log.period / rate), rate)
-
-
-def _as_logged(log: LoopRecord, signals: FloatArray, rate: int) -> FloatArray:
-    """Return signals of the law as the log shows them, (samples, signals)."""
-    assert log.record.torque is not None
-    if log.record.torque.timing is not Timing.AVERAGED:
-        return signals[::rate]
-    means = signals.reshape(-1, rate, signals.shape[1]).mean(axis=1)
-    return np.concatenate([means[:1], means[:-1]])
+    return log.as_logged(_filter_signals(torque, signal, log.period / rate), rate)
 
 
 def response(log: LoopRecord, structure: Structure, numbers: Mapping[str, float], gains: FloatArray) -> FloatArray:
@@ -105,12 +92,6 @@ def response(log: LoopRecord, structure: Structure, numbers: Mapping[str, float]
     A position loop N times slower than the velocity loop holds what it has read: of an error's frequency f it hears
     ``H(f) / N``, H = 1 + z^-1 + ... of N terms, and as much of the N - 1 others that look alike to it. Where the loop
     is faster than the log, the position loop is taken to be as fast as the velocity loop.
-
-    Args:
-        log: the record.
-        structure: of the law: its filters and clocks.
-        numbers: of the filters.
-        gains: the coefficients.
     """
     period, filters = log.period / structure.rate, filters_of(structure, numbers)
     held = structure.every if structure.rate == 1 else 1
@@ -142,12 +123,7 @@ def response(log: LoopRecord, structure: Structure, numbers: Mapping[str, float]
 
 
 def coefficient_columns(structure: Structure, ki: float) -> dict[str, FloatArray]:
-    """Return the column that each gain of a law multiplies, as a combination of all columns.
-
-    Args:
-        structure: of the law.
-        ki: of a cascade.
-    """
+    """Return the column that each gain of a law multiplies, as a combination of all columns."""
     inner = ki if structure.cascade else 0.0
     fed = {"channel": EVERY[_CHANNEL] + inner * EVERY[_CHANNEL_SUM]}.get(
         structure.reference_velocity, EVERY[_FED] + inner * EVERY[_COMMAND]
@@ -169,13 +145,7 @@ def coefficient_columns(structure: Structure, ki: float) -> dict[str, FloatArray
 
 
 def law_coefficients(structure: Structure, numbers: Mapping[str, float], gain: float) -> FloatArray:
-    """Return the coefficients of a law, in torque.
-
-    Args:
-        structure: of the law.
-        numbers: all of them.
-        gain: torque per controller unit.
-    """
+    """Return the coefficients of a law, in torque, `gain` the torque per controller unit."""
     known = dict(numbers)
     if structure.cascade:
         known["kp"] *= known["kv"]

@@ -1,4 +1,8 @@
-"""Fit one structure: Gauss-Newton on the whitened residual."""
+"""Fit one structure: Gauss-Newton on the whitened residual.
+
+The steps are its own, not of `solvers`: a few of them are made from each of hundreds of starts, with bounds, and what a
+search compares is the cost after so many.
+"""
 
 from __future__ import annotations
 
@@ -13,29 +17,19 @@ from jointid.common.errors import MethodError
 from jointid.controller_id.columns import law_coefficients, response
 from jointid.controller_id.loop_record import LoopRecord
 from jointid.controller_id.noise import Noise, estimate_noise
-from jointid.controller_id.structures import INTEGRAL, Structure, bounds, controller
+from jointid.controller_id.structures import INTEGRAL, NumberedStructure, Structure, bounds, controller
 from jointid.models.controllers import Controller, SampledLaw
 from jointid.solvers.solve import Bounds
 
 _STEP = 1e-5  # of a number, for its difference
 _ENOUGH = 1e-7  # of the cost: a smaller improvement ends the search
-_HALVINGS = 6
+_SHARES = 0.25 ** np.arange(6)  # of a step, one after the other, until one goes down
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FittedLaw:
-    """A structure with its numbers.
+class FittedLaw(NumberedStructure):
+    """A structure with all its numbers, and the `noise` that its residual was whitened by."""
 
-    Attributes:
-        structure: of the law.
-        numbers: those the structure leaves open.
-        cost: sum of the squares of the whitened residual.
-        noise: it was whitened by.
-    """
-
-    structure: Structure
-    numbers: dict[str, float]
-    cost: float
     noise: Noise
 
 
@@ -82,9 +76,8 @@ class Task:
     def noise(self, structure: Structure, numbers: Mapping[str, float]) -> Noise:
         """Return the noise that explains what a law leaves."""
         log, left = self.log, self.residual(structure, numbers)
-        return estimate_noise(
-            left, self.response(structure, numbers), log.torque, log.kept, log.error.most, log.informative
-        )
+        heard = self.response(structure, numbers)
+        return estimate_noise(left, heard, log.torque, log.kept, log.error.most, log.informative)
 
     def slopes(self, structure: Structure, x: FloatArray, base: FloatArray, noise: Noise) -> FloatArray:
         """Return the derivatives of the whitened residual by the numbers, (samples, numbers), by differences."""
@@ -114,25 +107,26 @@ class Task:
 
 
 def fit(task: Task, structure: Structure, start: Mapping[str, float], noise: Noise, steps: int = 8) -> FittedLaw | None:
-    """Return a structure's numbers of least cost near a start; None where the law cannot be, or runs away.
-
-    Args:
-        task: what is fitted to.
-        structure: of the law.
-        start: its numbers.
-        noise: what the residual is whitened by.
-        steps: at most.
-    """
+    """Return a structure's numbers of least cost near a start, None where the law cannot be, or runs away."""
     names, period = structure.names, task.log.period
     limits = Bounds(*np.array([bounds(name, period, structure.rate) for name in names]).T)
     x = limits.clip(np.array([start[name] for name in names], dtype=np.float64))
+
+    def whiten(x: FloatArray) -> FloatArray:
+        return task.whiten(structure, dict(zip(names, x, strict=True)), noise)
+
     try:
-        white = task.whiten(structure, dict(zip(names, x, strict=True)), noise)
+        white = whiten(x)
         cost = float(white @ white)
         for _ in range(steps):
             before = cost
-            J = task.slopes(structure, x, white, noise)
-            x, white, cost = _step(task, structure, x, white, J, noise, limits)
+            change = _gauss_newton_step(task.slopes(structure, x, white, noise), white, x, limits)
+            for share in _SHARES:
+                tried = limits.clip(x + share * change)
+                after = whiten(tried)
+                if (new := float(after @ after)) < cost:
+                    x, white, cost = tried, after, new
+                    break
             if not math.isfinite(cost):
                 return None
             if before - cost <= _ENOUGH * before:
@@ -159,28 +153,6 @@ def order_rates(task: Task, one: FittedLaw) -> FittedLaw:
     gain = slope / (1.0 - other * period)
     found = known | {"kp": integral / (gain * other), "kv": gain, "ki": other}
     return fit(task, structure, found, one.noise) or one
-
-
-def _step(
-    task: Task,
-    structure: Structure,
-    x: FloatArray,
-    white: FloatArray,
-    J: FloatArray,
-    noise: Noise,
-    limits: Bounds,
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return numbers, residual and cost after one step; those of before where none is better."""
-    cost, names = float(white @ white), structure.names
-    change = _gauss_newton_step(J, white, x, limits)
-    share = 1.0
-    for _ in range(_HALVINGS):
-        tried = limits.clip(x + share * change)
-        after = task.whiten(structure, dict(zip(names, tried, strict=True)), noise)
-        if (new := float(after @ after)) < cost:
-            return tried, after, new
-        share *= 0.25
-    return x, white, cost
 
 
 def _gauss_newton_step(J: FloatArray, white: FloatArray, x: FloatArray, limits: Bounds) -> FloatArray:

@@ -3,28 +3,32 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
+from jointid.common.messages import Message
 from jointid.common.progress import Progress, silent
+from jointid.common.text import number
 from jointid.common.transmission import Transmission
 from jointid.controller_id.fitting import FittedLaw, Task, order_rates
-from jointid.controller_id.learned import Alternative, LearnedLoop, LearnedNumber
-from jointid.controller_id.limitations import (
-    ALIKE,
-    Limitation,
+from jointid.controller_id.learned import (
+    Alternative,
+    Equivalence,
+    LearnedLoop,
+    LearnedNumber,
     LimitationCode,
-    list_equivalents,
-    list_limitations,
 )
 from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.search import Rival, search
+from jointid.controller_id.structures import VELOCITY, Structure
 from jointid.models.controllers import Controller, numbers_of, shift_start, with_numbers
-from jointid.records.record import Record
+from jointid.records.record import Record, Tap
 from jointid.uncertainty.covariance import Covariance, covariance_of, larger, robust
 
+ALIKE = 10.0  # of the criterion: a smaller difference does not distinguish two laws
 SAME = 1e-5  # of the torque's rms: laws that differ by less are one equation
 _GAINS = ("kp", "kv", "kd", "time_constant", "frequency")  # the last two of filters
 _EXPLAINED = 0.5  # of the torque: what leaves more is no law of this record
@@ -75,9 +79,9 @@ def learn_loop(
     if not (math.isfinite(gain) and gain > 0):
         raise MethodError(f"The gain of a drive's chain is a positive number; received {gain}.")
     task = Task(prepare_loop_record(record), gain)
-    found = search(task, progress)
-    _require_explained(task, found.best, record.name)
-    return _build_result(task, order_rates(task, found.best), found.rivals, transmission, declared)
+    best, rivals = search(task, progress)
+    _require_explained(task, best, record.name)
+    return _build_result(task, order_rates(task, best), rivals, transmission, declared)
 
 
 def _require_explained(task: Task, best: FittedLaw, name: str) -> None:
@@ -109,7 +113,7 @@ def _require_significant(task: Task, best: FittedLaw, known: Covariance) -> None
         )
 
 
-def _keep_declared(made: Controller, declared: Controller | None) -> tuple[Controller, tuple[Limitation, ...]]:
+def _keep_declared(made: Controller, declared: Controller | None) -> tuple[Controller, tuple[Message, ...]]:
     """Return a law with the declared limit and delay where the record does not show them, and that limitation."""
     said = {} if declared is None else numbers_of(declared)
     open_ones = {"limit": math.inf, "delay": 0.0}
@@ -117,7 +121,9 @@ def _keep_declared(made: Controller, declared: Controller | None) -> tuple[Contr
     kept = {n: said[n] for n, free in open_ones.items() if n in said and own.get(n) == free != said[n]}
     if not kept:
         return made, ()
-    return with_numbers(made, kept), (Limitation(LimitationCode.AS_DECLARED, {"numbers": kept}),)
+    listed = " and ".join(f"{name} = {value:g}" for name, value in kept.items())
+    words = f"As declared, and not from this record: {listed}."
+    return with_numbers(made, kept), (Message(LimitationCode.AS_DECLARED, words, {"numbers": kept}),)
 
 
 def _build_result(
@@ -134,7 +140,13 @@ def _build_result(
     made, declared_ones = _keep_declared(_build_controller(task, best), declared)
     residual = task.residual(best.structure, best.numbers)
     rms = float(np.sqrt(np.sum(residual**2) / np.sum(task.log.kept)))
-    others = tuple(_alternative(task, rival) for rival in rivals)
+    others = tuple(
+        Alternative(
+            rival.fitted.structure, _build_controller(task, rival.fitted), rival.worse, rival.apart,
+            alike=rival.worse < ALIKE or rival.apart < SAME,
+        )
+        for rival in rivals
+    )  # fmt: skip
     named = tuple(other.structure for other in others if other.apart < SAME)
     alike = tuple(o.structure for o in others if o.alike and o.apart >= SAME)
     informative = np.flatnonzero(best.noise.informative)
@@ -163,16 +175,80 @@ def _build_result(
     )
 
 
+def list_equivalents(structure: Structure) -> Iterator[Message]:
+    """Yield the other forms of a law: the same equation, its gains in terms of those that were found."""
+    code, velocity = Equivalence, structure.reference_velocity
+    plain = structure.velocity_filter == "none" and structure.every == 1
+    if structure.law == "P-P" and velocity == "none" and structure.every == 1:
+        yield Message(code.PD, 'PD with reference_velocity = "none", its kp = kp kv and kd = kv')
+    if structure.law == "P-P" and velocity == "full" and plain:
+        yield Message(code.PD_ON_DIFFERENCE, 'PD with reference_velocity = "difference", its kp = kp kv and kd = kv')
+    if structure.law == "P-P" and velocity == "share":
+        yield Message(code.VISCOUS_FEEDFORWARD, "P-P with viscous_feedforward = kv velocity_feedforward instead")
+    if structure.law == "P-PI" and velocity == "full" and plain:
+        yield Message(
+            code.PID_ON_DIFFERENCE,
+            'PID with reference_velocity = "difference", its kp = kv (kp + ki), kd = kv (1 - ki T), ki = kv kp ki',
+        )
+    if not structure.cascade and VELOCITY in structure.feedforward and velocity == "difference":
+        yield Message(code.REFERENCE_VELOCITY_WEIGHT, "the same with a larger weight of the reference's velocity")
+
+
+def list_limitations(task: Task, best: FittedLaw, alike: tuple[Structure, ...]) -> Iterator[Message]:
+    """Yield what a record leaves open about a law; `alike` are the structures that it does not distinguish from it."""
+    structure, log, code = best.structure, task.log, LimitationCode
+    if not structure.integrates:
+        yield Message(
+            code.NO_INTEGRAL,
+            "No integral action is visible in this record: it contributes less than 0.1 % of the torque, or there is "
+            "none.",
+        )
+    if not structure.limited:
+        assert log.record.torque is not None
+        largest, unit = float(abs(log.torque).max()), log.record.torque.unit
+        yield Message(
+            code.LIMIT_NOT_REACHED,
+            f"The limit is not reached in this record; it is above {number(largest, 4)} {unit}, the largest torque.",
+            {"torque": largest, "unit": unit},
+        )
+    elif structure.integrates:
+        yield Message(
+            code.ANTI_WINDUP_NOT_TESTED,
+            "The behaviour of the integral at the limit (anti_windup) was not tested; it is assumed to stop.",
+        )
+    if structure.torque_filter == "none":
+        yield Message(code.TORQUE_FILTER_HIDDEN, "A torque filter whose effect is below the noise cannot be detected.")
+    if log.record.tap is Tap.COMMAND:
+        yield Message(
+            code.DELAY_NOT_VISIBLE,
+            'A delay between the controller\'s output and the acting torque is not visible at the tap "command"; take '
+            "delay from the drive's documentation.",
+        )
+        if structure.late:
+            yield Message(
+                code.TORQUE_LOGGED_LATE,
+                f"The log shows the torque {structure.late} samples later than the position it depends on; declare "
+                'tap = "measured" for the torque, so that the delay is visible in it, or shift the log.',
+                {"samples": structure.late},
+            )
+    if structure.rate > 1 or any(other.rate != structure.rate for other in alike):
+        yield Message(
+            code.PERIOD_UNCERTAIN,
+            "The loop's period follows only from the lag of its velocity; a velocity filter may have the same effect.",
+        )
+        yield Message(
+            code.INTERPOLATION_ASSUMED,
+            "Between the log's samples the reference is assumed to follow the controller's interpolation, and the "
+            "position a cubic spline. Where that is wrong, the errors are larger than the intervals.",
+        )
+    if alike:
+        said = f"This record does not distinguish this law from: {'; '.join(map(str, alike))}."
+        yield Message(code.INDISTINGUISHABLE, said, {"structures": alike})
+
+
 def _build_controller(task: Task, one: FittedLaw) -> Controller:
     """Return a law that counts from the first sample of the record's file, as controllers do."""
     return shift_start(task.controller(one.structure, one.numbers), -task.log.record.begin)
-
-
-def _alternative(task: Task, rival: Rival) -> Alternative:
-    one = rival.fitted
-    made = _build_controller(task, one)
-    alike = rival.worse < ALIKE or rival.apart < SAME
-    return Alternative(one.structure, made, rival.worse, rival.apart, alike)
 
 
 def covariance(task: Task, best: FittedLaw) -> Covariance:
@@ -185,15 +261,11 @@ def covariance(task: Task, best: FittedLaw) -> Covariance:
 
 
 def covariance_by_frequency(J: FloatArray, white: FloatArray) -> Covariance:
-    """Return the covariance from the scores of each frequency alone.
+    """Return the covariance from the scores of each frequency alone: J (samples, numbers), the rest (samples,) white.
 
     An encoder's rounding stands still where the motor does, so that it is loudest where the motion is slow, as the
     motion itself is: a spectrum that is smoothed, or a few neighbouring rows, would miss that. Heteroscedasticity
     over frequencies needs neither (White 1980, of the real transform).
-
-    Args:
-        J: (samples, numbers), the sensitivities of the prediction.
-        white: (samples,) what remains.
     """
     norms = column_norms(J)
     products = np.fft.rfft(J / norms, axis=0).conj() * np.fft.rfft(white)[:, np.newaxis]

@@ -3,15 +3,41 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum, auto
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph, Table, common_facts
+from jointid.common.messages import Message
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
-from jointid.controller_id.limitations import Equivalence, Limitation
 from jointid.controller_id.structures import Structure
 from jointid.models.controllers import Controller
 from jointid.records.record import Resampled
+
+
+class Equivalence(StrEnum):
+    """Another form of the same equation, its gains combined otherwise."""
+
+    PD = auto()
+    PD_ON_DIFFERENCE = auto()
+    VISCOUS_FEEDFORWARD = auto()
+    PID_ON_DIFFERENCE = auto()
+    REFERENCE_VELOCITY_WEIGHT = auto()
+
+
+class LimitationCode(StrEnum):
+    """What a record leaves open about the controller."""
+
+    NO_INTEGRAL = auto()
+    LIMIT_NOT_REACHED = auto()
+    ANTI_WINDUP_NOT_TESTED = auto()
+    TORQUE_FILTER_HIDDEN = auto()
+    DELAY_NOT_VISIBLE = auto()
+    TORQUE_LOGGED_LATE = auto()
+    PERIOD_UNCERTAIN = auto()
+    INTERPOLATION_ASSUMED = auto()
+    INDISTINGUISHABLE = auto()
+    AS_DECLARED = auto()
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +84,9 @@ class LearnedLoop(Documented):
         structure: of the law; its text is the description.
         numbers: those that were learned.
         correlation: of their errors, in that order.
-        equivalent: forms of the same equation, and structures with the same torque to rounding.
+        equivalent: forms of the same equation, by `Equivalence`, and structures with the same torque to rounding.
         alternatives: other structures, the likeliest first.
-        limitations: what the record leaves open about the law; the text of each is its sentence.
+        limitations: what the record leaves open about the law, by `LimitationCode`.
         rms: of the residual, in the torque's unit. share: of the torque's rms.
         torque_noise: standard deviation of the torque's error, in its unit. position_noise: of the position's.
         band: highest informative frequency (the torque exceeds the noise there), Hz.
@@ -75,9 +101,9 @@ class LearnedLoop(Documented):
     structure: Structure
     numbers: tuple[LearnedNumber, ...]
     correlation: FloatArray
-    equivalent: tuple[Equivalence | Structure, ...]
+    equivalent: tuple[Message | Structure, ...]
     alternatives: tuple[Alternative, ...]
-    limitations: tuple[Limitation, ...]
+    limitations: tuple[Message, ...]
     rms: float
     share: float
     torque_noise: float
@@ -105,7 +131,7 @@ class LearnedLoop(Documented):
     @property
     def equivalent_laws(self) -> tuple[str, ...]:
         """The descriptions of the equivalent laws."""
-        return tuple(one.description if isinstance(one, Equivalence) else str(one) for one in self.equivalent)
+        return tuple(map(str, self.equivalent))
 
     def document(self, *, details: bool = False) -> Document:
         """Return the numbers, the other structures, and what the record cannot tell; there are no further details."""

@@ -10,22 +10,19 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.controller_id.informative_frequencies import informative_frequencies
-from jointid.controller_id.noise import PositionError, position_error
+from jointid.controller_id.noise import PositionError, informative_frequencies, position_error
 from jointid.controller_id.structures import LATE, RATES, SLOWER
 from jointid.models.controllers import (
     INJECTED,
     POSITION,
-    REFERENCE_VELOCITY,
-    Cascade,
     Interpolation,
-    LawRun,
     SampledLaw,
+    law_inputs,
     run,
 )
 from jointid.records.record import InjectionPoint, Record, Tap, Timing
 from jointid.records.signals.encoder import find_encoder_step
-from jointid.simulation.loop_input import at_period, known_memory, law_inputs
+from jointid.records.signals.instants import at_period
 
 _NEEDED = ("torque", "reference", "motor_position")
 _FEWEST = 500  # samples
@@ -99,18 +96,6 @@ class LoopRecord:
             self._inputs[rate, curved] = _read_inputs(self.record, self.period, self.samples, rate, filled)
         return self._inputs[rate, curved]
 
-    def run_law(self, law: SampledLaw, content: float, curved: bool) -> LawRun:
-        """Run a law on the record's reference and position; its integral begins with a torque."""
-        rate = round(self.period / law.period)
-        inputs = self.inputs(rate, curved)
-        position = inputs[: 5 * rate + 1, POSITION]
-        slope = (position[-1] - position[0]) / (5 * self.period)
-        state = known_memory(law, inputs) + law.memory(POSITION, float(position[0]), float(slope))
-        integral = law.integral()
-        if integral is not None:
-            state = state + integral * content
-        return run(law, inputs, state)
-
     def predict(self, law: SampledLaw, content: float = 0.0, curved: bool = False) -> FloatArray:
         """Return the torque that the log would show of a law, (samples,).
 
@@ -120,22 +105,31 @@ class LoopRecord:
             curved: whether the reference is filled in by cubics between the log's samples.
         """
         rate = round(self.period / law.period)
-        ran = self.run_law(law, content, curved)
+        inputs = self.inputs(rate, curved)
+        position = inputs[: 5 * rate + 1, POSITION]
+        slope = (position[-1] - position[0]) / (5 * self.period)
+        state = law.known_memory(inputs) + law.memory(POSITION, float(position[0]), float(slope))
+        integral = law.integral()
+        if integral is not None:
+            state = state + integral * content
+        ran = run(law, inputs, state)
         output = ran.tapped if self.record.tap is Tap.COMMAND else ran.output
-        assert self.record.torque is not None
-        if self.record.torque.timing is not Timing.AVERAGED:
-            shown = np.asarray(output[::rate])
-        else:
-            means = output.reshape(-1, rate).mean(axis=1)
-            shown = np.concatenate([means[:1], means[:-1]])
+        shown = self.as_logged(output[:, np.newaxis], rate)[:, 0]
         late = round(law.delay / self.period)
         # What was added behind the limit is as late in the log as the output it was added to.
-        return delay_samples(shown + self.added, late) - self.added if late else shown
+        return _delay_samples(shown + self.added, late) - self.added if late else shown
+
+    def as_logged(self, signals: FloatArray, rate: int) -> FloatArray:
+        """Return signals of a law with so many periods per sample, (periods, signals), as the log shows a torque."""
+        assert self.record.torque is not None
+        if self.record.torque.timing is not Timing.AVERAGED:
+            return signals[::rate]
+        return _delay_samples(signals.reshape(-1, rate, signals.shape[1]).mean(axis=1), 1)
 
 
-def delay_samples(signal: FloatArray, samples: int) -> FloatArray:
-    """Return a signal so many samples later, at its first value until it begins."""
-    return np.concatenate([np.full(samples, signal[0]), signal[: signal.size - samples]])
+def _delay_samples(signals: FloatArray, samples: int) -> FloatArray:
+    """Return signals, (samples, ...), so many samples later, at their first value until they begin."""
+    return np.concatenate([np.repeat(signals[:1], samples, axis=0), signals[: len(signals) - samples]])
 
 
 def prepare_loop_record(record: Record) -> LoopRecord:
@@ -164,7 +158,7 @@ def prepare_loop_record(record: Record) -> LoopRecord:
     ):
         added = at_period(injected.channel, period, samples, "injected")
         if record.torque.timing is Timing.AVERAGED:  # as the torque, a sample shows the mean of the one before it
-            added = np.concatenate([added[:1], added[:-1]])
+            added = _delay_samples(added, 1)
     torque -= added
     if np.ptp(torque) <= _ROUNDING * np.max(np.abs(record.torque.values)):
         raise RecordError(
@@ -199,11 +193,12 @@ def _below_limit(torque: FloatArray, plateau: float | None) -> FloatArray:
 def _read_inputs(record: Record, period: float, samples: int, rate: int, filled: Interpolation | None) -> FloatArray:
     """Return the inputs of a law with that many periods per sample, (periods, INPUTS)."""
     periods, own = samples * rate, period / rate
-    inputs = law_inputs(Cascade(kp=1.0, kv=1.0, interpolation=filled), record, own, periods)
-    assert record.motor_position is not None
-    inputs[:, POSITION] = _interpolate(at_period(record.motor_position, period, samples, "position"), rate)
+    assert record.motor_position is not None and record.reference is not None
+    velocity = None
     if record.reference_velocity is not None:
-        inputs[:, REFERENCE_VELOCITY] = at_period(record.reference_velocity, own, periods, "reference_velocity", filled)
+        velocity = at_period(record.reference_velocity, own, periods, "reference_velocity", filled)
+    inputs = law_inputs(at_period(record.reference, own, periods, "reference", filled), velocity)
+    inputs[:, POSITION] = _interpolate(at_period(record.motor_position, period, samples, "position"), rate)
     if record.injected is not None and record.injected.at is InjectionPoint.BEFORE_LIMIT:
         inputs[:, INJECTED] = at_period(record.injected.channel, own, periods, "injected")
     return inputs

@@ -16,16 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.controller_id.columns import (
-    EVERY,
-    coefficient_columns,
-    columns,
-    injected_torque,
-    response,
-)
+from jointid.controller_id.columns import EVERY, coefficient_columns, columns, injected_torque, response
 from jointid.controller_id.loop_record import LoopRecord
 from jointid.controller_id.noise import Noise, estimate_noise
-from jointid.controller_id.structures import LATE, Structure, bounds
+from jointid.controller_id.structures import LATE, NumberedStructure, Structure, bounds
 
 _DEPENDENT = 1e-9  # of a column: what is left of it beside the others is rounding
 _STEP = 1e-4  # of a number, for its difference
@@ -50,21 +44,15 @@ class Weighting(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RegressionFit:
-    """The regression of a structure on the torque.
+class RegressionFit(NumberedStructure):
+    """The regression of a structure on the torque; of a frame, only the clocks and filters count.
 
     Attributes:
-        structure: of the law; of a frame, only the clocks and filters of it count.
-        numbers: of its filters, ki of a cascade, and the reference's delay.
-        cost: sum of the squares of the whitened residual.
         gains: the regression's coefficients, in torque.
         response: |G| of what was found, at the frequencies of the real transform.
         residual: (samples,) what is left.
     """
 
-    structure: Structure
-    numbers: dict[str, float]
-    cost: float
     gains: FloatArray
     response: FloatArray
     residual: FloatArray
@@ -87,12 +75,7 @@ class CompressedFrame:
     late: tuple[int, ...]
 
     def costs(self, structure: Structure, ki: float | None) -> FloatArray:
-        """Return a law's cost after one Gauss-Newton step of its parameters, for each delay.
-
-        Args:
-            structure: of the law.
-            ki: of a cascade's integral.
-        """
+        """Return a law's cost after one Gauss-Newton step of its parameters, for each delay."""
         mixed = _gain_columns(structure, ki or 0.0)
         X, moves = self.blocks[0] @ mixed, [block @ mixed for block in self.blocks[1:]]
         if ki:
@@ -195,15 +178,8 @@ class Regression:
     def refine(
         self, one: RegressionFit, weighting: Weighting, free: bool = True, evaluations: int = _EVALUATIONS
     ) -> RegressionFit:
-        """Return a structure with its numbers where it explains most.
-
-        Args:
-            one: the structure, and where to begin.
-            weighting: what it is judged under.
-            free: whether all coefficients are free.
-            evaluations: at most, beside those of the derivatives.
-        """
-        from scipy.optimize import least_squares
+        """Return a structure with its numbers where it explains most, `free` of a law's own coefficients or not."""
+        from scipy.optimize import least_squares  # itself: `solvers` search for an end, and this stops long before
 
         names = list(one.numbers)
         low, high = np.array([bounds(n, self.log.period, one.structure.rate) for n in names]).reshape(-1, 2).T
@@ -222,14 +198,9 @@ class Regression:
         sizes = np.maximum(start, [_smallest_scale(name, self.log.period) for name in names])
         inside = np.clip(start, low + 1e-6 * sizes, np.where(np.isfinite(high), high - 1e-6 * sizes, high))
         found = least_squares(
-            white,
-            inside,
-            bounds=(low, high),
-            x_scale=sizes,
-            diff_step=np.full(start.size, _STEP),
-            max_nfev=evaluations,
-            ftol=1e-5,
-        )
+            white, inside, bounds=(low, high), x_scale=sizes, diff_step=np.full(start.size, _STEP),
+            max_nfev=evaluations, ftol=1e-5,
+        )  # fmt: skip
         return fit_gains(found.x)
 
     def _targets(self, structure: Structure, numbers: Mapping[str, float], late: Sequence[int]) -> FloatArray:
@@ -252,13 +223,14 @@ def regression(log: LoopRecord) -> Regression:
     return Regression(log, kept)
 
 
-def law_numbers(one: RegressionFit, gain: float) -> dict[str, float]:
-    """Return the numbers of a law from what its own regression found.
+def initial_weighting(regression: Regression) -> Weighting:
+    """Return the weighting before anything is known of the noise: all informative frequencies alike."""
+    log = regression.log
+    return Weighting(Noise(float(np.var(log.torque)), 0.0, log.informative), np.ones(log.samples // 2 + 1))
 
-    Args:
-        one: what was found.
-        gain: torque per controller unit.
-    """
+
+def law_numbers(one: RegressionFit, gain: float) -> dict[str, float]:
+    """Return the numbers of a law from what its own regression found, `gain` the torque per controller unit."""
     structure, ki = one.structure, one.numbers.get("ki", 0.0)
     parts = coefficient_columns(structure, ki)
     values = np.linalg.lstsq(np.column_stack(list(parts.values())), one.gains / gain, rcond=None)[0]

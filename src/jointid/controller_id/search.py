@@ -1,5 +1,7 @@
 """Structure search: from the best regression with free gains, by single changes, minimising Schwarz's criterion.
 
+Clocks and filters are screened before a law is chosen, each by its regression with free gains.
+
 The criterion is the whitened cost, relative to that of the best structure, plus the weight of the structure's parts,
 with as many rows as there are informative frequencies. A difference of ten is as good as certain: exp(-5) to 1.
 """
@@ -7,7 +9,7 @@ with as many rows as there are informative frequencies. A difference of ten is a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -17,12 +19,33 @@ from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.controller_id.fitting import FittedLaw, Task, fit
 from jointid.controller_id.noise import Noise
-from jointid.controller_id.regression import Regression, RegressionFit, Weighting, law_numbers, regression
-from jointid.controller_id.screening import Candidate, initial_weighting, rank_candidates, screen_frames, start_law
-from jointid.controller_id.structure_moves import list_neighbours, list_simpler, remove_part
-from jointid.controller_id.structures import SIGNED, Structure, bounds, convert_numbers, starts
+from jointid.controller_id.regression import (
+    CompressedFrame,
+    Regression,
+    RegressionFit,
+    Weighting,
+    initial_weighting,
+    law_numbers,
+    regression,
+)
+from jointid.controller_id.structure_moves import list_laws, list_neighbours, list_simpler, remove_part
+from jointid.controller_id.structures import (
+    COMMON,
+    INTEGRAL_GAINS,
+    LATE,
+    RATES,
+    SIGNED,
+    SLOWER,
+    TORQUE_FILTERS,
+    VELOCITY_FILTERS,
+    NumberedStructure,
+    Structure,
+    bounds,
+    convert_numbers,
+    starts,
+)
 
-_Law = TypeVar("_Law", RegressionFit, FittedLaw)
+_Law = TypeVar("_Law", bound=NumberedStructure)
 
 _SEGMENT = 4000  # samples that a search looks at
 _JUDGED = 20  # rivals that the whole record judges
@@ -36,6 +59,8 @@ _SIEVE = ((80, 3), (24, 6), (12, 6))  # laws of the survey that are fitted, each
 _DAMPED = 1.01 * bounds("velocity_filter.damping", 1.0, 1)[0]  # what is below has run to the bound
 _SCREENING = 2  # steps of Gauss and Newton after which a candidate is judged, and perhaps left
 _PROMISING = 20  # candidates that are fitted to the end in a round
+_FINEST = 8  # frames whose filters' numbers are searched for
+_DELAYS = 2  # of the log's, with which laws are tried
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,19 +76,6 @@ class Rival:
     fitted: FittedLaw
     worse: float
     apart: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SearchResult:
-    """The result of a structure search.
-
-    Attributes:
-        best: the structure of the least criterion.
-        rivals: others that came near, the likeliest first.
-    """
-
-    best: FittedLaw
-    rivals: tuple[Rival, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,8 +111,8 @@ class _SearchData:
     ) -> RegressionFit | None:
         """Return the best of a structure's starts: from known numbers, else on a grid."""
         begun = starts(structure, known, self.task.log.period)
-        found = (self.fit_gains(structure, numbers, weighting) for numbers in begun)
-        return min((one for one in found if one is not None), key=lambda one: one.cost, default=None)
+        found = _found(self.fit_gains(structure, numbers, weighting) for numbers in begun)
+        return min(found, key=lambda one: one.cost, default=None)
 
     def refit(self, one: FittedLaw, weighting: Weighting) -> FittedLaw | None:
         """Return a law fitted again from its own numbers."""
@@ -128,15 +140,19 @@ class _SearchData:
         return Weighting(best.noise, self.task.response(best.structure, best.numbers))
 
 
-def search(task: Task, progress: Progress = silent) -> SearchResult:
-    """Return the structure of the least criterion, and its rivals: found on a stretch, and judged on the whole."""
-    data, likeliest, best = _start_search(task.segment(_SEGMENT), _channel(task), progress)
+def search(task: Task, progress: Progress = silent) -> tuple[FittedLaw, tuple[Rival, ...]]:
+    """Return the structure of the least criterion, and the rivals that came near, the likeliest first.
+
+    They are found on a stretch, and judged on the whole record.
+    """
+    channel = task.log.record.reference_velocity is not None
+    data, likeliest, best = _start_search(task.segment(_SEGMENT), channel, progress)
     best, seen = _refit_under_own_noise(data.task, best), set[Structure]()
     while True:
         progress(f"{best.structure}: {len(best.structure.names)} numbers")
         seen.add(best.structure)
         best = data.refit(best, data.weighting(best)) or best
-        rivals = _rank(data.task, best, _fit_nearby(data, best, list_neighbours(best.structure, _channel(task))))
+        rivals = _rank(data.task, best, _fit_nearby(data, best, list_neighbours(best.structure, channel)))
         if not rivals or rivals[0].worse >= 0.0:
             others = _refit(data, likeliest, data.weighting(best))
             rivals = _rank(data.task, best, [*others, *(rival.fitted for rival in rivals)])
@@ -156,7 +172,7 @@ def _start_search(task: Task, channel: bool, progress: Progress) -> tuple[_Searc
     data = _SearchData(task, replace(regression(task.log), own=True))
     weighting, late = screen_frames(data.regression, progress)
     begun = rank_candidates(data.regression, weighting, late, channel, progress)[: _SIEVE[0][0]]
-    likeliest = [one for one in (data.fit_gains(one.structure, one.numbers, weighting) for one in begun) if one]
+    likeliest = _found(data.fit_gains(one.structure, one.numbers, weighting) for one in begun)
     for keep, evaluations in _SIEVE:
         refined = (data.regression.refine(one, weighting, False, evaluations) for one in likeliest[:keep])
         trimmed = (_trim(data, one, weighting) for one in refined)
@@ -177,12 +193,11 @@ def _start_search(task: Task, channel: bool, progress: Progress) -> tuple[_Searc
 
 def _refit(data: _SearchData, likeliest: Iterable[RegressionFit], weighting: Weighting) -> list[FittedLaw]:
     """Return laws fitted again under another noise, each with the parts that pay."""
-    fresh = (data.fit_gains(one.structure, one.numbers, weighting) for one in likeliest)
-    refined = (data.refine(_trim(data, one, weighting), weighting) for one in fresh if one is not None)
-    return [one for one in refined if one is not None]
+    fresh = _found(data.fit_gains(one.structure, one.numbers, weighting) for one in likeliest)
+    return _found(data.refine(_trim(data, one, weighting), weighting) for one in fresh)
 
 
-def _score(one: Candidate | RegressionFit | FittedLaw, rows: float) -> float:
+def _score(one: NumberedStructure, rows: float) -> float:
     """Return a structure's cost with what its parts weigh."""
     return one.cost + one.structure.weight(rows)
 
@@ -193,7 +208,7 @@ def _trim(data: _SearchData, one: RegressionFit, weighting: Weighting) -> Regres
     while True:
         known = law_numbers(one, data.task.gain)
         tried = (data.best_start(fewer, known, weighting) for fewer in list_simpler(one.structure))
-        best = min((fewer for fewer in tried if fewer), key=lambda fewer: _score(fewer, rows), default=None)
+        best = min(_found(tried), key=lambda fewer: _score(fewer, rows), default=None)
         if best is None or (_score(best, rows) > _score(one, rows) and not _is_invalid(known)):
             return one
         one = best
@@ -218,7 +233,9 @@ def _add_limit(data: _SearchData, best: FittedLaw) -> tuple[_SearchData, FittedL
     return replace(data, limited=True), limited
 
 
-def _judge_on_whole_record(data: _SearchData, best: FittedLaw, others: list[FittedLaw]) -> SearchResult:
+def _judge_on_whole_record(
+    data: _SearchData, best: FittedLaw, others: list[FittedLaw]
+) -> tuple[FittedLaw, tuple[Rival, ...]]:
     """Rank, on the whole record, the structures that the search on a segment has left."""
     errors: dict[Structure, float] = {}
     decided = False
@@ -229,12 +246,12 @@ def _judge_on_whole_record(data: _SearchData, best: FittedLaw, others: list[Fitt
         errors[best.structure] = best.noise.torque
         weighting = data.weighting(best)
         own = data.refit(best, weighting) or best
-        known = [data.refit(one, weighting) for one in others]
-        fewer = [
-            data.best_start(one, own.numbers, weighting) for one in list_simpler(replace(own.structure, limited=False))
-        ]
-        known += [data.refine(one, weighting) for one in fewer if one is not None]
-        rivals = _rank(data.task, own, _unique_structures([one for one in known if one is not None]))
+        simpler = list_simpler(replace(own.structure, limited=False))
+        fewer = _found(data.best_start(one, own.numbers, weighting) for one in simpler)
+        known = _found(
+            [*(data.refit(one, weighting) for one in others), *(data.refine(one, weighting) for one in fewer)]
+        )
+        rivals = _rank(data.task, own, _unique_structures(known))
         if not rivals or rivals[0].worse >= 0.0 or decided:
             break
         better = rivals[0].fitted
@@ -243,7 +260,12 @@ def _judge_on_whole_record(data: _SearchData, best: FittedLaw, others: list[Fitt
                 break
             decided = True
         others, best = [best, *(rival.fitted for rival in rivals[1:])], better
-    return SearchResult(best, tuple(rival for rival in rivals if rival.fitted.structure != best.structure))
+    return best, tuple(rival for rival in rivals if rival.fitted.structure != best.structure)
+
+
+def _found(laws: Iterable[_Law | None]) -> list[_Law]:
+    """Return those that are possible."""
+    return [one for one in laws if one is not None]
 
 
 def _unique_structures(laws: Iterable[_Law]) -> list[_Law]:
@@ -262,20 +284,15 @@ def _refit_under_own_noise(task: Task, best: FittedLaw) -> FittedLaw:
     return best
 
 
-def _channel(task: Task) -> bool:
-    return task.log.record.reference_velocity is not None
-
-
 def _fit_nearby(data: _SearchData, best: FittedLaw, structures: Iterable[Structure]) -> list[FittedLaw]:
     """Return the most promising structures, fitted under one noise."""
     weighting = data.weighting(best)
     own, rows, task = data.regression, best.noise.rows, data.task
     unlimited = (replace(s, limited=False) for s in structures)
-    begun = (start_law(own, one, starts(one, best.numbers, task.log.period), weighting) for one in unlimited)
-    promising = sorted((one for one in begun if one is not None), key=lambda one: _score(one, rows))[:_PROMISING]
-    explained = (data.fit_gains(one.structure, one.numbers, weighting) for one in promising)
-    fitted = (data.refine(one, weighting) for one in explained if one is not None)
-    return [one for one in fitted if one is not None]
+    begun = _found(start_law(own, one, starts(one, best.numbers, task.log.period), weighting) for one in unlimited)
+    promising = sorted(begun, key=lambda one: _score(one, rows))[:_PROMISING]
+    explained = _found(data.fit_gains(one.structure, one.numbers, weighting) for one in promising)
+    return _found(data.refine(one, weighting) for one in explained)
 
 
 def _rank(task: Task, best: FittedLaw, others: list[FittedLaw]) -> list[Rival]:
@@ -289,16 +306,12 @@ def _rank(task: Task, best: FittedLaw, others: list[FittedLaw]) -> list[Rival]:
     for one in others:
         worse, distance = criterion(one, best) - own, torque_difference(task, one, best)
         more = one.structure.parts - best.structure.parts
-        if distance < MATERIAL and more and _filters(one) == _filters(best):
+        if distance < MATERIAL and more and one.structure.filters == best.structure.filters:
             if more > 0:
                 continue  # the same law with a part that does nothing
             worse = -max(abs(worse), 1.0)
         rivals.append(Rival(one, worse, distance))
     return sorted(rivals, key=lambda rival: rival.worse)
-
-
-def _filters(one: FittedLaw) -> tuple[str, str]:
-    return one.structure.velocity_filter, one.structure.torque_filter
 
 
 def _prune(task: Task, best: FittedLaw) -> FittedLaw:
@@ -323,3 +336,104 @@ def criterion(one: FittedLaw, best: FittedLaw) -> float:
     """Return Schwarz's criterion of a structure, its cost in units of what the best one leaves."""
     rows = one.noise.rows
     return rows * one.cost / best.cost + one.structure.weight(rows)
+
+
+def screen_frames(regression: Regression, progress: Progress = silent) -> tuple[Weighting, list[int]]:
+    """Return the weighting under which laws are compared, and the log's likeliest delays.
+
+    What is quiet beside the noise shows only once something explains the rest: the noise is that of the frame that
+    explains most whatever the gains, and all are judged again under it. At first by one spectrum, as the law's own
+    would reward a far-off law for reacting to the position; at last by each its own, as one for all would reward a
+    filter that keeps the noise away.
+    """
+    weighting = initial_weighting(regression)
+    progress("screening clocks and filters, with free gains")
+    best = sorted(_best_of_each(_fit_all_frames(regression, weighting)), key=lambda one: one.cost)[:_FINEST]
+    for own in (False, False, True):
+        weighting = regression.weighting(best[0])
+        finer = replace(regression, own=own)
+        best = sorted((finer.refine(one, weighting) for one in best), key=lambda one: one.cost)
+    late = list(dict.fromkeys(one.structure.late for one in best))
+    return regression.weighting(best[0]), late[:_DELAYS]
+
+
+def rank_candidates(
+    regression: Regression, weighting: Weighting, late: Sequence[int], channel: bool, progress: Progress = silent
+) -> list[NumberedStructure]:
+    """Return all laws in all frames, each where it begins best, the likeliest first."""
+    progress("screening all laws with all clocks and filters")
+    rows = weighting.noise.rows
+    begun = _begin_all_laws(regression, weighting, late, channel)
+    return sorted(_best_of_each(begun), key=lambda one: _score(one, rows))
+
+
+def _begin_all_laws(
+    regression: Regression, weighting: Weighting, late: Sequence[int], channel: bool
+) -> Iterator[NumberedStructure]:
+    period = regression.log.period
+    for frame in _frames(Structure()):
+        plain = frame.rate == frame.every == 1
+        for delayed in (False, True) if plain and frame.torque_filter == "none" else (False,):
+            laws = [law for law in list_laws(frame, channel) if law.reference_delay == delayed]
+            for numbers in starts(replace(frame, reference_delay=delayed), {}, period):
+                try:
+                    compressed = regression.compress(frame, numbers, weighting, late if plain else [0])
+                except MethodError:  # a filter that cannot be at this rate
+                    continue
+                for law in laws:
+                    yield from _start_laws(compressed, law, period)
+
+
+def start_law(
+    regression: Regression, law: Structure, begun: Iterable[Mapping[str, float]], weighting: Weighting
+) -> NumberedStructure | None:
+    """Return the best starting point of a law, of some numbers; None if it is impossible."""
+    found = []
+    for numbers in begun:
+        ki = numbers.get("ki") if law.cascade else None
+        others = {name: value for name, value in numbers.items() if name != "ki"}
+        try:
+            compressed = regression.compress(law, others, weighting, [law.late])
+        except MethodError:  # a filter or a delay that cannot be
+            continue
+        found.append(NumberedStructure(law, dict(numbers), float(compressed.costs(law, ki)[0])))
+    return min(found, key=lambda one: one.cost, default=None)
+
+
+def _start_laws(compressed: CompressedFrame, law: Structure, period: float) -> Iterator[NumberedStructure]:
+    gains = INTEGRAL_GAINS if law.cascade and law.integrates else (None,)
+    for share in gains:
+        ki = None if share is None else share / period
+        numbers = compressed.numbers if ki is None else compressed.numbers | {"ki": ki}
+        for late, cost in zip(compressed.late, compressed.costs(law, ki), strict=True):
+            yield NumberedStructure(replace(law, late=late), numbers, float(cost))
+
+
+def _fit_all_frames(regression: Regression, weighting: Weighting) -> Iterator[RegressionFit]:
+    for frame in _frames(Structure()):
+        late = (0, *LATE) if frame.rate == frame.every == 1 else (0,)
+        for numbers in starts(frame, {}, regression.log.period):
+            try:
+                yield from regression.fit_gains(frame, numbers, weighting, late)
+            except MethodError:  # a filter that cannot be at this rate
+                continue
+
+
+def _frames(plain: Structure) -> Iterator[Structure]:
+    """Yield clocks with the common filters, and the log's own clock with all pairs of filters."""
+    for filtered in VELOCITY_FILTERS:
+        like = replace(plain, velocity_filter=filtered)
+        yield like
+        if filtered in COMMON:
+            yield from (replace(like, torque_filter=one) for one in TORQUE_FILTERS[1:])
+            yield from (replace(like, rate=n, curved=curved) for n in RATES for curved in (False, True))
+            yield from (replace(like, every=n, offset=k) for n in SLOWER for k in range(n))
+
+
+def _best_of_each(laws: Iterable[_Law]) -> Iterable[_Law]:
+    """Return the one of least cost of each structure."""
+    best: dict[Structure, _Law] = {}
+    for one in laws:
+        if one.structure not in best or one.cost < best[one.structure].cost:
+            best[one.structure] = one
+    return best.values()

@@ -16,6 +16,7 @@ from jointid.controller_id.structures import (
     SLOWER,
     TORQUE_FILTERS,
     VELOCITY,
+    VELOCITY_FILTERS,
     Law,
     Structure,
 )
@@ -76,12 +77,7 @@ def list_simpler(structure: Structure) -> Iterator[Structure]:
 
 
 def list_neighbours(structure: Structure, channel: bool) -> Iterator[Structure]:
-    """Yield the structures that differ from one in a single part, each under its canonical name.
-
-    Args:
-        structure: the one.
-        channel: whether the record has the reference's velocity.
-    """
+    """Yield the structures that differ from one in a single part, each under its canonical name."""
     seen = {structure}
     for one in map(canonical, _changes(structure, channel)):
         if one not in seen:
@@ -90,12 +86,7 @@ def list_neighbours(structure: Structure, channel: bool) -> Iterator[Structure]:
 
 
 def list_laws(frame: Structure, channel: bool) -> Iterator[Structure]:
-    """Yield all laws with a frame's clocks and filters and all feed-forwards, each under its canonical name.
-
-    Args:
-        frame: with the clocks and filters.
-        channel: whether the record has the reference's velocity.
-    """
+    """Yield all laws with a frame's clocks and filters and all feed-forwards, each under its canonical name."""
     seen = set[Structure]()
     for law in _other_laws(replace(frame, feedforward=frozenset(FEEDFORWARDS)), channel):
         for one in (law, replace(law, reference_delay=True)):
@@ -107,18 +98,17 @@ def list_laws(frame: Structure, channel: bool) -> Iterator[Structure]:
 
 def _changes(structure: Structure, channel: bool) -> Iterator[Structure]:
     yield from _other_laws(structure, channel)
-    filters = ("none", *(f"mean {n}" for n in MEANS), "first order", "second order")
-    yield from (replace(structure, velocity_filter=one) for one in filters if one != structure.velocity_filter)
+    yield from (replace(structure, velocity_filter=one) for one in VELOCITY_FILTERS)
     for part in FEEDFORWARDS:
         allowed = not (part == CONSTANT and structure.integrates)
         allowed &= not (part == VELOCITY and structure.law == "P-P" and structure.reference_velocity != "channel")
         if part in structure.feedforward or allowed:
             yield replace(structure, feedforward=structure.feedforward ^ {part})
-    yield from (replace(structure, torque_filter=one) for one in TORQUE_FILTERS if one != structure.torque_filter)
+    yield from (replace(structure, torque_filter=one) for one in TORQUE_FILTERS)
     yield from _move_filter(structure)
     yield replace(structure, reference_delay=not structure.reference_delay)
     yield from _other_rates(structure)
-    yield from (replace(structure, late=n) for n in (0, *LATE) if n != structure.late)
+    yield from (replace(structure, late=n) for n in (0, *LATE))
 
 
 def _move_filter(structure: Structure) -> Iterator[Structure]:
@@ -148,14 +138,12 @@ def _other_rates(structure: Structure) -> Iterator[Structure]:
     if not structure.cascade:
         return
     pairs = [(structure.rate, 0)] if structure.rate > 1 else [(n, k) for n in SLOWER for k in range(n)]
-    for every, offset in [(1, 0), *pairs]:
-        if (every, offset) != (structure.every, structure.offset):
-            yield replace(structure, every=every, offset=offset)
+    yield from (replace(structure, every=every, offset=offset) for every, offset in [(1, 0), *pairs])
 
 
 def _mean_over_same_time(velocity_filter: str, periods: float) -> str:
     """Return the mean over the same time where a sample becomes so many periods; other filters as they are."""
-    if velocity_filter not in ("none", *(f"mean {n}" for n in MEANS)):
+    if velocity_filter.endswith("order"):
         return velocity_filter
     samples = (1 if velocity_filter == "none" else int(velocity_filter.split()[1])) * periods
     if samples == 1:
@@ -164,6 +152,7 @@ def _mean_over_same_time(velocity_filter: str, periods: float) -> str:
 
 
 def _other_laws(structure: Structure, channel: bool) -> Iterator[Structure]:
+    law: Law
     cascades = ("none", "share", "full", *(["channel"] if channel else []))
     others = ("difference", *(["channel"] if channel else []))
     for integral in (False, True):
@@ -171,24 +160,12 @@ def _other_laws(structure: Structure, channel: bool) -> Iterator[Structure]:
         for velocity in cascades:
             law = "P-PI" if integral else "P-P"
             if integral or velocity == "channel":
-                yield from _vary(structure, law=law, reference_velocity=velocity, feedforward=parts)
+                yield replace(structure, law=law, reference_velocity=velocity, feedforward=parts)
             if velocity != "channel":  # the cascade has its own
                 beside = parts - {VELOCITY}
-                yield from _vary(structure, law=law, reference_velocity=velocity, feedforward=beside)
+                yield replace(structure, law=law, reference_velocity=velocity, feedforward=beside)
         # A PD without the reference's velocity is a P-P; without a filter, one with its difference is one, too.
         kinds = [kind for kind in others if kind != "difference" or structure.velocity_filter != "none"]
+        law = "PID" if integral else "PD"
         for velocity in [*kinds, *(["none"] if integral else [])]:
-            yield from _vary(
-                structure,
-                law="PID" if integral else "PD",
-                reference_velocity=velocity,
-                feedforward=parts,
-                every=1,
-                offset=0,
-            )
-
-
-def _vary(structure: Structure, **parts: Any) -> Iterator[Structure]:
-    other = replace(structure, **parts)
-    if other != structure:
-        yield other
+            yield replace(structure, law=law, reference_velocity=velocity, feedforward=parts, every=1, offset=0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Literal
 
@@ -15,7 +15,6 @@ from jointid.models.controllers import (
     Controller,
     Filter,
     FirstOrder,
-    Interpolation,
     Notch,
     SecondOrder,
 )
@@ -24,6 +23,8 @@ Law = Literal["P-P", "P-PI", "PD", "PID"]
 
 MEANS = (2, 3, 4, 6, 8, 16)
 """Samples of the moving averages that are tried."""
+
+VELOCITY_FILTERS = ("none", *(f"mean {n}" for n in MEANS), "first order", "second order")
 
 COMMON = ("none", "mean 2", "mean 4", "first order", "second order")
 """Velocity filters that are tried in every law."""
@@ -44,8 +45,6 @@ FEEDFORWARDS = (VELOCITY, ACCELERATION, COULOMB, CONSTANT)
 
 INTEGRAL = "integral"
 """The torque that an integral holds at the first sample, in controller units: a number of the record, not the law."""
-
-_FULL = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,38 +90,27 @@ class Structure:
         return self.law in ("P-PI", "PID")
 
     @property
+    def filters(self) -> tuple[str, str]:
+        """Those of the velocity and of the torque."""
+        return self.velocity_filter, self.torque_filter
+
+    @property
     def frame(self) -> Structure:
         """The plain law with its clocks and filters."""
-        return Structure(
-            velocity_filter=self.velocity_filter,
-            torque_filter=self.torque_filter,
-            late=self.late,
-            rate=self.rate,
-            curved=self.curved,
-            every=self.every,
-            offset=self.offset,
+        return replace(
+            self, law="P-P", reference_velocity="none", feedforward=frozenset(), reference_delay=False, limited=False
         )
 
     @property
     def names(self) -> tuple[str, ...]:
         """The numbers it leaves open, as `numbers_of` names them, and `INTEGRAL`."""
-        return tuple(self._names())
-
-    def _names(self) -> Iterator[str]:
-        yield from ("kp", "kv" if self.cascade else "kd")
-        if self.integrates:
-            yield from ("ki", INTEGRAL)
-        if self.cascade and self.reference_velocity in ("share", "channel"):
-            yield "velocity_feedforward"
-        for part in FEEDFORWARDS:
-            if part in self.feedforward:
-                yield FIELDS[part]
-        yield from _filter_names("velocity_filter", self.velocity_filter)
-        yield from _filter_names("torque_filters.0", self.torque_filter)
-        if self.reference_delay:
-            yield "reference_delay"
-        if self.limited:
-            yield "limit"
+        names = ["kp", "kv" if self.cascade else "kd"]
+        names += ["ki", INTEGRAL] * self.integrates
+        names += ["velocity_feedforward"] * (self.cascade and self.reference_velocity in ("share", "channel"))
+        names += [FIELDS[part] for part in FEEDFORWARDS if part in self.feedforward]
+        names += _filter_names("velocity_filter", self.velocity_filter)
+        names += _filter_names("torque_filters.0", self.torque_filter)
+        return (*names, *["reference_delay"] * self.reference_delay, *["limit"] * self.limited)
 
     @property
     def parts(self) -> int:
@@ -134,9 +122,6 @@ class Structure:
 
         Of clocks there are many, and the best of many explains more by chance: a clock is charged the 2 log(choices) of
         the extended criterion as well (Chen and Chen 2008, Biometrika 95(3)).
-
-        Args:
-            rows: independent numbers in the residual.
         """
         choices = (len(RATES) * 2, self.rate > 1), (sum(SLOWER), self.every > 1), (len(LATE), self.late > 0)
         return self.parts * math.log(rows) + sum(2.0 * math.log(number) for number, chosen in choices if chosen)
@@ -149,7 +134,9 @@ class Structure:
         if self.feedforward:
             said.append(" and ".join(p for p in FEEDFORWARDS if p in self.feedforward) + " feed-forward")
         if self.velocity_filter != "none":
-            said.append(f"velocity filter {_spelled(self.velocity_filter)}")
+            kind, _, samples = self.velocity_filter.partition(" ")
+            spelled = f"mean of {samples} samples" if kind == "mean" else self.velocity_filter
+            said.append(f"velocity filter {spelled}")
         if self.torque_filter != "none":
             said.append(f"torque filter {self.torque_filter}")
         if self.reference_delay:
@@ -161,6 +148,22 @@ class Structure:
         if self.every > 1:
             said.append(f"position loop every {self.every} periods, from the {self.offset}th")
         return ", ".join(said)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NumberedStructure:
+    """A structure with numbers, and how well it explains the torque.
+
+    Attributes:
+        structure: of the law.
+        numbers: those the structure leaves open, or of a regression, those its torque is not linear in: of its filters,
+            ki of a cascade, and the reference's delay.
+        cost: sum of the squares of the whitened residual.
+    """
+
+    structure: Structure
+    numbers: dict[str, float]
+    cost: float
 
 
 FIELDS = {
@@ -197,18 +200,8 @@ def _filter_names(place: str, kind: str) -> list[str]:
     return [f"{place}.{name}" for name in _FILTERS.get(kind, {})]
 
 
-def _spelled(kind: str) -> str:
-    return f"mean of {kind.split()[1]} samples" if kind.startswith("mean") else kind
-
-
 def starts(structure: Structure, known: Mapping[str, float], sample_time: float) -> Iterator[dict[str, float]]:
-    """Yield where to look for the numbers that a law is not linear in: as known of a similar structure, or on a grid.
-
-    Args:
-        structure: that they are for.
-        known: numbers of a similar one.
-        sample_time: of the log, seconds.
-    """
+    """Yield where to look for the numbers a law is not linear in: as known of a similar structure, or on a grid."""
     places: list[Iterable[dict[str, float]]] = []
     for place, kind in (("velocity_filter", structure.velocity_filter), ("torque_filters.0", structure.torque_filter)):
         names = _filter_names(place, kind)
@@ -232,12 +225,7 @@ def starts(structure: Structure, known: Mapping[str, float], sample_time: float)
 
 
 def convert_numbers(structure: Structure, known: Mapping[str, float]) -> dict[str, float]:
-    """Return a law's numbers from those of a similar one; ``kp kv`` of a cascade is the kp of a PD.
-
-    Args:
-        structure: of the law; what is not known of it is 0.
-        known: numbers of the other.
-    """
+    """Return a law's numbers from those of a similar one, else 0; ``kp kv`` of a cascade is the kp of a PD."""
     given = dict(known)
     if structure.cascade and "kd" in given:
         given["kv"] = given.pop("kd")
@@ -258,13 +246,7 @@ def _dimensioned(name: str, value: float, sample_time: float) -> float:
 
 
 def bounds(name: str, sample_time: float, rate: int) -> tuple[float, float]:
-    """Return the bounds of a parameter.
-
-    Args:
-        name: of the number.
-        sample_time: of the log, seconds.
-        rate: of the law, in periods per sample of the log.
-    """
+    """Return the bounds of a parameter of a law with `rate` periods per sample of the log (`sample_time`, s)."""
     period = sample_time / rate
     last = name.rpartition(".")[2]
     if name in SIGNED:
@@ -280,14 +262,7 @@ def bounds(name: str, sample_time: float, rate: int) -> tuple[float, float]:
 
 
 def controller(structure: Structure, numbers: Mapping[str, float], period: float, gain: float) -> Controller:
-    """Return the law of a structure.
-
-    Args:
-        structure: of the law.
-        numbers: those the structure leaves open.
-        period: of the log, seconds.
-        gain: torque per controller unit.
-    """
+    """Return the law of a structure; `period` of the log, in seconds, `gain` the torque per controller unit."""
     own = {name: value for name, value in numbers.items() if "." not in name and name not in (INTEGRAL, "limit")}
     settings: dict[str, Any] = {"gain": gain, **own}
     if structure.limited:
@@ -299,28 +274,20 @@ def controller(structure: Structure, numbers: Mapping[str, float], period: float
         settings["torque_filters"] = (torque,)
     if structure.late:
         settings["delay"] = structure.late * period
-    if structure.rate > 1:
-        settings["period"] = period / structure.rate
-        settings["interpolation"] = interpolation(structure)
     own_period = period / structure.rate
+    if structure.rate > 1:
+        settings |= {"period": own_period, "interpolation": "cubic" if structure.curved else "linear"}
     if structure.cascade:
         if structure.every > 1:
             settings |= {"position_period": structure.every * own_period}
             settings |= {"position_offset": structure.offset * own_period} if structure.offset else {}
         if structure.reference_velocity == "full":
-            settings["velocity_feedforward"] = _FULL
+            settings["velocity_feedforward"] = 1.0
         if structure.reference_velocity == "channel":
             settings["reference_velocity"] = "channel"
         return Cascade(**settings)
     settings["reference_velocity"] = structure.reference_velocity
     return PID(**settings) if structure.integrates else PD(**settings)
-
-
-def interpolation(structure: Structure) -> Interpolation | None:
-    """Return the interpolation of the reference in a law that is faster than the log."""
-    if structure.rate == 1:
-        return None
-    return "cubic" if structure.curved else "linear"
 
 
 def filters_of(structure: Structure, numbers: Mapping[str, float]) -> tuple[Filter | tuple[float, ...], ...]:

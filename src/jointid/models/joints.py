@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 
@@ -43,35 +43,12 @@ class Motion:
     acceleration: FloatArray
 
 
-def _offset(friction: Friction, gravity: Gravity | None) -> Parameter:
-    """Return the offset; it is fixed where another parameter is a constant, too."""
-    offset = Parameter("offset", "offset", Quantity.FORCE)
-    identifiable = friction.offset_identifiable and (gravity is None or gravity.load != "constant")
-    return offset if identifiable else offset.fixed(0.0)
-
-
-def _gravity_parameters(gravity: Gravity | None) -> tuple[Parameter, ...]:
-    return () if gravity is None else gravity.parameters
-
-
-def _gravity_columns(gravity: Gravity | None, position: FloatArray) -> FloatArray:
-    return np.zeros((position.size, 0)) if gravity is None else gravity.columns(position)
-
-
-def _gravity_constant(gravity: Gravity | None, values: Mapping[str, float]) -> float:
-    return 0.0 if gravity is None else gravity.coefficients(values)[0]
-
-
-def _gravity_coefficients(gravity: Gravity | None, values: Mapping[str, float], of_load: bool) -> FloatArray | None:
-    """Return gravity's position-dependent coefficients, as the simulation takes them; None if there are none."""
-    if gravity is None or not gravity.varies:
-        return None
-    return np.array([*gravity.coefficients(values)[1:], gravity.angle, float(of_load)])
-
-
 @dataclass(frozen=True, slots=True)
 class _JointBase:
     """Common base of the joints: kind of motion, friction, transmission and gravity; see `RigidJoint`."""
+
+    model: ClassVar[str]
+    """Name of the model, as files say it."""
 
     kind: Kind = "prismatic"
     friction: Friction = field(default_factory=SymmetricFriction)
@@ -80,14 +57,40 @@ class _JointBase:
     gravity: Gravity | None = None
 
     def __post_init__(self) -> None:
-        _require_kind(self.kind, self.transmission)
+        if self.kind not in POSITION_UNIT:
+            raise MethodError(f'A joint is "prismatic" or "revolute"; received "{self.kind}".')
+        gear = self.transmission
+        if gear is not None and gear.kind != self.kind:
+            raise MethodError(
+                f"The {gear.side} side of this transmission is {gear.kind}, but the joint on it is said to be "
+                f'{self.kind}; give the joint the kind "{gear.kind}", or the transmission the other side.'
+            )
         if self.gravity is not None:
-            moves = self.kind if self.transmission is None else self.transmission.load
-            self.gravity.require(moves, self.friction)
+            self.gravity.require(self.kind if gear is None else gear.load, self.friction)
 
     def unit(self, parameter: Parameter) -> str:
         """Return the unit of a parameter of this joint."""
         return unit_of(parameter.quantity, self.kind, self.torque_unit or TORQUE_UNIT[self.kind])
+
+    def gravity_coefficients(self, values: Mapping[str, float]) -> FloatArray | None:
+        """Return gravity's position-dependent coefficients, (5,), as the simulation takes them; None without any."""
+        if self.gravity is None or not self.gravity.varies:
+            return None
+        follows_load = float(self.model == "flexible")
+        return np.array([*self.gravity.coefficients(values)[1:], self.gravity.angle, follows_load])
+
+    @property
+    def _common_parameters(self) -> tuple[Parameter, ...]:
+        """The offset, fixed where another parameter is a constant, too, and those of gravity."""
+        offset, gravity = Parameter("offset", "offset", Quantity.FORCE), self.gravity
+        identifiable = self.friction.offset_identifiable and (gravity is None or gravity.load != "constant")
+        return (offset if identifiable else offset.fixed(0.0), *(() if gravity is None else gravity.parameters))
+
+    def _gravity_columns(self, position: FloatArray) -> FloatArray:
+        return np.zeros((position.size, 0)) if self.gravity is None else self.gravity.columns(position)
+
+    def _gravity_constant(self, values: Mapping[str, float]) -> float:
+        return 0.0 if self.gravity is None else self.gravity.coefficients(values)[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,10 +107,7 @@ class RigidJoint(_JointBase):
         gravity: of what the joint carries; a constant load takes the place of the offset, which is then fixed at 0.
     """
 
-    @property
-    def model(self) -> str:
-        """Name of the model, as files say it."""
-        return "rigid"
+    model = "rigid"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -115,8 +115,7 @@ class RigidJoint(_JointBase):
         return (
             Parameter("inertia", "ZZ", Quantity.INERTIA, lower=_TINY),
             *self.friction.parameters("", ""),
-            _offset(self.friction, self.gravity),
-            *_gravity_parameters(self.gravity),
+            *self._common_parameters,
         )
 
     def regressor(self, motor: Motion, load: Motion | None = None) -> FloatArray:
@@ -124,19 +123,15 @@ class RigidJoint(_JointBase):
 
         The load of a rigid joint moves with the motor, so its motion is not read.
         """
-        friction, gravity = self.friction.columns(motor.velocity), _gravity_columns(self.gravity, motor.position)
+        friction, gravity = self.friction.columns(motor.velocity), self._gravity_columns(motor.position)
         rows = [motor.acceleration, *friction.T, np.ones_like(motor.velocity), *gravity.T]
         return np.stack(rows).T[np.newaxis]  # each column is written in one piece
 
     def coefficients(self, values: Mapping[str, float]) -> FloatArray:
         """Return the drive for the simulation (`simulation.kernels`): a motor, and a load without a spring."""
         friction = self.friction.directions(values, "")
-        offset = values["offset"] + _gravity_constant(self.gravity, values)
+        offset = values["offset"] + self._gravity_constant(values)
         return np.array([values["inertia"], 1.0, 0.0, 0.0, *friction, 0.0, 0.0, 0.0, 0.0, offset, 0.0])
-
-    def gravity_coefficients(self, values: Mapping[str, float]) -> FloatArray | None:
-        """Return gravity's position-dependent coefficients, (5,), as the simulation takes them; None without any."""
-        return _gravity_coefficients(self.gravity, values, of_load=False)
 
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
         """Return the state at rest or in steady motion: position and velocity (the load's are not used)."""
@@ -155,10 +150,7 @@ class FlexibleJoint(_JointBase):
         gravity: of the load; a constant load takes the place of the offset, which is then fixed at 0.
     """
 
-    @property
-    def model(self) -> str:
-        """Name of the model, as files say it."""
-        return "flexible"
+    model = "flexible"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -170,8 +162,7 @@ class FlexibleJoint(_JointBase):
             Parameter("damping", "F12", Quantity.VISCOUS, lower=0.0),
             Parameter("load_inertia", "ZZ2", Quantity.INERTIA, lower=_TINY),
             *self.friction.parameters("load_", "2"),
-            _offset(self.friction, self.gravity),
-            *_gravity_parameters(self.gravity),
+            *self._common_parameters,
         )
 
     @property
@@ -195,29 +186,16 @@ class FlexibleJoint(_JointBase):
         zeros, ones = np.zeros_like(motor.velocity), np.ones_like(motor.velocity)
         deflection, slip = load.position - motor.position, load.velocity - motor.velocity
         motor_friction, load_friction = (self.friction.columns(side.velocity) for side in (motor, load))
-        gravity = _gravity_columns(self.gravity, load.position)
+        gravity = self._gravity_columns(load.position)
         first = [motor.acceleration, motor_friction, -deflection, -slip, zeros, 0 * load_friction, ones, 0 * gravity]
         second = [zeros, 0 * motor_friction, deflection, slip, load.acceleration, load_friction, zeros, gravity]
         return np.stack([np.column_stack(first), np.column_stack(second)])
 
     def coefficients(self, values: Mapping[str, float]) -> FloatArray:
         """Return the drive's coefficients for the simulation (`simulation.kernels`)."""
-        return np.array(
-            [
-                values["motor_inertia"],
-                values["load_inertia"],
-                values["stiffness"],
-                values["damping"],
-                *self.friction.directions(values, "motor_"),
-                *self.friction.directions(values, "load_"),
-                values["offset"],
-                _gravity_constant(self.gravity, values),
-            ]
-        )
-
-    def gravity_coefficients(self, values: Mapping[str, float]) -> FloatArray | None:
-        """Return gravity's coefficients over the load's position, (5,), as in `RigidJoint`."""
-        return _gravity_coefficients(self.gravity, values, of_load=True)
+        drive = [values[name] for name in ("motor_inertia", "load_inertia", "stiffness", "damping")]
+        motor, load = (self.friction.directions(values, side) for side in ("motor_", "load_"))
+        return np.array([*drive, *motor, *load, values["offset"], self._gravity_constant(values)])
 
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
         """Return the state at rest or in steady motion: the load moves with the motor, carried by the spring.
@@ -229,25 +207,14 @@ class FlexibleJoint(_JointBase):
         if velocity != 0.0:
             drag = forwards * velocity + coulomb if velocity > 0 else backwards * velocity - coulomb_back
         deflection, stiffness = 0.0, values["stiffness"]
-        if stiffness > 0.0:
-            hanging = (
-                None if self.gravity is None else self.gravity.static_deflection(values, stiffness, position, drag)
-            )
-            deflection = drag / stiffness if hanging is None else hanging
+        if stiffness > 0.0 and self.gravity is not None:
+            deflection = self.gravity.static_deflection(values, stiffness, position, drag)
+        elif stiffness > 0.0:
+            deflection = drag / stiffness
         return np.array([position, velocity, position - deflection, velocity])
 
 
 Joint: TypeAlias = RigidJoint | FlexibleJoint
-
-
-def _require_kind(kind: str, transmission: Transmission | None) -> None:
-    if kind not in POSITION_UNIT:
-        raise MethodError(f'A joint is "prismatic" or "revolute"; received "{kind}".')
-    if transmission is not None and transmission.kind != kind:
-        raise MethodError(
-            f"The {transmission.side} side of this transmission is {transmission.kind}, but the joint on it is said to "
-            f'be {kind}; give the joint the kind "{transmission.kind}", or the transmission the other side.'
-        )
 
 
 def acts_on_whole(name: str) -> bool:

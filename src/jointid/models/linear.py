@@ -77,6 +77,18 @@ def hold_torque(A: FloatArray, B: FloatArray, seconds: float) -> tuple[FloatArra
     return made[..., :order, :order], made[..., :order, order]
 
 
+def state_response(A: FloatArray, B: ComplexArray, points: ComplexArray) -> ComplexArray:
+    """Return ``(p I - A)^-1 B``, (points, states): what a system's states answer at s or z.
+
+    Args:
+        A: (states, states).
+        B: (states,), or (points, states) where it depends on the point.
+        points: (points,), complex.
+    """
+    systems = points[:, np.newaxis, np.newaxis] * np.eye(len(A)) - A
+    return np.asarray(np.linalg.solve(systems, np.broadcast_to(B, (points.size, len(A)))[..., np.newaxis])[..., 0])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledDrive:
     """A drive under a torque that is held for a period and acts (m + f) periods after its sample, f below 1.
@@ -160,19 +172,14 @@ def linear_joints(joint: Joint, candidates: Sequence[Mapping[str, float]]) -> Li
         joint: the model.
         candidates: every parameter of it by name, one mapping for each joint.
     """
-    ways = (0, 1) if joint.friction.depends_on_direction("viscous") else (0,)
+    ways = (0, 1) if joint.friction.depends_on_direction("viscous") else (0,)  # forwards, backwards
+    masses = 2 if isinstance(joint, FlexibleJoint) else 1
     made = [
-        _linear(joint.coefficients(values), way, isinstance(joint, FlexibleJoint))
-        for values in candidates
+        drive_matrices((c[0], c[1])[:masses], (c[4 + way], c[8 + way])[:masses], c[2], c[3])
+        for c in map(joint.coefficients, candidates)
         for way in ways
     ]
     return LinearJoints(np.array([A for A, _ in made]), np.array([B for _, B in made]))
-
-
-def _linear(c: FloatArray, way: int, flexible: bool) -> tuple[FloatArray, FloatArray]:
-    """Return the matrices of a drive (`Joint.coefficients`) that moves forwards (0) or backwards (1)."""
-    masses = 2 if flexible else 1
-    return drive_matrices((c[0], c[1])[:masses], (c[4 + way], c[8 + way])[:masses], c[2], c[3])
 
 
 def frequency_response(
@@ -207,8 +214,4 @@ def frequency_response(
         )
     made = linear_joints(joint, [values])
     A, B = made.A[0], made.B[0]
-    s = 2j * math.pi * hertz
-    states = np.linalg.solve(
-        s[:, np.newaxis, np.newaxis] * np.eye(len(A)) - A, np.broadcast_to(B[:, np.newaxis], (hertz.size, len(B), 1))
-    )
-    return np.asarray(states[:, OUTPUTS.index(output) % len(A), 0])
+    return state_response(A, B, np.asarray(2j * math.pi * hertz))[:, OUTPUTS.index(output) % len(A)]

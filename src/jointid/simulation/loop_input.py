@@ -17,30 +17,25 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.models.controllers import (
-    CONSTANT,
-    DIRECTION,
     INJECTED,
-    INPUTS,
     POSITION,
-    REFERENCE,
-    REFERENCE_VELOCITY,
     Controller,
     Interpolation,
     SampledLaw,
+    law_inputs,
     respond,
     scaled,
     shift_start,
 )
 from jointid.models.joints import Joint
 from jointid.models.linear import SNAP
-from jointid.records.record import Channel, InjectionPoint, Record, Tap, Timing, require_units
+from jointid.records.record import InjectionPoint, Record, Tap, Timing, require_units
+from jointid.records.signals.instants import at_period, period_ratio
 
 if TYPE_CHECKING:
     from jointid.simulation.kernels.drive import Feedback
 
-_SAME_RATE = 1e-4  # two clocks whose rates differ by less than crystals do are one clock
 _FEWEST = 10  # periods that can be simulated to any purpose
-_MOST = 200  # periods to one log sample, or the other way round: more is a mistake
 _SLOWLY = 1e-4  # of the sampling frequency: there a loop holds its position
 _FAR = 1e3  # times the commanded travel: a motor this far away will not come back
 
@@ -159,8 +154,13 @@ def prepare(loop: ClosedLoop, record: Record) -> LoopInput:
             f"The record lasts {record.duration:.4g} s, fewer than {_FEWEST} of the controller's periods of "
             f"{law.period:.4g} s; use a longer one, or correct the period."
         )
-    _ratio(law.period, log.sample_time, "the log")
-    inputs = law_inputs(loop.controller, record, law.period, periods)
+    period_ratio(law.period, log.sample_time, "the log")
+    filled: Interpolation | None = getattr(loop.controller, "interpolation", None)
+    velocity = None
+    if "reference_velocity" in loop.controller.channels:
+        assert record.reference_velocity is not None
+        velocity = at_period(record.reference_velocity, law.period, periods, "reference_velocity", filled)
+    inputs = law_inputs(at_period(record.reference, law.period, periods, "reference", filled), velocity)
     after, logged = np.zeros(periods), np.zeros(periods)
     if record.injected is not None:
         signal = at_period(record.injected.channel, law.period, periods, "injected")
@@ -174,64 +174,6 @@ def prepare(loop: ClosedLoop, record: Record) -> LoopInput:
     return _experiment(law, inputs, after, logged, log.sample_time, samples, record.tap, timing, record.begin)
 
 
-def law_inputs(controller: Controller, record: Record, period: float, periods: int) -> FloatArray:
-    """Return a law's inputs, (periods, INPUTS), without the position and the injected signal."""
-    assert record.reference is not None
-    filled: Interpolation | None = getattr(controller, "interpolation", None)
-    inputs = np.zeros((periods, INPUTS))
-    reference = at_period(record.reference, period, periods, "reference", filled)
-    inputs[:, REFERENCE], inputs[:, CONSTANT] = reference, 1.0
-    inputs[1:, DIRECTION] = np.sign(np.diff(reference))
-    inputs[0, DIRECTION] = inputs[1, DIRECTION]
-    if "reference_velocity" in controller.channels:
-        assert record.reference_velocity is not None
-        velocity = at_period(record.reference_velocity, period, periods, "reference_velocity", filled)
-        inputs[:, REFERENCE_VELOCITY] = velocity
-    return inputs
-
-
-def at_period(
-    channel: Channel, period: float, periods: int, name: str, interpolation: Interpolation | None = None
-) -> FloatArray:
-    """Return a channel at the controller's instants.
-
-    A channel that is faster than the controller is picked. One that is slower is filled in: held until its next
-    sample, by straight lines, or by Catmull-Rom's cubic, whose slope at a sample is half the difference of its
-    neighbours; after the last sample it stays. What is not said follows from the channel: one that is sampled (as a
-    reference is, unless it is declared held) gets lines.
-
-    Raises:
-        RecordError: neither of the two periods is a multiple of the other.
-    """
-    every, repeat = _ratio(period, channel.sample_time, name)
-    if interpolation is None:
-        interpolation = "linear" if channel.timing is Timing.SAMPLED else "hold"
-    if repeat == 1 or interpolation == "hold" or channel.values.size < 2:
-        return np.asarray(np.repeat(channel.values[::every], repeat)[:periods])
-    values, at = channel.values, np.minimum(np.arange(periods) / repeat, channel.values.size - 1)
-    if interpolation == "linear":
-        return np.asarray(np.interp(at, np.arange(values.size), values), dtype=np.float64)
-    begin = np.minimum(at.astype(np.intp), values.size - 2)
-    ends = np.concatenate([2 * values[:1] - values[1:2], values, 2 * values[-1:] - values[-2:-1]])
-    before, first, second, after = (ends[begin + i] for i in range(4))
-    t = at - begin
-    straight, low, high = second - first, 0.5 * (second - before), 0.5 * (after - first)
-    curve = (low - straight) * (1 - t) - (high - straight) * t
-    return np.asarray(first + t * (straight + (1 - t) * curve))
-
-
-def _ratio(long: float, short: float, name: str) -> tuple[int, int]:
-    """Return (every, repeat): how many of `short` make one `long`, or the other way round; one of them is 1."""
-    ratio = long / short
-    every, repeat = max(round(min(ratio, 1e9)), 1), max(round(min(1 / ratio, 1e9)), 1)
-    if max(every, repeat) > _MOST or abs(ratio * repeat / every - 1) > _SAME_RATE:
-        raise RecordError(
-            f"The controller's period and the sample time of {name}, {long:.9g} s and {short:.9g} s, are not the same, "
-            f"nor is one a multiple of the other up to {_MOST} times; correct the period, or resample the log."
-        )
-    return every, repeat
-
-
 def _experiment(
     law: SampledLaw,
     inputs: FloatArray,
@@ -243,7 +185,7 @@ def _experiment(
     timing: Timing,
     begin: float,
 ) -> LoopInput:
-    repeat, every = _ratio(law.period, sample_time, "the log")
+    repeat, every = period_ratio(law.period, sample_time, "the log")
     lengths, lags = _parts(law, repeat)
     starts = np.cumsum(lengths) - lengths
     inside = [int(np.argmin(np.abs(starts - j * law.period / repeat))) for j in range(repeat)]
@@ -264,7 +206,7 @@ def _beforehand(law: SampledLaw, inputs: FloatArray) -> tuple[SampledLaw, FloatA
     """Return what of a law the motion moves, and what is known before it: see `LoopInput`."""
     feedback, beforehand = law.split()
     moved = law.fed_back()
-    state = known_memory(law, inputs)
+    state = law.known_memory(inputs)
     if not law.integrates:
         feedforward = respond(law, inputs, state).T
         return feedback, np.ascontiguousarray(feedforward), np.zeros((0, feedback.order)), np.zeros(feedback.order)
@@ -284,16 +226,6 @@ def _for_kernel(law: SampledLaw, driven: FloatArray) -> Feedback:
     B, D = np.ascontiguousarray(law.B[:, :, POSITION]), np.ascontiguousarray(law.D[:, :, POSITION])
     A, F, C, E = (np.ascontiguousarray(matrix) for matrix in (law.A, law.F, law.C, law.E))
     return Feedback(A, B, F, C, D, E, law.limits, law.gates, driven, law.output, law.tap)
-
-
-def known_memory(law: SampledLaw, inputs: FloatArray) -> FloatArray:
-    """Return the states that all inputs but the position leave before the first period, when they moved uniformly."""
-    first = inputs[0]
-    slope = (inputs[1, REFERENCE] - first[REFERENCE]) / law.period if len(inputs) > 1 else 0.0
-    values, slopes = np.zeros(INPUTS), np.zeros(INPUTS)
-    known = [REFERENCE, REFERENCE_VELOCITY, DIRECTION, CONSTANT]
-    values[known], slopes[REFERENCE] = first[known], slope
-    return law.memories(values, slopes)
 
 
 def _parts(law: SampledLaw, repeat: int) -> tuple[FloatArray, NDArray[np.int64]]:

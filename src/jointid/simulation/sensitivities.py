@@ -36,7 +36,6 @@ from jointid.simulation.loop_input import (
     acting,
     as_logged,
     averages,
-    known_memory,
     seen_torque,
 )
 
@@ -327,7 +326,7 @@ def _cut(out: ClosedLoopRun, inputs: FloatArray) -> FloatArray:
 
 def _begun(law: SampledLaw, inputs: FloatArray, out: ClosedLoopRun) -> FloatArray:
     """Return all states of a law at the first period of a run, (states,)."""
-    state = known_memory(law, inputs) + law.memory(POSITION, out.position, out.velocity)
+    state = law.known_memory(inputs) + law.memory(POSITION, out.position, out.velocity)
     integral = law.integral() if out.torque is not None else None
     if integral is None or out.torque is None:
         return state

@@ -11,16 +11,18 @@ torque of a rigid joint that follows its reference: good below about a fifth of 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+
+import numpy as np
 
 from jointid.common import units
 from jointid.common.transmission import Transmission
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import ServoController
+from jointid.models.friction import PARTS
 from jointid.models.parameters import Quantity, unit_of
-from jointid.records.drives.drive import Drive
-from jointid.tuning.lumped import LumpedParameter
 
 _ROWS: tuple[tuple[str, str, Quantity, str, int], ...] = (
     ("inertia", "acceleration_feedforward", Quantity.INERTIA, "J / (g r^2)", 2),
@@ -29,6 +31,37 @@ _ROWS: tuple[tuple[str, str, Quantity, str, int], ...] = (
     ("constant", "constant_feedforward", Quantity.FORCE, "c / (g r)", 1),
 )
 _PER_COUNT = {"inertia": "/(counts/s2)", "viscous": "/(counts/s)", "coulomb": "", "constant": ""}
+
+
+@dataclass(frozen=True, slots=True)
+class LumpedParameter:
+    """A weighted sum of parameters, both sides of a joint together.
+
+    Attributes:
+        formula: in symbols. value: in SI on the joint's side. std: None where nothing of it was free.
+    """
+
+    formula: str
+    value: float
+    std: float | None
+
+
+def lumped_parameters(estimate: Estimate) -> dict[str, LumpedParameter]:
+    """Return inertia, viscous and Coulomb friction and the constant force of the whole joint, by those names.
+
+    Of friction that differs with the direction viscous and Coulomb friction are the means of both directions, and half
+    the difference of the Coulomb forces belongs to the constant.
+    """
+    sides = ("motor_", "load_") if estimate.settings.joint.model == "flexible" else ("",)
+    law = estimate.settings.joint.friction
+    friction: dict[str, dict[str, float]] = {
+        part: {n: w for side in sides for n, w in law.mean(part, side).items()} for part in PARTS
+    }
+    constant: dict[str, float] = {n: w for side in sides for n, w in law.constant(side).items()}
+    names = {p.name for p in estimate.params}
+    constant |= {name: 1.0 for name in ("offset", "gravity_constant") if name in names}
+    wanted = {"inertia": {f"{side}inertia": 1.0 for side in sides}, **friction, "constant": constant}
+    return {name: _total(estimate, weights) for name, weights in wanted.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +91,10 @@ class FeedForward:
 
 
 def feedforward(
-    estimate: Estimate, controller: ServoController, whole: Mapping[str, LumpedParameter], drive: Drive | None = None
+    estimate: Estimate,
+    controller: ServoController,
+    whole: Mapping[str, LumpedParameter],
+    drive: units.DriveUnits | None = None,
 ) -> tuple[FeedForward, ...]:
     """Return the feed-forwards of an estimate.
 
@@ -85,7 +121,7 @@ def feedforward(
     return tuple(found)
 
 
-def _in_drive(name: str, value: float, estimate: Estimate, drive: Drive | None) -> tuple[float | None, str]:
+def _in_drive(name: str, value: float, estimate: Estimate, drive: units.DriveUnits | None) -> tuple[float | None, str]:
     """Return a feed-forward in the drive's own units on the motor's side, and their name."""
     joint = estimate.settings.joint
     if drive is None or estimate.data.torque_unit not in ("N", "N m"):
@@ -101,3 +137,45 @@ def _in_drive(name: str, value: float, estimate: Estimate, drive: Drive | None) 
     if name in ("inertia", "viscous"):
         return value * per_count / (torque**2 * share), f"per mille{_PER_COUNT[name]}"
     return value / ((abs(torque) if name == "coulomb" else torque) * share), "per mille"
+
+
+def _total(estimate: Estimate, weights: Mapping[str, float]) -> LumpedParameter:
+    if not weights:  # the law has no such friction
+        return LumpedParameter("0", 0.0, None)
+    formula = _formula(estimate, weights)
+    if estimate.checks.bounds:
+        return _of_sums(estimate, weights, formula)
+    value = sum(weight * estimate.values[name] for name, weight in weights.items())
+    spread = {name: weight * std for name, weight in weights.items() if (std := estimate[name].stderr)}
+    if not spread:
+        return LumpedParameter(formula, value, None)
+    free, known = [p.name for p in estimate.params if p.free], estimate.params.correlation
+    at, sizes = [free.index(name) for name in spread], np.array(list(spread.values()))
+    correlation = known[np.ix_(at, at)] if max(at) < len(known) else np.eye(len(at))
+    return LumpedParameter(formula, value, math.sqrt(max(float(sizes @ correlation @ sizes), 0.0)))
+
+
+def _of_sums(estimate: Estimate, weights: Mapping[str, float], formula: str) -> LumpedParameter:
+    """Return a sum where only those of both sides are told; what their errors have in common is not kept: no less."""
+    assert estimate.checks.known is not None
+    value, std = 0.0, 0.0
+    for known in estimate.checks.known.physical:
+        weight = weights.get(next(iter(known.combination.weights)))
+        if weight is not None:
+            value, std = value + weight * known.value, std + abs(weight) * known.std
+    for name, weight in weights.items():
+        if name in estimate.values:  # what both sides have in common, and what was fixed
+            value, std = value + weight * estimate.values[name], std + abs(weight) * (estimate[name].stderr or 0.0)
+    return LumpedParameter(formula, value, std or None)
+
+
+def _formula(estimate: Estimate, weights: Mapping[str, float]) -> str:
+    """Return the sum in symbols, with a mean written as one."""
+    kept = {name: w for name, w in weights.items() if estimate[name].free or estimate.values.get(name)} or weights
+    halves = all(abs(w) == 0.5 for w in kept.values())
+    terms = [
+        ("- " if w < 0 else "+ ") + ("" if halves or abs(w) == 1 else f"{abs(w):g} ") + estimate[name].symbol
+        for name, w in kept.items()
+    ]
+    joined = " ".join(terms).removeprefix("+ ")
+    return f"({joined})/2" if halves else joined

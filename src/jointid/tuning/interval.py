@@ -1,4 +1,4 @@
-"""The joints an estimate leaves possible: the ellipsoid of its errors, or all springs above a bound.
+"""The joints an estimate leaves possible, and the worst of them: an ellipsoid of errors, or all springs above a bound.
 
 Whatever is stated of a loop is the worst over all of these joints. Where every parameter is told, they are those of the
 confidence ellipsoid of the parameters that move the loop (inertias, viscous frictions, spring and damper)::
@@ -22,13 +22,18 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.text import number
 from jointid.estimation.result.estimate import Estimate
+from jointid.models.controllers import SampledLaw
 from jointid.models.joints import MODE_DAMPING, FlexibleJoint, Joint, RigidJoint, split_by_mode
 from jointid.models.parameters import Quantity
+from jointid.tuning.margins import JointSet, joint_set
 
 _MOVES = (Quantity.INERTIA, Quantity.VISCOUS, Quantity.STIFFNESS)
 _LEAST = 1e-3  # of an inertia or a stiffness: what an interval reaches at least, since without it there is no mode
 _DIRECTIONS = 20  # random ones for each parameter
 _SPRINGS = 30  # tried between a bound and half the sampling frequency
+_ROUNDS = 4  # of looking for a worse joint
+_NEAR = 6  # joints looked at around the worst one, for every margin
+_TURNED = 0.3  # how far these are from it, in the unit ball
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +61,10 @@ class Interval:
         center = np.array([self.nominal[name] for name in self.names])
         values = np.maximum(center + points @ self.factor.T, self.lower)
         return [dict(self.nominal) | dict(zip(self.names, map(float, row), strict=True)) for row in values]
+
+    def sample(self, points: FloatArray, law: SampledLaw) -> JointSet:
+        """Sample the joints at points of the unit ball, (points, names), and those beside it, for a law."""
+        return joint_set(self.joint, [*self.at(points), *self.others], law)
 
     def points(self, seed: int) -> FloatArray:
         """Return the centre, both ends of every axis and random points of the surface, (points, names)."""
@@ -148,6 +157,58 @@ def _springs(estimate: Estimate, confidence: float, last: float) -> Interval:
     if unbounded:
         description += f"; a share of {', '.join(unbounded)} is left out, as the record excludes no spring there"
     return Interval(estimate.settings.joint, made[0], (), np.zeros((0, 0)), np.zeros(0), tuple(made), description)
+
+
+def find_worst_case(
+    interval: Interval, law: SampledLaw, points: FloatArray, seed: int = 0
+) -> tuple[FloatArray, FloatArray]:
+    """Return the worst margins over an interval: over given points, then down their slopes and around the worst.
+
+    Args:
+        interval: of the joints.
+        law: of the controller.
+        points: (points, names) of the unit ball, to begin with.
+        seed: of the joints that are tried around the worst.
+
+    Returns:
+        Each margin, (5,), the smallest over all joints that were looked at; the points of the unit ball, (found,
+        names), of the joints that are worst in one of them.
+    """
+    margins = interval.sample(points, law).margins(law)
+    if not interval.names:
+        return np.min(margins, axis=0), points[:1]
+    rng = np.random.default_rng(seed)
+    for _ in range(_ROUNDS):
+        before = np.min(margins, axis=0)
+        more = np.concatenate([_downhill(points, margins), _around(points, margins, rng)])
+        margins = np.concatenate([margins, joint_set(interval.joint, interval.at(more), law).margins(law)])
+        points = np.concatenate([points, more])
+        after = np.min(margins, axis=0)
+        if np.all(after >= before * (1 - 1e-3)) or not after[-1]:
+            break
+    return np.min(margins, axis=0), points[np.unique(np.argmin(margins, axis=0))]
+
+
+def _downhill(points: FloatArray, margins: FloatArray) -> FloatArray:
+    """Return, for every margin, where on the surface its straight part is smallest."""
+    found = []
+    for one in margins.T:
+        stable = np.isfinite(one) & (margins[:, -1] > 0)
+        if np.sum(stable) <= points.shape[1] + 1:
+            continue
+        columns = np.column_stack([np.ones(int(np.sum(stable))), points[stable]])
+        slope = np.linalg.lstsq(columns, one[stable], rcond=None)[0][1:]
+        if size := float(np.linalg.norm(slope)):
+            found.append(-slope / size)
+    return np.array(found).reshape(-1, points.shape[1])
+
+
+def _around(points: FloatArray, margins: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return joints around the worst ones, on the surface."""
+    worst_ones = points[np.unique(np.argmin(margins, axis=0))]
+    drawn = np.repeat(worst_ones, _NEAR, axis=0)
+    drawn = drawn + _TURNED * rng.standard_normal(drawn.shape)
+    return np.asarray(drawn / np.maximum(np.linalg.norm(drawn, axis=1), 1e-12)[:, np.newaxis])
 
 
 def joint_with_mode(

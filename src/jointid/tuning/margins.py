@@ -1,4 +1,10 @@
-"""Stability margins of a loop: gain, phase, delay, and the distance of its response from -1.
+"""The loop of a sampled law and of joints under it: its response where it is cut open, its stability and its margins.
+
+The loop is cut at the torque: ``L(z) = -F(z) P(z)``, F the law's answer to the motor position and P the joint's,
+sampled exactly under a torque that is held, and late (`models.linear.SampledDrive`). Limits do not act. Gravity that
+follows the position is left out: it is a weak spring, far below the frequencies at which margins are read. A law whose
+parts run at several rates has no single response: L then has its part at the frequency itself, and the images that the
+slower loop makes of it are left out; its stability is exact all the same, over a whole cycle.
 
 All crossings count, not the first one: a lightly damped mode crosses several times. The response is taken as straight
 between the frequencies of a grid, which is dense where a mode turns it round (`grid`): within 0.3 % of what
@@ -8,13 +14,17 @@ python-control finds on polynomials.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.text import number
-from jointid.models.linear import ComplexArray, LinearJoints
+from jointid.models.controllers import POSITION, SampledLaw
+from jointid.models.joints import Joint
+from jointid.models.linear import ComplexArray, LinearJoints, SampledDrive, discretise, linear_joints, state_response
 
 _LOWEST = 1e-4  # of half the sampling frequency, where a grid begins
 _BASE = 1000  # frequencies without modes
@@ -22,6 +32,7 @@ _PER_WIDTH = 15  # frequencies in the half width of a resonance
 _NARROWEST = 5e-4  # damping ratio below which the grid is not refined
 _MOST = 2500  # frequencies for the modes
 _WIDTHS = 8  # of a resonance, on each side of the modes
+_STABLE = 1.0 - 1e-12
 
 NAMES = ("gain", "reduction", "phase", "delay", "modulus")
 """The margins in the order of the arrays."""
@@ -53,23 +64,63 @@ class Margins:
         """Return them in a line."""
         if not self.stable:
             return "not stable"
-        said = [f"gain x {_size(self.gain)} ({_decibel(self.gain)})", f"gain / {_size(self.reduction)}"]
+        decibel = "-" if math.isinf(self.gain) else f"{20 * math.log10(self.gain):.1f} dB"
+        said = [f"gain x {_size(self.gain)} ({decibel})", f"gain / {_size(self.reduction)}"]
         phase = "none needed" if math.isinf(self.phase) else f"{number(math.degrees(self.phase), 3)} deg"
         delay = "any" if math.isinf(self.delay) else f"{number(1e3 * self.delay, 3)} ms"
         return ", ".join([*said, f"phase {phase}", f"delay {delay}", f"distance from -1 {number(self.modulus, 3)}"])
-
-
-def margins_from_row(row: FloatArray) -> Margins:
-    """Return a row of `all_margins`."""
-    return Margins(*map(float, row))
 
 
 def _size(ratio: float) -> str:
     return "any" if math.isinf(ratio) else number(ratio, 3)
 
 
-def _decibel(ratio: float) -> str:
-    return "-" if math.isinf(ratio) else f"{20 * math.log10(ratio):.1f} dB"
+@dataclass(frozen=True, slots=True, eq=False)
+class JointSet:
+    """Joints sampled for all laws of one period and delay.
+
+    Attributes:
+        hertz: (frequencies,). drive: of all joints. position: (joints, frequencies) their responses.
+        ways: joints of each candidate: two where friction differs with the direction.
+    """
+
+    hertz: FloatArray
+    drive: SampledDrive
+    position: ComplexArray
+    ways: int
+
+    @property
+    def first(self) -> JointSet:
+        """The first candidate alone."""
+        kept = slice(0, self.ways)
+        return JointSet(self.hertz, self.drive.of(kept), self.position[kept], self.ways)
+
+    def response(self, law: SampledLaw) -> ComplexArray:
+        """Return the loops cut open, (joints, frequencies)."""
+        feedback, _ = law.split()
+        return np.asarray(-feedback.feedback(self.hertz) * self.position)
+
+    def margins(self, law: SampledLaw) -> FloatArray:
+        """Return the margins of every candidate, (candidates, 5); 0 where its loop is not stable."""
+        found = all_margins(self.response(law), self.hertz)
+        found[spectral_radius(law, self.drive) >= _STABLE] = 0.0
+        return np.asarray(np.min(found.reshape(-1, self.ways, len(NAMES)), axis=1))
+
+
+def joint_set(joint: Joint, candidates: Sequence[Mapping[str, float]], law: SampledLaw) -> JointSet:
+    """Sample joints for a law, and others of its period and delay."""
+    linear = linear_joints(joint, candidates)
+    drive = discretise(linear.A, linear.B, law.period, law.delay)
+    hertz = grid(linear, law.period)
+    return JointSet(hertz, drive, position_response(drive, hertz, law.period), len(linear.A) // len(candidates))
+
+
+def position_response(drive: SampledDrive, hertz: FloatArray, period: float) -> ComplexArray:
+    """Return the response of sampled joints' motor positions to the law's torque, (joints, frequencies)."""
+    z = np.exp(2j * math.pi * hertz * period)
+    parts = zip(drive.transition, drive.new, drive.old, strict=True)
+    found = [state_response(transition, new + old / z[:, np.newaxis], z)[:, 0] for transition, new, old in parts]
+    return np.asarray(np.array(found) * z**-drive.whole)
 
 
 def grid(joints: LinearJoints, period: float) -> FloatArray:
@@ -140,3 +191,40 @@ def crossover(response: ComplexArray, hertz: FloatArray) -> float:
     """Return the highest frequency in Hz at which any of some loops has a gain of 1 or more; 0 where none has."""
     above = np.any(np.abs(response) >= 1.0, axis=0)
     return float(hertz[np.flatnonzero(above)[-1]]) if above.any() else 0.0
+
+
+def spectral_radius(law: SampledLaw, drive: SampledDrive) -> FloatArray:
+    """Return the size of the closed loops' largest eigenvalue over a cycle, (joints,); stable below 1."""
+    feedback, _ = law.split()
+    reaching = _states_reaching_torque(feedback)
+    order, states, waiting = int(np.sum(reaching)), drive.transition.shape[1], drive.waiting
+    size = states + order + waiting
+    cycle = np.broadcast_to(np.eye(size), (len(drive.transition), size, size))
+    for phase in range(law.phases):
+        A, B = feedback.A[phase][np.ix_(reaching, reaching)], feedback.B[phase, reaching, POSITION]
+        C, D = feedback.C[phase, law.output, reaching], feedback.D[phase, law.output, POSITION]
+        step = np.zeros((len(drive.transition), size, size))
+        torque = np.zeros(size)  # of the period, from all states
+        torque[0], torque[states : states + order] = D, C
+        step[:, :states, :states] = drive.transition
+        for late, into in ((drive.whole, drive.new), (drive.whole + 1, drive.old)):
+            if late == 0:
+                step[:, :states] += into[..., np.newaxis] * torque
+            elif late <= waiting:
+                step[:, :states, states + order + late - 1] += into
+        step[:, states : states + order, 0], step[:, states : states + order, states : states + order] = B, A
+        if waiting:
+            step[:, states + order] = torque
+            for i in range(1, waiting):
+                step[:, states + order + i, states + order + i - 1] = 1.0
+        cycle = step @ cycle
+    return np.asarray(np.max(np.abs(np.linalg.eigvals(cycle)), axis=1))
+
+
+def _states_reaching_torque(law: SampledLaw) -> NDArray[np.bool_]:
+    """Return which states reach the torque: an integral of no weight may grow without effect."""
+    reaching = np.any(law.C[:, law.output] != 0.0, axis=0)
+    edges = np.any(law.A != 0.0, axis=0)  # (to, from)
+    while not np.array_equal(more := reaching | (reaching @ edges), reaching):
+        reaching = more
+    return np.asarray(reaching)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,31 +10,36 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
 from jointid.common.text import number
-from jointid.diagnostics.changes import compute_minimum_detectable_change
+from jointid.common.units import DriveUnits
 from jointid.estimation.problems.nuisance_parameters import of_law
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import PD, PID, Cascade, Controller, ServoController
 from jointid.models.joints import MODE_DAMPING, FlexibleJoint, RigidJoint, acts_on_whole, frequencies
-from jointid.models.linear import ComplexArray, linear_joints
+from jointid.models.linear import ComplexArray, linear_joints, state_response
 from jointid.models.parameters import POSITION_UNIT
-from jointid.records.drives.drive import Drive
-from jointid.tuning.feedforward import feedforward
-from jointid.tuning.interval import Interval, flexible_of, joint_with_mode, lowest_mode, possible_joints
-from jointid.tuning.lumped import lumped_parameters
-from jointid.tuning.margins import crossover, margins_from_row
-from jointid.tuning.proposals import Layout, find_stiffest_loop, meets_margins
-from jointid.tuning.settings import Tuning
+from jointid.tuning.feedforward import feedforward, lumped_parameters
+from jointid.tuning.interval import (
+    Interval,
+    find_worst_case,
+    flexible_of,
+    joint_with_mode,
+    lowest_mode,
+    possible_joints,
+)
+from jointid.tuning.margins import Margins, crossover, joint_set
+from jointid.tuning.minimum_detectable_change import compute_minimum_detectable_change
+from jointid.tuning.proposals import Layout, StiffestLoop, Tuning, meets_margins
 from jointid.tuning.tuned import Gain, LoopMargins, ProposedNotch, ResponseBand, Tuned
-from jointid.tuning.worst_case import find_worst_case, joint_set
-from jointid.uncertainty.verdict import Subject
 
 _ROUNDS = 5  # of a proposal, and of looking for a joint that it fails
 _NEARLY = 0.995  # of a margin
 _DRAWN = 600  # frequencies that are kept of a response
 _DOUBTED = {
-    Subject.FIT: "the model does not explain the torque, so all of this may be of another joint",
-    Subject.LOOP: "loop or log are not as declared, and all of this is of the declared one",
+    "fit": "the model does not explain the torque, so all of this may be of another joint",
+    "loop": "loop or log are not as declared, and all of this is of the declared one",
 }
+"""What a verdict of that subject, where it is not good, says of a tuning."""
+
 _SHARES, _MODES = (0.3, 0.5, 0.7), 60  # of a spring that a rigid joint may have
 
 
@@ -52,27 +56,22 @@ class _Case:
         """Return the margins of a loop at the estimate, and the worst."""
         law = controller.law(self.estimate.data.sample_time)
         at = joint_set(self.interval.joint, [self.interval.nominal], law).margins(law)[0]
-        found = find_worst_case(self.interval, law, self.points, self.settings.seed)
-        looked = joint_set(self.interval.joint, [*self.interval.at(self.points), *self.interval.others], law)
+        worst, _ = find_worst_case(self.interval, law, self.points, self.settings.seed)
+        looked = self.interval.sample(self.points, law)
         response = looked.response(law)
-        return LoopMargins(
-            controller,
-            margins_from_row(at),
-            margins_from_row(found.margins),
-            crossover(response, looked.hertz),
-            _band(looked.hertz, response),
-        )
+        highest, band = crossover(response, looked.hertz), _band(looked.hertz, response)
+        return LoopMargins(controller, Margins(*at.tolist()), Margins(*worst.tolist()), highest, band)
 
 
 def tune(
-    estimate: Estimate, settings: Tuning | None = None, *, drive: Drive | None = None, progress: Progress = silent
+    estimate: Estimate, settings: Tuning | None = None, *, drive: DriveUnits | None = None, progress: Progress = silent
 ) -> Tuned:
     """Return the margins of an estimate's loop over its interval, and what to set in the drive.
 
     Args:
         estimate: with the loop, its deviations and correlations: by DIDIM with least squares, rigid or flexible.
         settings: the margins that are asked; see `Tuning`.
-        drive: with rated torque and encoder counts, to have feed-forward in these, too.
+        drive: a `Drive` with rated torque and encoder counts, to have feed-forward in these, too.
         progress: is told each step.
 
     Returns:
@@ -107,6 +106,7 @@ def tune(
     progress("margins of the loop as it is")
     present = case.evaluate(controller)
     layout, proposed, refusal = _proposed(case, controller, present, progress)
+    notch = None if layout is None else layout.notch
     whole = lumped_parameters(estimate)
     notes = [*refusal, *_notes(case, present, proposed)]
     return Tuned(
@@ -118,7 +118,7 @@ def tune(
         present=present,
         proposed=proposed,
         gains=() if layout is None else _gains(estimate, controller, layout),
-        notch=None if layout is None or layout.notch is None else _notch(layout, period),
+        notch=None if notch is None else ProposedNotch(notch, *notch.coefficients(period), period),
         feedforward=feedforward(estimate, controller, whole, drive),
         detectable=compute_minimum_detectable_change(estimate, false_alarm=settings.false_alarm, power=settings.power),
         joint=_joint_band(case, present.response.hertz),
@@ -137,21 +137,20 @@ def _proposed(
         kind = type(controller).__name__
         return None, None, [f"no gains are proposed for a {kind}: only a cascade, a PD or a PID has gains to lay out"]
     progress("looking for the stiffest gains that keep the margins")
-    inertia = lumped_parameters(estimate)["inertia"].value
+    inertia, sample_time = lumped_parameters(estimate)["inertia"].value, estimate.data.sample_time
     flexible = isinstance(estimate.settings.joint, FlexibleJoint)
     band = None if flexible else estimate.settings.filtering.cutoff
     mode = frequencies(interval.nominal)["free_free"] if flexible and interval.names and settings.notch else None
     points = case.points
     for _ in range(_ROUNDS):
-        law = controller.law(estimate.data.sample_time)
-        seen = joint_set(interval.joint, [*interval.at(points), *interval.others], law)
-        layout = find_stiffest_loop(seen, controller, inertia, estimate.data.sample_time, settings, band, mode)
+        seen = interval.sample(points, controller.law(sample_time))
+        layout = StiffestLoop(seen, inertia, sample_time, settings, band).find(controller, mode)
         if layout is None:
             break
-        found = find_worst_case(interval, layout.controller.law(estimate.data.sample_time), case.points, settings.seed)
-        if meets_margins(found.margins[np.newaxis], settings, _NEARLY):
+        worst, at = find_worst_case(interval, layout.controller.law(sample_time), case.points, settings.seed)
+        if meets_margins(worst[np.newaxis], settings, _NEARLY):
             return layout, case.evaluate(layout.controller), []
-        points = np.concatenate([points, found.points])
+        points = np.concatenate([points, at])
     said = "no gains of this structure were found that keep the asked margins for all joints of the interval"
     return None, None, [f"{said}; ask for less, or narrow the interval (jointid diagnose sensors says how)"]
 
@@ -172,21 +171,13 @@ def _gains(estimate: Estimate, before: Controller, layout: Layout) -> tuple[Gain
     return tuple(Gain(key, formula, unit, getattr(before, key), getattr(after, key)) for key, formula, unit in rows)
 
 
-def _notch(layout: Layout, period: float) -> ProposedNotch:
-    assert layout.notch is not None
-    return ProposedNotch(layout.notch, *layout.notch.coefficients(period), period)
-
-
 def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> list[str]:
     """Return the limits of the result, in sentences."""
     estimate, found = case.estimate, []
     if not estimate.fit.converged:
         found.append("the identification did not end well, so all of this is of a joint that may be another one")
-    found += [
-        f"{_DOUBTED[v.subject]}: {v.said}"
-        for v in estimate.checks.verdicts
-        if v.good is False and v.subject in _DOUBTED
-    ]
+    doubted = [v for v in estimate.checks.verdicts if v.good is False and v.subject in _DOUBTED]
+    found += [f"{_DOUBTED[v.subject]}: {v.said}" for v in doubted]
     if estimate.checks.bounds:
         found.append(
             'the stiffness is refused: what stands "at the estimate" is of the softest spring it leaves possible, and '
@@ -208,11 +199,9 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
         found.append(
             f"a rigid joint says nothing beyond the band it was compared in{upto}: no mode is in these margins"
         )
-        loops = [
-            ("the loop as it is stays stable", present, False),
-            ("the proposed loop keeps the asked margins", proposed, True),
-        ]
-        found += [_with_a_mode(case, said, loop, asked) for said, loop, asked in loops if loop is not None]
+        found.append(_with_a_mode(case, "the loop as it is stays stable", present, asked=False))
+        if proposed is not None:
+            found.append(_with_a_mode(case, "the proposed loop keeps the asked margins", proposed, asked=True))
     if joint.gravity is not None and joint.gravity.varies:
         found.append("gravity that follows the position is left out of the loop and of the constant feed-forward")
     if present.controller.law(estimate.data.sample_time).phases > 1:
@@ -222,7 +211,7 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
     return found
 
 
-def _with_a_mode(case: _Case, said: str, loop: LoopMargins, asked: bool) -> str:
+def _with_a_mode(case: _Case, said: str, loop: LoopMargins, *, asked: bool) -> str:
     """Return the lowest first mode with which a rigid joint's loop would keep its margins, in a sentence."""
     estimate = case.estimate
     assert isinstance(estimate.settings.joint, RigidJoint)
@@ -230,10 +219,8 @@ def _with_a_mode(case: _Case, said: str, loop: LoopMargins, asked: bool) -> str:
     values = estimate.values
     friction = {n: v for n, v in values.items() if n != "inertia" and not acts_on_whole(n)}
     common = {n: v for n, v in values.items() if acts_on_whole(n)}
-    modes = [
-        float(f)
-        for f in np.geomspace(min(max(loop.crossover, 1e-3 / law.period), 0.4 / law.period), 0.5 / law.period, _MODES)
-    ]
+    first = min(max(loop.crossover, 1e-3 / law.period), 0.4 / law.period)
+    modes = np.geomspace(first, 0.5 / law.period, _MODES).tolist()
     made = [joint_with_mode(common, friction, values["inertia"], share, mode) for mode in modes for share in _SHARES]
     margins = joint_set(flexible_of(estimate.settings.joint), made, law).margins(law).reshape(_MODES, len(_SHARES), -1)
     least = 0.98 * case.settings.asked if asked else np.zeros(margins.shape[-1])
@@ -261,11 +248,7 @@ def _band(hertz: FloatArray, response: ComplexArray) -> ResponseBand:
 def _joint_band(case: _Case, hertz: FloatArray) -> ResponseBand:
     """Return the response from torque to the motor's velocity, in continuous time."""
     joints = linear_joints(case.interval.joint, [*case.interval.at(case.points), *case.interval.others])
-    s = 2j * math.pi * hertz
-    eye = np.eye(joints.A.shape[1])
-    found = np.empty((len(joints.A), hertz.size), dtype=np.complex128)
-    for i, (A, B) in enumerate(zip(joints.A, joints.B, strict=True)):
-        found[i] = np.linalg.solve(
-            s[:, np.newaxis, np.newaxis] * eye - A, np.broadcast_to(B[:, np.newaxis], (hertz.size, B.size, 1))
-        )[:, 1, 0]
-    return _band(hertz, found)
+    found = [
+        state_response(A, B, np.asarray(2j * np.pi * hertz))[:, 1] for A, B in zip(joints.A, joints.B, strict=True)
+    ]
+    return _band(hertz, np.array(found))

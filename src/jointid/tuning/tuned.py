@@ -9,12 +9,12 @@ from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Code, Document, Documented, Facts, Heading, Paragraph, Table, common_facts
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
-from jointid.diagnostics.changes import MinimumDetectableChange
 from jointid.models.controllers import Controller, Notch
 from jointid.models.linear import ComplexArray
 from jointid.tuning.feedforward import FeedForward
 from jointid.tuning.margins import Margins
-from jointid.tuning.settings import Tuning
+from jointid.tuning.minimum_detectable_change import MinimumDetectableChange
+from jointid.tuning.proposals import Tuning
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,27 +145,17 @@ class Tuned(Documented):
 
     def _feedforward(self) -> Table:
         drive = any(f.drive is not None for f in self.feedforward)
-        rows = []
-        for f in self.feedforward:
-            cells = (
-                f.key,
-                f"{f.formula} = {number(f.value)}",
-                _two_sigma(f.std),
-                f.unit,
-                number(f.before),
-                number(f.after),
+        rows = [
+            (
+                f.key, f"{f.formula} = {number(f.value)}", _two_sigma(f.std), f.unit, number(f.before), number(f.after),
+                _two_sigma(f.after_std), *((number(f.drive), f.drive_unit) if drive else ()),
             )
-            rows.append((*cells, _two_sigma(f.after_std), *((number(f.drive), f.drive_unit) if drive else ())))
+            for f in self.feedforward
+        ]  # fmt: skip
         header = (
-            "feed-forward",
-            "in SI",
-            "2 sigma",
-            "unit",
-            "now",
-            "proposed",
-            "2 sigma",
+            "feed-forward", "in SI", "2 sigma", "unit", "now", "proposed", "2 sigma",
             *(("drive", "unit") if drive else ()),
-        )
+        )  # fmt: skip
         return Table(header, tuple(rows), words=(0, 3, 8))
 
 

@@ -15,7 +15,6 @@ from jointid.estimation.problems.inverse_model import InverseModel, inverse_mode
 from jointid.models.controllers import POSITION, REFERENCE, invert
 from jointid.models.joints import RigidJoint
 from jointid.records.record import Channel, Tap, Timing
-from jointid.simulation.loop_input import known_memory
 from jointid.solvers.gauss_newton import GaussNewton
 from jointid.solvers.regression import least_squares
 from jointid.solvers.solve import solve
@@ -56,7 +55,7 @@ def reconstructed_position(problem: ClosedLoopProblem) -> FloatArray:
         command = np.interp(np.arange(experiment.periods) / experiment.every, np.arange(command.size), command)
     element = law.tap if experiment.tap is Tap.COMMAND else law.output
     slope = (inputs[1, REFERENCE] - inputs[0, REFERENCE]) / law.period
-    state = known_memory(law, inputs) + law.memory(POSITION, inputs[0, REFERENCE], slope)
+    state = law.known_memory(inputs) + law.memory(POSITION, inputs[0, REFERENCE], slope)
     integral = law.integral()
     if integral is not None:
         there = inputs[0] + inputs[0, REFERENCE] * (np.arange(inputs.shape[1]) == POSITION)

@@ -8,7 +8,8 @@ delay that may be a fraction of a period. With v the filtered backward differenc
     PID       u = kp e + ki I + kd (dr/dt - v),  I the sum of T e
     PD        the same without I
 
-All sums are those of earlier periods, all differences backward ones. What is around all of them is in `diagram`.
+All sums are those of earlier periods, all differences backward ones. What is around all of them is in
+`servo_base`. A law that has no name is a `StateSpaceController`.
 """
 
 from __future__ import annotations
@@ -18,16 +19,28 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from jointid.common.errors import MethodError
 from jointid.common.settings import Setting, declare, documented, setting
 from jointid.models.controllers.block_diagram import BlockSignal, Diagram
-from jointid.models.controllers.sampled import POSITION, REFERENCE_VELOCITY, SampledLaw
-from jointid.models.controllers.servo_base import Controller, DiagramController
+from jointid.models.controllers.sampled import (
+    INJECTED,
+    INPUTS,
+    LIMIT,
+    POSITION,
+    REFERENCE,
+    REFERENCE_VELOCITY,
+    SampledLaw,
+    referred,
+)
+from jointid.models.controllers.servo_base import Controller, DiagramController, ServoController
 
 _WHOLE = 1e-6  # how near to a whole number of periods a slower loop's must be
 _DRIFT = 1e-2  # of a period: how far clocks may drift apart before an instant is taken for the next one
 _SLOWEST = 64  # periods in a cycle at most
-
+_COLUMNS = {"reference": REFERENCE, "reference_velocity": REFERENCE_VELOCITY, "position": POSITION}
 
 AntiWindup: TypeAlias = Literal["hold", "track", "none"]
 
@@ -203,3 +216,67 @@ def _with_anti_windup(diagram: Diagram, into: BlockSignal, limit: int, anti_wind
         return diagram.gated(into, limit)
     # An integral of no weight has no share in what was cut off.
     return into + diagram.excess(limit) * (1.0 / weight) if anti_windup == "track" and weight else into
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StateSpaceController(ServoController):
+    """Any discrete linear law with a limit, in controller units.
+
+    It is::
+
+        u = C z + D inputs,  z+ = A z + B (inputs, excess),  out = clip(u, -limit, limit),  excess = out - u
+
+    Attributes:
+        A: (nz, nz). C: (nz,).
+        B: name of an input to its column (nz,); inputs are "reference", "reference_velocity", "position", "excess".
+        D: name of an input to its direct gain; "position" feeds back negatively, so its gain is usually < 0.
+        gain, limit, period, delay, interpolation, ratio: see `ServoController`.
+    """
+
+    A: ArrayLike
+    B: dict[str, ArrayLike]
+    C: ArrayLike
+    D: dict[str, float]
+
+    def __post_init__(self) -> None:
+        ServoController.__post_init__(self)
+        order = np.size(self.C)
+        shapes = {"A": np.shape(self.A), **{f"B.{name}": np.shape(column) for name, column in self.B.items()}}
+        wrong = [
+            f"{name} {shape}"
+            for name, shape in shapes.items()
+            if shape != ((order, order) if name == "A" else (order,)) and not (order == 0 and np.prod(shape) == 0)
+        ]
+        unknown = (set(self.B) - {*_COLUMNS, "excess"}) | (set(self.D) - set(_COLUMNS))
+        if wrong or unknown:
+            raise MethodError(
+                f"A state-space law with {order} states (the length of C) needs A ({order}, {order}) and each column "
+                f"of B ({order},), for the inputs {', '.join(_COLUMNS)}, excess; received "
+                f"{', '.join([*wrong, *unknown])}."
+            )
+        if self.reference_delay:
+            raise MethodError("A state-space law has the delay of its reference in its matrices; leave it out.")
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The reference, and its velocity when the law uses it."""
+        uses = "reference_velocity" in self.B or "reference_velocity" in self.D
+        return ("reference", "reference_velocity") if uses else ("reference",)
+
+    def law(self, sample_time: float) -> SampledLaw:
+        """Return the state-space form."""
+        order = np.size(self.C)
+        B, D = np.zeros((1, order, INPUTS)), np.zeros((1, 1, INPUTS))
+        for name, at in _COLUMNS.items():
+            B[0, :, at] = np.asarray(self.B.get(name, 0.0), dtype=np.float64)
+            D[0, 0, at] = self.D.get(name, 0.0) * self.gain
+        D[0, 0, INJECTED] = 1.0
+        C = np.reshape(np.array(self.C, dtype=np.float64), (1, 1, order)) * self.gain
+        # What the limit cut off is fed back in controller units.
+        F = np.reshape(np.array(self.B.get("excess", np.zeros(order)), dtype=np.float64), (1, order, 1)) / self.gain
+        law = SampledLaw(
+            np.reshape(np.array(self.A, dtype=np.float64), (1, order, order)), B, C, D, np.zeros((1, 1, 1)), F,
+            np.array([self.limit * self.gain]), np.array([LIMIT]), np.array([True]), 0, 0,
+            self.period or sample_time, self.delay,
+        )  # fmt: skip
+        return referred(law, self.ratio)

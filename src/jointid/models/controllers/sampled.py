@@ -10,7 +10,8 @@ A limit's excess is ``clip(raw, -limit, limit) - raw``. A gate, which stops an i
 excess ``-raw`` where raw pushes its limit further, 0 elsewhere. The value of an element is raw plus excess; that of
 the element `output` is the torque, which acts `delay` after the period's instant and is held for a period.
 
-Written so, all that is not linear is in the excesses, and the answers to the inputs, one by one, add up.
+Written so, all that is not linear is in the excesses, and the answers to the inputs, one by one, add up. `run` takes
+inputs to torque, `invert` the torque back to the position.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
 
 REFERENCE, REFERENCE_VELOCITY, DIRECTION, CONSTANT, INJECTED, POSITION = range(6)
 """Inputs of a law: the reference, its velocity as a channel, the sign of its motion, 1, the signal that is added before
@@ -114,12 +116,21 @@ class SampledLaw:
         memory[moving] = _solved(rest, still[moving] + change)
         return memory
 
+    def known_memory(self, inputs: FloatArray) -> FloatArray:
+        """Return the states that all inputs, (periods, INPUTS), but the position leave when they moved uniformly."""
+        first = inputs[0]
+        slope = (inputs[1, REFERENCE] - first[REFERENCE]) / self.period if len(inputs) > 1 else 0.0
+        values, slopes = np.zeros(INPUTS), np.zeros(INPUTS)
+        known = [REFERENCE, REFERENCE_VELOCITY, DIRECTION, CONSTANT]
+        values[known], slopes[REFERENCE] = first[known], slope
+        return self.memories(values, slopes)
+
     def integral(self) -> FloatArray | None:
         """Return the states at rest, by an integrator's content, in which the output is 1; None without integrator."""
         integrators = np.flatnonzero(self._integrators())
         if not integrators.size:
             return None
-        whole = self._cycle()
+        whole = _over_cycle(self.A)
         states = np.zeros(self.order)
         states[integrators[0]] = 1.0
         moving = ~self._integrators()
@@ -128,18 +139,12 @@ class SampledLaw:
         out = float(self.C[0, self.output] @ states)
         return states / out if out else None
 
-    def _cycle(self) -> FloatArray:
-        whole = np.eye(self.order)
-        for A in self.A:
-            whole = A @ whole
-        return whole
-
     def _integrators(self) -> NDArray[np.bool_]:
         """Return which states keep what they have, over a cycle, and add to it.
 
         A filter's state may have a 1 there, too, but what it puts into other states comes back.
         """
-        whole = self._cycle()
+        whole = _over_cycle(self.A)
         found = np.diag(whole) == 1.0
         edges = whole != 0.0
         np.fill_diagonal(edges, False)
@@ -158,7 +163,7 @@ class SampledLaw:
             forced = np.zeros((hertz.size, self.order), dtype=np.complex128)
             for j, (A, B) in enumerate(zip(self.A, self.B, strict=True)):
                 forced = forced @ A.T + B[:, POSITION] * turn**j
-            systems = turn[:, :, np.newaxis] ** self.phases * np.eye(self.order) - self._cycle()
+            systems = turn[:, :, np.newaxis] ** self.phases * np.eye(self.order) - _over_cycle(self.A)
             states = np.linalg.solve(systems, forced[..., np.newaxis])[..., 0]
         for j in range(self.phases):
             out = self.D[j, self.output, POSITION] * turn[:, 0] ** j
@@ -210,6 +215,14 @@ class SampledLaw:
         """Return which states the position, or a limit, moves; the others only carry what is known beforehand."""
         moved = np.any(self.B[:, :, POSITION] != 0.0, axis=0) | np.any(self.F != 0.0, axis=(0, 2))
         return _reached(np.any(self.A != 0.0, axis=0), moved)
+
+
+def _over_cycle(A: FloatArray) -> FloatArray:
+    """Return the transition of the states, (states, states), over all phases of a cycle, (phases, states, states)."""
+    whole = np.eye(A.shape[1])
+    for step in A:
+        whole = step @ whole
+    return whole
 
 
 def _reached(edges: NDArray[np.bool_], begun: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -265,3 +278,125 @@ def referred(law: SampledLaw, ratio: float) -> SampledLaw:
     seen[DIRECTION], seen[INJECTED] = np.sign(ratio), 1.0 / ratio
     turned = scaled(law, ratio)
     return replace(turned, B=turned.B * seen, D=turned.D * seen, limits=np.abs(turned.limits))
+
+
+def law_inputs(reference: FloatArray, velocity: FloatArray | None) -> FloatArray:
+    """Return a law's inputs, (periods, INPUTS), without the position and the injected signal.
+
+    Args:
+        reference: (periods,).
+        velocity: (periods,) of the reference, where a channel of its own has it.
+    """
+    inputs = np.zeros((reference.size, INPUTS))
+    inputs[:, REFERENCE], inputs[:, CONSTANT] = reference, 1.0
+    inputs[1:, DIRECTION] = np.sign(np.diff(reference))
+    inputs[0, DIRECTION] = inputs[1, DIRECTION]
+    if velocity is not None:
+        inputs[:, REFERENCE_VELOCITY] = velocity
+    return inputs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawRun:
+    """A run of a law, period by period.
+
+    Attributes:
+        raw: (periods, elements) before limits and gates. excess: (periods, elements) what these took away or added.
+        output: (periods,) the torque that acts. tapped: (periods,) the one behind the torque's limit.
+    """
+
+    raw: FloatArray
+    excess: FloatArray
+    output: FloatArray
+    tapped: FloatArray
+
+
+def run(law: SampledLaw, inputs: FloatArray, state: FloatArray) -> LawRun:
+    """Run the law on these inputs, within its limits.
+
+    Args:
+        law: the law.
+        inputs: (periods, INPUTS), once per period.
+        state: (states,) at the first period (see `SampledLaw.memory`).
+    """
+    excess = np.zeros((len(inputs), law.limits.size))
+    raw = _respond(law, inputs, state, excess, True)
+    values = raw + excess
+    return LawRun(raw, excess, values[:, law.output], values[:, law.tap])
+
+
+def respond(law: SampledLaw, inputs: FloatArray, state: FloatArray, excess: FloatArray | None = None) -> FloatArray:
+    """Return the linear answer of all elements, before limits and gates, (periods, elements).
+
+    Args:
+        law: the law.
+        inputs: (periods, INPUTS); leave a column 0 to get the answer to the others alone.
+        state: (states,) at the first period.
+        excess: (periods, elements) what limits and gates do; nothing when None.
+    """
+    given = np.zeros((len(inputs), law.limits.size)) if excess is None else np.ascontiguousarray(excess)
+    return _respond(law, inputs, state, given, False)
+
+
+def _respond(law: SampledLaw, inputs: FloatArray, state: FloatArray, excess: FloatArray, free: bool) -> FloatArray:
+    from jointid.common.iir_kernels import respond as recur
+
+    whole = np.concatenate(  # the kernel reads the weights that are not 0, row by row
+        [np.concatenate([law.C, law.D, law.E], axis=2), np.concatenate([law.A, law.B, law.F], axis=2)], axis=1
+    )
+    phases, rows, sources = np.nonzero(whole)
+    counts = np.zeros(whole.shape[:2], dtype=np.int64)
+    np.add.at(counts, (phases, rows), 1)
+    ends = np.cumsum(counts).reshape(counts.shape)
+    starts = np.concatenate([ends[:, :1] - counts[:, :1], ends], axis=1)
+    weights, raw = whole[phases, rows, sources], np.empty((len(inputs), law.limits.size))
+    recur(
+        starts, sources.astype(np.int64), weights, law.limits, law.gates, free, state.copy(),
+        np.ascontiguousarray(inputs), excess, raw,
+    )  # fmt: skip
+    return raw
+
+
+def invert(
+    law: SampledLaw, torque: FloatArray, inputs: FloatArray, state: FloatArray, element: int | None = None
+) -> FloatArray:
+    """Return the motor position that makes the law put out `torque`, shape (periods,).
+
+    ``position = reference - C^-1(torque)``: exact where the torque, and nothing before it, was at a limit. It turns
+    noise dT of the torque into dT / |D| of position within the period, and dT over the law's static gain slowly: for
+    most loops far below an encoder's step.
+
+    Args:
+        law: the law; its direct gain from position must not be 0.
+        torque: (periods,) an element's value, before the law's delay, at its period.
+        inputs: (periods, INPUTS) as for `run`; the position column is not read.
+        state: (states,) at the first period.
+        element: whose value the torque is; the one behind the torque's limit when None.
+
+    Raises:
+        MethodError: the law has no direct gain from position, or its inverse is unstable.
+    """
+    element = law.tap if element is None else element
+    gain = law.D[:, element, POSITION]
+    if np.any(gain == 0.0):
+        raise MethodError(
+            "This law does not react to the position within its period, so it cannot be inverted; "
+            'choose start = "regular".'
+        )
+    back, out = law.B[:, :, POSITION] / gain[:, np.newaxis], law.C[:, element]
+    direct = law.D[:, element]
+    A = law.A - back[:, :, np.newaxis] * out[:, np.newaxis]
+    if law.order and np.max(np.abs(np.linalg.eigvals(_over_cycle(A)))) >= 1.0 + 1e-9:
+        raise MethodError('The inverse of this law is unstable, so it gives no start; choose start = "regular".')
+    B = law.B - back[:, :, np.newaxis] * direct[:, np.newaxis]
+    D = -direct / gain[:, np.newaxis]
+    # The torque takes the place of the position among the inputs.
+    B[:, :, POSITION], D[:, POSITION] = back, 1.0 / gain
+    none = np.zeros((law.phases, 1, 1))
+    turned = SampledLaw(
+        A, B, -out[:, np.newaxis] / gain[:, np.newaxis, np.newaxis], D[:, np.newaxis], none,
+        np.zeros((law.phases, law.order, 1)), np.array([np.inf]), np.array([LIMIT]), np.array([True]), 0, 0, law.period,
+    )  # fmt: skip
+    columns = inputs.copy()
+    columns[:, POSITION] = torque
+    return respond(turned, columns, state)[:, 0]

@@ -1,25 +1,31 @@
-"""Common base of the controllers: clocks, limits, feed-forward and torque filters.
+"""Common base of the controllers: clocks, limits, feed-forward, torque filters, and their numbers by name.
 
-That is, in this order: what is added from the reference, ``acceleration_feedforward d2r/dt2 + viscous_feedforward dr/dt
-+ coulomb_feedforward sign(dr/dt) + constant_feedforward``; what is injected before the limit; the torque's filters,
-before its limit or after it. All differences are backward ones.
+What follows a law's output is, in this order: what is added from the reference, ``acceleration_feedforward d2r/dt2 +
+viscous_feedforward dr/dt + coulomb_feedforward sign(dr/dt) + constant_feedforward``; what is injected before the limit;
+the torque's filters, before its limit or after it. All differences are backward ones.
+
+The numbers a controller is made of can be freed, differentiated by, and written to a file. That of a part has a name
+with a point: ``velocity_filter.time_constant``, ``torque_filters.0.frequency``.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, Protocol
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from jointid.common.errors import MethodError
 from jointid.common.settings import check_settings, documented, setting
 from jointid.models.controllers.block_diagram import BlockSignal, Diagram
 from jointid.models.controllers.filters import Filter, as_filter
 from jointid.models.controllers.sampled import CONSTANT, DIRECTION, INJECTED, REFERENCE, SampledLaw, referred
 
 Interpolation = Literal["hold", "linear", "cubic"]
+
+_NOT_FREE = ("period", "position_period", "position_offset", "ratio")  # a law at another rate is another law
 
 
 class Controller(Protocol):
@@ -148,3 +154,56 @@ class DiagramController(ServoController):
         if self.coulomb_feedforward:
             total = total + diagram.delayed(diagram.input(DIRECTION), late) * self.coulomb_feedforward
         return total
+
+
+def numbers_of(controller: Controller) -> dict[str, float]:
+    """Return a controller's numbers that can be parameters: gains, limits, delays, and those of its filters."""
+    return dict(_numbers(controller, ""))
+
+
+def _numbers(owner: object, before: str) -> Iterator[tuple[str, float]]:
+    if not is_dataclass(owner):
+        return
+    for field in fields(owner):
+        value, name = getattr(owner, field.name), before + field.name
+        if field.name in _NOT_FREE or isinstance(value, bool):
+            continue
+        if isinstance(value, float) or (isinstance(value, int) and "float" in str(field.type)):
+            yield name, float(value)
+        elif isinstance(value, tuple):
+            for place, part in enumerate(value):
+                yield from _numbers(part, f"{name}.{place}.")
+        else:
+            yield from _numbers(value, f"{name}.")
+
+
+def number(controller: Controller, name: str) -> float:
+    """Return one of a controller's numbers.
+
+    Raises:
+        MethodError: it has no number of that name; the sentence lists those it has.
+    """
+    known = numbers_of(controller)
+    if name not in known:
+        raise MethodError(
+            f'"{name}" is no parameter of the joint, no initial state and no number of this '
+            f"{type(controller).__name__}, so it has no derivative; name one of {', '.join(known)}."
+        )
+    return known[name]
+
+
+def with_numbers(controller: Controller, numbers: Mapping[str, float]) -> Controller:
+    """Return a controller with other numbers, by the names of `numbers_of`."""
+    changed: Any = controller
+    for name, value in numbers.items():
+        changed = _with(changed, name.split("."), value)
+    return changed  # type: ignore[no-any-return]
+
+
+def _with(owner: Any, path: list[str], value: float) -> Any:
+    first, *rest = path
+    if first.isdigit():
+        parts = list(owner)
+        parts[int(first)] = _with(parts[int(first)], rest, value)
+        return tuple(parts)
+    return replace(owner, **{first: _with(getattr(owner, first), rest, value) if rest else value})

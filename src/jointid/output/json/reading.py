@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from jointid.common.errors import MethodError, RecordError
-from jointid.diagnostics.changes import ReportedEstimate, ReportedQuantity
+from jointid.diagnostics.compare_estimates import ReportedEstimate, ReportedQuantity
 from jointid.estimation.methods.registry import METHODS, method_of
 from jointid.estimation.result.estimate import IdentifiedJoint
 from jointid.models.disturbances import effect_parameters

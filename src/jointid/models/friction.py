@@ -1,10 +1,11 @@
-"""A friction law within the engine's form: piecewise linear in velocity, with its own coefficients in each direction.
+"""Friction laws within the engine's form: piecewise linear in velocity, with own coefficients in each direction.
 
 Forwards ``Fv+ v + Fc+``, backwards ``Fv- v - Fc-``. Being piecewise linear in velocity lets the simulation be exact;
 being linear in its parameters lets a regression estimate them (`columns`). At standstill the Coulomb force is a set:
 any force within its bounds keeps the mass at rest.
 
-A law states which parameters its coefficients are (`coefficients`); everything else follows from that table.
+A law states which parameters its coefficients are (`coefficients`); everything else follows from that table. To add
+one, write its class below, and its name in `FRICTIONS`.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import ClassVar, Literal, TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
 from jointid.models.parameters import Parameter, Quantity
 
 Directions: TypeAlias = tuple[float, float, float, float]
@@ -127,3 +129,49 @@ def _column(one: Coefficient, velocity: FloatArray) -> FloatArray:
     forwards = one.directions == ("forwards",)
     moving = velocity > 0 if forwards else velocity < 0
     return np.asarray((velocity if one.part == "viscous" else 1.0 if forwards else -1.0) * moving)
+
+
+@dataclass(frozen=True, slots=True)
+class SymmetricFriction(Friction):
+    """Viscous and Coulomb friction, the same in both directions: ``Fv v + Fc sign(v)``, (1) and (2) of the paper."""
+
+    name = "symmetric"
+    label = "the same in both directions"
+    contrast = "asymmetric"
+    coefficients = (Coefficient("viscous", "Fv", "viscous"), Coefficient("coulomb", "Fc", "coulomb"))
+
+
+@dataclass(frozen=True, slots=True)
+class AsymmetricFriction(Friction):
+    """Viscous and Coulomb friction, different in the two directions.
+
+    A constant offset adds to Fc+ and subtracts from Fc- alike, so it cannot be identified beside this law.
+    """
+
+    name = "asymmetric"
+    label = "different in the two directions"
+    contrast = "symmetric"
+    coefficients = (
+        Coefficient("viscous_forwards", "Fv", "viscous", ("forwards",), "+"),
+        Coefficient("coulomb_forwards", "Fc", "coulomb", ("forwards",), "+"),
+        Coefficient("viscous_backwards", "Fv", "viscous", ("backwards",), "-"),
+        Coefficient("coulomb_backwards", "Fc", "coulomb", ("backwards",), "-"),
+    )
+
+
+FRICTIONS: Mapping[str, type[Friction]] = {law.name: law for law in (SymmetricFriction, AsymmetricFriction)}
+"""Every friction law by its name in the joint file."""
+
+
+def friction_named(name: str) -> Friction:
+    """Return the friction law of that name.
+
+    Raises:
+        MethodError: the law is not piecewise linear in velocity, or not known.
+    """
+    if name not in FRICTIONS:
+        raise MethodError(
+            f'Friction "{name}" cannot be simulated exactly: only laws that are piecewise linear in velocity can; '
+            f"use {' or '.join(FRICTIONS)}."
+        )
+    return FRICTIONS[name]()

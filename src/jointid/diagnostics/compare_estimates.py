@@ -1,22 +1,9 @@
-"""Changes of a joint between two records: which are significant, and the smallest that would be.
+"""Changes of a joint between two estimates: which are significant.
 
 The difference of two independent estimates of a quantity has the sum of their variances, and is tested against 0 with
 the normal distribution. Many quantities are tested at once, so the p-values are adjusted by Holm (1979): with nothing
 changed, the probability that any of them falls below the level is at most the level. Two estimates of one record share
 their errors; their differences come from the settings and are shown without a test.
-
-Before a second record is there, the smallest change that it would show is predicted. A new record of the same motion,
-with the same noise, is identified as the first was, and the two estimates compared. A quantity with the standard
-deviation s in each of them differs by chance with the deviation sqrt(s1^2 + s2^2), which is s sqrt(2). A change is
-detected where the difference exceeds ``z(1 - a/2) sqrt(s1^2 + s2^2)``, z the normal quantile: without a change that
-happens in a share a of the comparisons. With a probability p it happens where the change is ::
-
-    change = (z(1 - a/2) + z(p)) sqrt(s1^2 + s2^2)
-
-(the power of a two-sided test; the wrong tail is left out). The deviations are those of the estimate, widened for what
-of the residual repeats with the motion. Such an error is the same in both records and leaves their difference, so
-where it is large this errs on the side of too large a change. What the estimate does not know to vary from record to
-record, as friction with temperature, is seen as a change, which it is.
 """
 
 from __future__ import annotations
@@ -24,12 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from statistics import NormalDist
 
 from jointid.common.document import Document, Documented, Facts, Listing, Table
 from jointid.common.errors import MethodError
 from jointid.common.text import number
-from jointid.estimation.result.estimate import Estimate
 
 LEVEL = 0.05
 """Family-wise significance level: largest share of unchanged pairs in which some quantity is called changed."""
@@ -281,106 +266,3 @@ def _describe_change(row: QuantityChange) -> str:
 def _format_p(p_value: float, *, labelled: bool = False) -> str:
     text = "< 1e-6" if p_value < 1e-6 else number(p_value, 2)
     return text if not labelled else f"p {text}" if text.startswith("<") else f"p = {text}"
-
-
-@dataclass(frozen=True, slots=True)
-class DetectableChange:
-    """Smallest detectable change of one quantity.
-
-    Attributes:
-        name: of a parameter, or of a sum in words. formula: in symbols. unit: of both.
-        value: in the estimate. std: its deviation there.
-        size: the smallest change that is detected with the stated power.
-        limit: of the difference of two estimates, beyond which a change is reported.
-    """
-
-    name: str
-    formula: str
-    unit: str
-    value: float
-    std: float
-    size: float
-    limit: float
-
-
-@dataclass(frozen=True, slots=True)
-class MinimumDetectableChange(Documented):
-    """Smallest changes of a joint that the same motion would detect.
-
-    Attributes:
-        record: its name.
-        false_alarm: share of comparisons that report a change where there is none.
-        power: share that report one where there is one of that size.
-        changes: of each identified parameter, and of the sums and differences of both sides.
-    """
-
-    record: str
-    false_alarm: float
-    power: float
-    changes: tuple[DetectableChange, ...]
-
-    def __getitem__(self, name: str) -> DetectableChange:
-        """Return the change of a quantity by its name or formula."""
-        for change in self.changes:
-            if name in (change.name, change.formula):
-                return change
-        raise KeyError(name)
-
-    def document(self, *, details: bool = False) -> Document:
-        """Return the table; there are no further details."""
-        del details
-        rows = []
-        for c in self.changes:
-            percent = number(100 * c.size / abs(c.value), 2) if c.value else "-"
-            rows.append((c.formula, c.name, number(c.value), number(c.size, 2), percent, number(c.limit, 2), c.unit))
-        header = ("symbol", "quantity", "value", "detectable", "%", "alarm beyond", "unit")
-        said = (
-            f"Smallest change detectable with another record of this motion ({100 * self.false_alarm:g} % false "
-            f"alarms, {100 * self.power:g} % detected)"
-        )
-        return Document(said, (Table(header, tuple(rows), words=(0, 1, 6)),))
-
-
-def compute_minimum_detectable_change(
-    estimate: Estimate, *, false_alarm: float = 0.01, power: float = 0.9
-) -> MinimumDetectableChange:
-    """Return the smallest change of each quantity that the same motion would detect (the module's equation).
-
-    Args:
-        estimate: of a record; a new one is taken to have the same motion and noise.
-        false_alarm: share of comparisons in which a change is reported where there is none, two-sided.
-        power: share in which one is reported where there is one.
-
-    Raises:
-        MethodError: a share is not between 0 and 1, or no quantity of the estimate has a deviation.
-
-    Limits: a change so large that the estimate's slopes are others at its end is detected a little sooner or later; one
-    that a friction law of another shape makes is not a change of these parameters.
-    """
-    if not (0 < false_alarm < 1 and 0.5 <= power < 1):
-        raise MethodError(
-            f"A false-alarm rate is between 0 and 1, and a power from 0.5 to 1; received {false_alarm} and {power}."
-        )
-    normal = NormalDist()
-    alarm = normal.inv_cdf(1 - false_alarm / 2)
-    both = alarm + normal.inv_cdf(power)
-    quantities = [
-        (p.name, p.symbol, p.unit, p.value, p.stderr)
-        for p in estimate.params
-        if p.of_joint and p.value is not None and p.stderr
-    ]
-    if estimate.checks.known is not None:
-        quantities += [
-            (k.combination.name, k.combination.formula, k.combination.unit, k.value, k.std)
-            for k in estimate.checks.known.physical
-        ]
-    if not quantities:
-        raise MethodError(
-            f"The estimate of {estimate.data.record} has no deviations, so no detectable change can be computed; "
-            "identify by least squares."
-        )
-    changes = tuple(
-        DetectableChange(name, formula, unit, value, std, both * math.sqrt(2) * std, alarm * math.sqrt(2) * std)
-        for name, formula, unit, value, std in quantities
-    )
-    return MinimumDetectableChange(estimate.data.record, false_alarm, power, changes)
