@@ -38,6 +38,7 @@ def test_choices_are_checked_in_the_same_way() -> None:
 def test_a_choice_replaces_what_the_file_says() -> None:
     text = SMALLEST + '[method]\nform = "paper"\n[filtering]\ncutoff = 3.0'
     file = loads(text)
+    assert loads(text, changes=[]) == file
     assert file.method == DIDIM(form="paper")
     assert loads(text, method="didim") == file  # its settings are kept, though the file does not name it
     assert loads(text, method="idim") == dataclasses.replace(file, method=IDIM())
@@ -61,6 +62,25 @@ def test_keys_are_set_after_the_choices() -> None:
         loads(text, changes=["method.minimiser=simplex"])
     with pytest.raises(JointFileError, match=r"frequency is 0.0; expected a positive number"):
         loads(text, changes=["method.frequency=0.0"])
+
+
+def test_a_choice_holds_against_a_change() -> None:
+    text = SMALLEST + '[method]\nform = "paper"'
+    assert loads(text, changes=["method.name=idim"], method="didim").method == DIDIM(form="paper")
+    assert loads(text, changes=["filtering.preset=published"], filtering="default").filtering == Filtering()
+    file = loads(text, changes=["joint.friction=symmetric"], friction="asymmetric")
+    assert file.joint.friction == AsymmetricFriction()
+
+
+def test_a_change_may_bring_what_makes_a_method_the_file_s_own() -> None:
+    text = JOINT + CHANNELS + '[method]\nform = "paper"'
+    controller = [f"controller={{{', '.join(CASCADE.strip().splitlines()[1:])}}}"]
+    assert loads(text, changes=controller, method="didim").method == DIDIM(form="paper")
+
+
+def test_a_choice_may_be_any_text() -> None:
+    with pytest.raises(JointFileError, match=r'^joint\.friction: Friction "😀" cannot be simulated exactly'):
+        loads(SMALLEST, friction="😀")
 
 
 def test_a_choice_keeps_the_folder(tmp_path: Path) -> None:

@@ -49,8 +49,9 @@ def load(
     Args:
         path: of the TOML file, in UTF-8.
         changes: keys to set before it is checked, each as ``method.frequency=30``.
-        method: its name, set before those; another one than the file's comes with its default settings.
-        filtering: a preset, likewise in place of what the file says.
+        method: its name, whatever the file and the changes say; another one than the file's comes with its default
+            settings.
+        filtering: a preset, likewise.
         friction: the name of a law, likewise.
 
     Raises:
@@ -100,13 +101,20 @@ def _build(
     filtering: str | None,
     friction: str | None,
 ) -> JointFile:
-    tables = _parse(text)
-    if method is not None and method != named_method(tables):
-        tables["method"] = {"name": method}
+    tables, changes = _parse(text), list(changes)
+    if method is not None:
+        # A change may bring the controller by which the file's own method is known, but not that method's name.
+        changed = apply_changes(tables, changes)
+        if method != named_method(changed | {"method": tables.get("method", {})}):
+            tables["method"] = {"name": method}
     if filtering is not None:
         tables["filtering"] = {"preset": filtering}
-    first = [] if friction is None else [f"joint.friction={json.dumps(friction)}"]
-    return JointFile.of(apply_changes(tables, [*first, *changes]), path)
+    changed = apply_changes(tables, changes)
+    choices = {("method", "name"): method, ("filtering", "preset"): filtering, ("joint", "friction"): friction}
+    for key, choice in choices.items():
+        if choice is not None:
+            _put(changed, list(key), choice)
+    return JointFile.of(changed, path)
 
 
 def dumps(file: JointFile) -> str:
