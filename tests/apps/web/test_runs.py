@@ -6,6 +6,7 @@ import asyncio
 import io
 import json
 import os
+import re
 import signal
 import sys
 import zipfile
@@ -19,6 +20,7 @@ import pytest
 from jointid.apps.cli.app import main
 from jointid.apps.web.application import build_application
 from jointid.apps.web.folder import Limits, write_json
+from jointid.config import loads
 from tests.apps.web.asking import ADDRESS, LAW, TOKEN, Asker, ended, running
 from tests.apps.web.conftest import TRUTH
 from tests.apps.web.testclient import TestClient
@@ -59,9 +61,14 @@ def test_from_a_log_to_files_that_repeat_the_answer(
     for name, value in TRUTH.items():
         assert answer["parameters"][name]["value"] == pytest.approx(value, rel=0.02), name
     archive = zipfile.ZipFile(io.BytesIO(client.get(f"/runs/{run.number}/all.zip").content))
-    assert set(archive.namelist()) == {"joint.toml", "answer.json", "answer.txt", "report.html", "record.csv"}
-    assert archive.read("record.csv") == log
-    assert answer["record"]["name"] == "log"  # as the file came; in the folders it is called record
+    assert set(archive.namelist()) == {"joint.toml", "answer.json", "answer.txt", "report.html", "log.csv"}
+    assert archive.read("log.csv") == log
+    assert answer["record"]["name"] == "log"
+    assert loads(archive.read("joint.toml").decode()).source.file == "log.csv"
+    report = archive.read("report.html").decode()
+    carried = json.loads(re.findall(r'id="jointid-answer">(.*?)</script>', report, re.DOTALL)[0])
+    assert carried["record_file"] == "log.csv"
+    assert carried["joint_file"] == archive.read("joint.toml").decode()
     archive.extractall(tmp_path / "out")
     for folder in (tmp_path / "out", run.folder):  # either as it is
         with pytest.raises(SystemExit) as end:
@@ -69,7 +76,7 @@ def test_from_a_log_to_files_that_repeat_the_answer(
         assert end.value.code == 0
         again = json.loads((tmp_path / "again.json").read_text(encoding="utf-8"))
         assert again["parameters"] == answer["parameters"]
-        assert again["record"] == answer["record"] | {"name": "record"}
+        assert again["record"] == answer["record"]
 
 
 def test_the_report_is_shown_in_a_sandbox(client: TestClient, asker: Asker, log: bytes) -> None:

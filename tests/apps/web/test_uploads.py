@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jointid.apps.web.folder import Limits
+from jointid.apps.web.folder import Limits, name_in_run
 from jointid.apps.web.requests import clean_name
 from tests.apps.web.asking import Asker
 from tests.apps.web.testclient import TestClient
@@ -62,6 +62,18 @@ def test_a_record_is_kept_under_our_name_and_shown_under_its_own(asker: Asker, l
     assert {path.name for path in folder.parent.iterdir()} == {"page"}
     assert '<option value="reference" selected' in page
     assert asker.folder.draft["record.channels.torque.column"] == "torque"
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [
+        ("Achse-3 (neu).CSV", "Achse-3 (neu).CSV"),
+        ("Answer.txt", "record.txt"),  # which the answer itself is called
+        ("\N{MATHEMATICAL BOLD SMALL A}" * 76 + ".mat", "record.mat"),  # 308 bytes
+    ],
+)
+def test_the_folder_of_a_run_has_the_record_under_its_own_name_where_it_can(name: str, kept: str) -> None:
+    assert name_in_run(clean_name(name)) == kept
 
 
 def test_names_of_columns_are_escaped_everywhere(client: TestClient, asker: Asker) -> None:

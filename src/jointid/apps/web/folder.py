@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import secrets
+import shutil
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,6 +18,10 @@ from jointid.records.formats import format_of
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 """Addresses that only this machine reaches."""
+
+
+_OF_A_RUN = ("answer.txt", "learned.txt", "log.txt", "progress.txt")  # of ours, in a format of records
+_LONGEST = 255  # bytes of a file's name
 
 
 class PageError(JointidError):
@@ -141,11 +147,20 @@ class Folder:
         run = Run(self.path / "runs" / str(number))
         return run if run.folder.is_dir() else None
 
-    def new_run(self) -> Run:
-        """Make the folder of a further identification."""
+    def new_run(self, file: str, name: str) -> Run:
+        """Make the folder of a further identification, which holds the record under the name that its joint file says.
+
+        Args:
+            file: of the record, in this folder.
+            name: of the record in the other; see `name_in_run`.
+        """
         runs = self.runs
         run = Run(self.path / "runs" / str(runs[0].number + 1 if runs else 1))
         run.folder.mkdir(parents=True)
+        try:  # without a copy where the disk can
+            os.link(self.path / file, run.folder / name)
+        except OSError:
+            shutil.copyfile(self.path / file, run.folder / name)
         return run
 
     def close_interrupted(self) -> None:
@@ -154,6 +169,12 @@ class Folder:
             if run.active:
                 sentence = "The page was stopped before this had ended; press Identify again."
                 run.update(state="failed", sentence=sentence, ended=time.time())
+
+
+def name_in_run(name: str) -> str:
+    """Return the name of a record in a run's folder: the one it came with, unless ours has it, or it is too long."""
+    unfit = name.lower() in _OF_A_RUN or len(name.encode()) > _LONGEST
+    return f"record{Path(name).suffix}" if unfit else name
 
 
 def read_json(path: Path) -> dict[str, Any] | None:

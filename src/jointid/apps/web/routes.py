@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
 import re
-import shutil
 import zipfile
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from pathlib import Path
@@ -20,7 +18,7 @@ from starlette.responses import FileResponse, Response, StreamingResponse
 
 from jointid.apps.web import pages
 from jointid.apps.web.fields import TEXT
-from jointid.apps.web.folder import PageError, Run, read_json, write_json
+from jointid.apps.web.folder import PageError, Run, name_in_run, read_json, write_json
 from jointid.apps.web.form import make_order, make_reading_tables, read_joint_file
 from jointid.apps.web.preview import draw_svg
 from jointid.apps.web.requests import AppState, clean_name, receive_file
@@ -99,10 +97,11 @@ async def make_example(_: Request, state: AppState) -> Response:
 @_refusing(pages.show_record)
 async def read_again(request: Request, state: AppState) -> Response:
     """Read the record again, with other options of a text file."""
-    record, draft = state.folder.record, await state.save_form(request)
-    if record is None:
-        return state.redirect("/")
+    draft = await state.save_form(request)
     async with state.files:
+        record = state.folder.record
+        if record is None:
+            return state.redirect("/")
         state.folder.drop_preview()
         await _read_columns(state, state.folder.path / record["file"], draft)
     return state.redirect("/channels")
@@ -117,14 +116,14 @@ async def show_channels(request: Request) -> Response:
 @_refusing(pages.show_channels)
 async def check_channels(request: Request, state: AppState) -> Response:
     """Check step 2 by reading the record as it says."""
-    record, draft = state.folder.record, await state.save_form(request)
-    if record is None:
-        return state.redirect("/")
-    tables = make_reading_tables(draft, record["file"])
-    await run_in_threadpool(JointFile.of, tables)
+    draft = await state.save_form(request)
     async with state.files:
-        work = {"file": record["file"], "name": record["name"], "tables": tables}
-        write_json(state.folder.path / "work.json", work)
+        record = state.folder.record
+        if record is None:
+            return state.redirect("/")
+        tables = await run_in_threadpool(make_reading_tables, draft, record["file"])
+        await run_in_threadpool(JointFile.of, tables)
+        write_json(state.folder.path / "work.json", {"file": record["file"], "tables": tables})
         await state.jobs.read("check", state.folder.path)
     return state.redirect("/joint")
 
@@ -181,7 +180,7 @@ async def import_joint_file(request: Request, state: AppState) -> Response:
     """Fill in the form from a joint file."""
     try:
         path, name = await receive_file(request, state.folder.path, state.limits.joint_file, [".toml"])
-        state.folder.save_draft(read_joint_file(path.read_text(encoding="utf-8-sig")))
+        state.folder.save_draft(await run_in_threadpool(read_joint_file, path.read_text(encoding="utf-8-sig")))
     except UnicodeDecodeError:
         raise PageError("The joint file is not text in UTF-8; save it so.") from None
     finally:
@@ -192,18 +191,17 @@ async def import_joint_file(request: Request, state: AppState) -> Response:
 @_refusing(pages.show_joint)
 async def identify(request: Request, state: AppState) -> Response:
     """Check everything, and start the identification, in a folder of its own that holds all it takes."""
-    record, draft = state.folder.record, await state.save_form(request)
-    if record is None:
-        return state.redirect("/")
-    order = await run_in_threadpool(make_order, draft, record["file"])
-    state.jobs.require_idle()
-    run = state.folder.new_run()
-    try:  # without a copy where the disk can
-        os.link(state.folder.path / record["file"], run.folder / record["file"])
-    except OSError:
-        shutil.copyfile(state.folder.path / record["file"], run.folder / record["file"])
+    draft = await state.save_form(request)
+    async with state.files:
+        record = state.folder.record
+        if record is None:
+            return state.redirect("/")
+        name = name_in_run(record["name"])
+        order = await run_in_threadpool(make_order, draft, name)
+        state.jobs.require_idle()
+        run = state.folder.new_run(record["file"], name)
     (run.folder / "joint.toml").write_text(order.text, encoding="utf-8", newline="\n")
-    write_json(run.folder / "work.json", {"file": record["file"], "name": record["name"], "gain": order.gain})
+    write_json(run.folder / "work.json", {"file": name, "gain": order.gain})
     state.jobs.start(run)
     return state.redirect(f"/runs/{run.number}")
 
@@ -283,4 +281,4 @@ def _bundle(run: Run) -> tuple[Path, str]:
                 archive.write(run.folder / name, name)
             archive.write(run.folder / work["file"], work["file"])
         beside.replace(path)
-    return path, Path(work["name"]).stem
+    return path, Path(work["file"]).stem

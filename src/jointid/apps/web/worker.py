@@ -14,13 +14,9 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jointid.common.errors import FaultsError, JointidError
-
-if TYPE_CHECKING:
-    from jointid import Record
-    from jointid.config import JointFile
 
 REFUSED = 2
 
@@ -55,7 +51,7 @@ def check(folder: Path) -> None:
     from jointid.config import JointFile
 
     work = _read_work(folder)
-    record = _read_record(JointFile.of(work["tables"]), folder, work)
+    record = JointFile.of(work["tables"]).record(folder / work["file"])
     torque = record.torque
     assert torque is not None
     size = {"samples": len(torque), "sample_time": torque.sample_time, "duration": torque.duration}
@@ -75,14 +71,14 @@ def identify(folder: Path) -> None:
         _learn(folder, work)
     file = load(folder / "joint.toml")
     _tell("reading the record")
-    record = _read_record(file, folder, work)
+    record = file.record(folder / work["file"])
     _tell("preparing the simulation; the first time on a machine this takes some 20 s")
     sensitivities.warm_up()
     _tell("identifying")
     estimate = file.identify(record, _tell)
     told = report_estimate(estimate, record, name=file.name or "", loop=file.tells_of_its_loop, progress=_tell)
     again = repetition(folder / "joint.toml", folder / work["file"], {})
-    again = replace(again, record_name=work["name"], command="jointid report joint.toml --html report.html")
+    again = replace(again, command="jointid report joint.toml --html report.html")
     _write(folder / "report.html", replace(told, repetition=again).html())
     _write(folder / "answer.txt", f"{told.estimate}\n")
     answers.write(answers.to_dict(told.estimate), folder / "answer.json")
@@ -95,15 +91,10 @@ def _learn(folder: Path, work: dict[str, Any]) -> None:
 
     _tell("learning the controller")
     file = load(folder / "joint.toml")
-    record = _read_record(file, folder, work)
+    record = file.record(folder / work["file"])
     learned = learn_loop(record, gain=work["gain"], transmission=file.joint.transmission, progress=_tell)
     save_with_controller(file, learned.controller, folder / "joint.toml")
     _write(folder / "learned.txt", f"{learned}\n")
-
-
-def _read_record(file: JointFile, folder: Path, work: dict[str, Any]) -> Record:
-    """Read the record, under the name it came with."""
-    return replace(file.record(folder / work["file"]), name=Path(work["name"]).stem)
 
 
 def _read_work(folder: Path) -> dict[str, Any]:
