@@ -64,7 +64,7 @@ def _run(words: list[str], debug: bool) -> int:
             raise
         return _say(str(error), USERS_MISTAKE)
     except CycloptsError as error:
-        setting = _setting(error.token.keyword or "") if isinstance(error, UnknownOptionError) else ""
+        setting = _setting(error) if isinstance(error, UnknownOptionError) else ""
         return _say(f"{error} {setting}See jointid --help.", USERS_MISTAKE)
     except KeyboardInterrupt:
         return _say("Interrupted; what was written so far is kept.", INTERRUPTED)
@@ -82,12 +82,12 @@ def _run(words: list[str], debug: bool) -> int:
     return 0
 
 
-def _setting(option: str) -> str:
-    """Return the sentence on an option that is a key of [method], which --set reaches; "" for any other."""
+def _setting(error: UnknownOptionError) -> str:
+    """Return the sentence on an option that is a key of [method], if the command has --set to reach it; else ""."""
     from jointid.config.schema import MethodTable
 
-    key = option.removeprefix("--").partition("=")[0].replace("-", "_")
-    known = key in MethodTable.model_fields
+    key = (error.token.keyword or "").removeprefix("--").partition("=")[0].replace("-", "_")
+    known = key in MethodTable.model_fields and any("--set" in argument.names for argument in error.argument_collection)
     return f"It is a setting of the joint file: give --set method.{key}=VALUE. " if known else ""
 
 

@@ -9,6 +9,7 @@ from cyclopts import Parameter
 
 from jointid.apps.cli.console import Changes, FilteringName, Flag, Options, Quiet, check_outputs, deliver, ready, show
 from jointid.common.errors import MethodError
+from jointid.estimation.methods.registry import MethodName
 
 if TYPE_CHECKING:
     from jointid import Estimate, Windowing
@@ -24,7 +25,7 @@ def identify(
     window: float | None = None,
     settling: float | None = None,
     changes: Changes = (),
-    method: str | None = None,
+    method: MethodName | None = None,
     filtering: FilteringName | None = None,
     friction: str | None = None,
     json: Path | None = None,

@@ -17,6 +17,7 @@ from jointid.apps.cli.console import (
     show,
 )
 from jointid.common.errors import RecordError
+from jointid.estimation.methods.registry import MethodName
 
 Language = Literal["joint-file", "state-space", "matlab", "mjcf", "urdf", "modelica"]
 
@@ -29,7 +30,7 @@ def report(
     html: Path | None = None,
     markdown: Path | None = None,
     figures: Path | None = None,
-    method: str | None = None,
+    method: MethodName | None = None,
     filtering: FilteringName | None = None,
     friction: str | None = None,
     no_profiles: Flag = False,
@@ -59,7 +60,7 @@ def report(
     choices = {"method": method, "filtering": filtering, "friction": friction}
     file = options.load(joint, **choices)
     source = Path(file.record_path(options.record))
-    again = repetition(joint, source, choices, "report.html" if page is None else page.name)
+    again = repetition(joint, source, choices, options.changes, "report.html" if page is None else page.name)
     ready(options.progress)
     profiles = () if no_profiles else None
     told = report_file(file, source, repetition=again, profiles=profiles, progress=options.progress)

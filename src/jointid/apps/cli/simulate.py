@@ -88,8 +88,9 @@ def simulate(
 ) -> None:
     """Simulate a joint under its controller, driven by the reference of a record, and write what its drive would log.
 
-    The parameters are those of an estimate, or the fixed values and starts of the joint file. With --twin no joint file
-    is needed: the paper's flexible axis is simulated, under one of its two loops.
+    The reference of --record, and the injected signal if it has one, drive the loop; --json takes a summary. The
+    parameters are those of an estimate, or the fixed values and starts of the joint file. With --twin no joint file is
+    needed: the paper's flexible axis is simulated, under one of its two loops.
 
     Args:
         joint: the joint file (TOML).

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,7 +41,13 @@ class Repetition:
         return tuple((name, value) for name, value in found if value)
 
 
-def repetition(joint: Path, record: Path, options: Mapping[str, object], html: str = "report.html") -> Repetition:
+def repetition(
+    joint: Path,
+    record: Path,
+    options: Mapping[str, object],
+    changes: Iterable[str] = (),
+    html: str = "report.html",
+) -> Repetition:
     """Return what it takes to repeat a report.
 
     Files are told by their names, not by where they lie on this machine.
@@ -50,6 +56,7 @@ def repetition(joint: Path, record: Path, options: Mapping[str, object], html: s
         joint: the joint file.
         record: the record's file.
         options: of the command, by name; None leaves one away.
+        changes: keys of the joint file that were set, each as ``method.frequency=30``.
         html: name of the page.
 
     Raises:
@@ -59,6 +66,8 @@ def repetition(joint: Path, record: Path, options: Mapping[str, object], html: s
     for name, value in options.items():
         if value is not None:
             words += [f"--{name.replace('_', '-')}", str(value)]
+    for change in changes:
+        words += ["--set", change]
     try:
         text = joint.read_text(encoding="utf-8")
         digest = hashlib.sha256()
