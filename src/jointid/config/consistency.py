@@ -9,10 +9,10 @@ import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 from jointid.common import messages, units
 from jointid.common.transmission import Side
+from jointid.config.draft import KINDS, Draft
 from jointid.config.schema import GravityTable, JointTable, MethodTable, ParameterTable, TransmissionTable, keys_of
 from jointid.config.schema_record import ChannelTable
 from jointid.config.table import refusal
@@ -26,11 +26,6 @@ from jointid.models.parameters import TORQUE_UNIT, Kind, Parameter
 from jointid.records.columns import known_units
 from jointid.records.drives.drive import Drive
 from jointid.simulation.loop_input import ClosedLoop
-
-if TYPE_CHECKING:
-    from jointid.config.validation import Draft
-
-KINDS: tuple[Kind, ...] = ("prismatic", "revolute")
 
 _NEXT_TO_ZERO = 1e-200
 _BESIDE_LOAD = (
@@ -307,12 +302,6 @@ def torque_unit(
     """Return "A" or "V" for a torque in the drive's own units, None for one in N or N m."""
     unit = _si_unit("torque", channels, kind, transmission, drive)
     return None if unit in TORQUE_UNIT.values() else unit
-
-
-def list_channels(channels: Collection[str], drive: Drive | None) -> tuple[str, ...]:
-    """Return the names of the channels that the file declares, or that the drive's profile may find."""
-    profile = None if drive is None else drive.traces
-    return tuple(dict.fromkeys([*channels, *(() if profile is None else profile.channels)]))
 
 
 def _si_unit(

@@ -11,7 +11,8 @@ from typing import Any, Self
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.progress import Progress, silent
 from jointid.config import serialise
-from jointid.config.consistency import change_parameter, choose_method, list_channels, needed_channels, torque_unit
+from jointid.config.consistency import change_parameter, choose_method, needed_channels, torque_unit
+from jointid.config.draft import list_channels
 from jointid.config.schema_record import Run, Source, Together
 from jointid.config.validation import check_tables
 from jointid.estimation.identify import identify

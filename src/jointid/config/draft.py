@@ -1,0 +1,142 @@
+"""A joint file whose faults are looked for: its tables that are right in themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any, Self, TypeVar
+
+from pydantic import ValidationError
+
+from jointid.config.schema import GravityTable, JointTable, MethodTable, ParameterTable, TransmissionTable
+from jointid.config.schema_controller import LAW_TABLES, LawTable
+from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RunTable, TogetherTable
+from jointid.config.table import Table, refusal
+from jointid.estimation.methods.registry import MODELS
+from jointid.models.controllers import Controller
+from jointid.models.joints import Joint
+from jointid.models.parameters import Kind
+from jointid.records.drives.drive import Drive
+from jointid.records.record import CHANNELS
+
+T = TypeVar("T", bound=Table)
+
+KINDS: tuple[Kind, ...] = ("prismatic", "revolute")
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """The tables of a joint file that are right in themselves; one that is not is None, or left out.
+
+    Attributes:
+        joint: what is identified.
+        gravity: of its load.
+        gravity_refusal: the rest of the sentence on a gravity that this joint cannot have.
+        parts: the joint of this model with its gravity, whose parameters are known; None while either is not right.
+        kinds: its kind; every kind, while that is not known.
+        model: its model, while that is known.
+        transmission: between motor and load.
+        geared: whether there is one, right or not.
+        channels: the channels that are right.
+        named: names of those and of the others, and of those that the drive's profile may find.
+        drive: whose traces the channels are.
+        law: the controller's table.
+        controlled: whether the file has a controller, right or not.
+        method: how to identify.
+        parameters: the parameters that are right.
+        bare: names of those that are given by a bare number.
+        runs: the records that are identified together and are right, by their place.
+        together: how they are.
+    """
+
+    joint: JointTable | None
+    gravity: GravityTable | None
+    gravity_refusal: str | None
+    parts: Joint | None
+    kinds: Collection[Kind]
+    model: str | None
+    transmission: TransmissionTable | None
+    geared: bool
+    channels: Mapping[str, ChannelTable]
+    named: Collection[str]
+    drive: Drive | None
+    law: LawTable | None
+    controlled: bool
+    method: MethodTable | None
+    parameters: Mapping[str, ParameterTable]
+    bare: Collection[str]
+    runs: Mapping[int, RunTable]
+    together: TogetherTable | None
+
+    @classmethod
+    def of(cls, raw: Mapping[str, Any]) -> Self:
+        """Return what is right of the tables of a joint file, as `tomllib` reads them."""
+        kind, controller = table_at(raw, "joint").get("kind"), raw.get("controller")
+        listed = records if isinstance(records := raw.get("records"), list) else []
+        drives = _part(DriveTable, raw.get("drive", {}))
+        drive = drives.build() if drives else None
+        channels, parameters = table_at(raw, "record", "channels"), table_at(raw, "parameters")
+        law = next(filter(None, (_part(law, controller) for law in LAW_TABLES)), None)
+        joint, gravity = _part(JointTable, raw.get("joint")), _part(GravityTable, raw.get("gravity"))
+        refused = None if joint is None else refusal(lambda: joint.joint(None, gravity=gravity))
+        whole = refused is None and (gravity is not None or "gravity" not in raw)
+        return cls(
+            joint=joint,
+            gravity=gravity,
+            gravity_refusal=refused,
+            parts=joint.joint(None, gravity=gravity) if joint is not None and whole else None,
+            kinds=[known for known in KINDS if known == kind] or KINDS,
+            model=_model(raw.get("joint")),
+            transmission=_part(TransmissionTable, raw.get("transmission")),
+            geared="transmission" in raw,
+            channels={
+                name: getattr(table, name)
+                for name, value in channels.items()
+                if (table := _part(ChannelsTable, {name: value}))
+            },
+            # Of a drive that is wrong nobody knows which channels its profile finds.
+            named=list_channels(channels, drive) if drive is not None else CHANNELS,
+            drive=drive,
+            law=law,
+            controlled=controller is not None,
+            method=_part(MethodTable, raw.get("method", {})),
+            parameters={
+                name: parameter for name, value in parameters.items() if (parameter := _part(ParameterTable, value))
+            },
+            bare=[name for name, value in parameters.items() if not isinstance(value, dict)],
+            runs={k: run for k, value in enumerate(listed) if (run := _part(RunTable, value))},
+            together=_part(TogetherTable, raw.get("together", {})),
+        )
+
+    @property
+    def controller(self) -> Controller | None:
+        """The controller's law."""
+        return self.law.controller() if self.law else None
+
+
+def list_channels(channels: Collection[str], drive: Drive | None) -> tuple[str, ...]:
+    """Return the names of the channels that the file declares, or that the drive's profile may find."""
+    profile = None if drive is None else drive.traces
+    return tuple(dict.fromkeys([*channels, *(() if profile is None else profile.channels)]))
+
+
+def _part(model: type[T], raw: object) -> T | None:
+    """Return a table that is right in itself, None for one that is not."""
+    try:
+        return model.model_validate(raw)
+    except ValidationError:
+        return None
+
+
+def _model(joint: object) -> str | None:
+    """Return the model that [joint] names, right otherwise or not; None for a model that there is not."""
+    named = joint.get("model", "rigid") if isinstance(joint, dict) else None
+    return next((model for model in MODELS if model == named), None)
+
+
+def table_at(raw: Mapping[str, Any], *path: str) -> Mapping[str, Any]:
+    """Return the raw table at a path, empty if there is none."""
+    for key in path:
+        below = raw.get(key)
+        raw = below if isinstance(below, dict) else {}
+    return raw
