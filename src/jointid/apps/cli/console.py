@@ -33,20 +33,18 @@ _PATIENCE = 2.0  # seconds after which the simulation is not being loaded but co
 
 
 @Parameter(name="*")
-@dataclass(frozen=True, slots=True)
-class Options:
-    """The options that most commands have beside a joint file.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Inputs:
+    """The options of a command that identifies as a joint file says.
 
     Attributes:
         record: the record, instead of the one the joint file names.
         changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
-        json: also write the answer as JSON to this file.
         quiet: say nothing of the progress.
     """
 
     record: Path | None = None
     changes: Changes = ()
-    json: Path | None = None
     quiet: Quiet = False
 
     @property
@@ -73,6 +71,18 @@ class Options:
     def identify_by_didim(self, joint: Path) -> tuple[Record, Estimate]:
         """Load the joint file, identify the joint by didim whatever the file says, and return the record, too."""
         return self.identify(self.load(joint, method="didim"))
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Options(Inputs):
+    """Those, and where the answer goes; most commands have them.
+
+    Attributes:
+        json: also write the answer as JSON to this file.
+    """
+
+    json: Path | None = None
 
 
 DEFAULTS = Options()
@@ -171,13 +181,19 @@ def check_outputs(*files: Path | None, figures: tuple[Path | None, ...] = ()) ->
             require_format(path)
 
 
-def make_folder(folder: Path) -> None:
+def make_folder(folder: Path, option: str = "", mode: int = 0o777) -> None:
     """Make a folder, unless it is there.
+
+    Args:
+        folder: to make.
+        option: that names it, if one does.
+        mode: of a new one: who may reach it.
 
     Raises:
         RecordError: it cannot be made.
     """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True, mode=mode)
     except OSError as error:
-        raise RecordError(f"{folder} cannot be made a folder ({error.strerror}); name another one.") from None
+        by = f" by {option}" if option else ""
+        raise RecordError(f"{folder} cannot be made a folder ({error.strerror}); name another one{by}.") from None

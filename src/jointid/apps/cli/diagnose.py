@@ -7,11 +7,10 @@ from typing import Literal
 
 from jointid.apps.cli.console import (
     DEFAULTS,
-    Changes,
     FilteringName,
     Flag,
+    Inputs,
     Options,
-    Quiet,
     Several,
     check_outputs,
     deliver,
@@ -49,23 +48,19 @@ def intervals(
     joint: Path,
     /,
     *,
-    record: Path | None = None,
-    changes: Changes = (),
+    options: Inputs = DEFAULTS,
     of: Several = None,
     bootstrap: Flag = False,
     refit: Flag = False,
-    quiet: Quiet = False,
 ) -> None:
     """Identify a joint by didim, then follow its criterion along single quantities, or draw bootstraps.
 
     Args:
         joint: the joint file (TOML).
-        record: the record, instead of the one the joint file names.
-        changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
+        options: those that most commands have.
         of: a parameter, a sum such as "motor_viscous + load_viscous", or compliance; may be given several times.
         bootstrap: draw over blocks of time, and over stretches of position, direction and speed.
         refit: every draw is a whole fit, which takes minutes; otherwise it is one linear step.
-        quiet: say nothing of the progress.
     """
     from jointid import MethodError
     from jointid import intervals as run
@@ -73,7 +68,6 @@ def intervals(
 
     if not of and not bootstrap:
         raise MethodError("There is nothing to do without --of or --bootstrap; give --of stiffness, say.")
-    options = Options(record, changes, quiet=quiet)
     file = options.load(joint, method="didim")
     if file.loop is not None:
         require_quantities(of or (), file.loop)

@@ -60,7 +60,7 @@ def identify(
 
     check_outputs(json, figures=(figure,))
     records = record or []
-    options = Options(records[0] if records else None, changes, json, quiet)
+    options = Options(record=records[0] if records else None, changes=changes, json=json, quiet=quiet)
     file = options.load(joint, method=method, filtering=filtering, friction=friction)
     logged = None
     if window is not None or settling is not None:

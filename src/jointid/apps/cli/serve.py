@@ -12,7 +12,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.console import show, tell
+from jointid.apps.cli.console import make_folder, show, tell
 from jointid.common.errors import JointidError, extra
 
 _GRACE = 2  # seconds that an open connection is given when the page ends
@@ -79,12 +79,7 @@ def run_page(folder: Path, host: str, port: int, announce: Callable[[str], None]
     uvicorn = extra("uvicorn", "web", "The page")
     from jointid.apps.web.application import build_application
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    except OSError as error:
-        raise JointidError(
-            f"{folder} cannot be made a folder ({error.strerror}); name another one by --folder."
-        ) from None
+    make_folder(folder, "--folder", mode=0o700)
     token = secrets.token_urlsafe(_TOKEN)
     with _listen(host, port) as listening:
         config = uvicorn.Config(

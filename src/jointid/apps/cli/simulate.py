@@ -185,7 +185,7 @@ def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet:
     from jointid.paper.reproduce import reproduction_document
 
     require_extra(plots=False)
-    make_folder(out)
+    make_folder(out, "--out")
     ready(listen(quiet))
     found = run(seed, listen(quiet))
     written = save(reproduction_document(found, torque_png), out, "reproduction")
