@@ -86,7 +86,7 @@ class FrequencyResponse:
         frequency: (lines,) Hz.
         curves: of the motor, and for a flexible joint of the load.
         unit: of the magnitude.
-        modes: Hz by name, of a flexible joint; see `model.joints.frequencies`.
+        modes: Hz by name, of a flexible joint; see `models.joints.frequencies`.
     """
 
     frequency: FloatArray
