@@ -124,7 +124,7 @@ def flexible_against_rigid(
     E = np.hstack(extra)
     if E.shape[1] != len(extra):
         raise MethodError(
-            f"Each alternative of a test at a boundary is one column; received {E.shape[1]} of {len(extra)} alternatives."
+            f"Each alternative of a test at a boundary is one column; received {E.shape[1]} columns of {len(extra)}."
         )
     beside = E - Q @ (Q.T @ E)
     same = ~(np.linalg.norm(beside, axis=0) > _SINGULAR * np.linalg.norm(E, axis=0))  # of one that is no number, too
