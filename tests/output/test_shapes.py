@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-import jointid
+import jointid as ji
 import jointid.output.json.estimates as of_estimates
+from jointid.common.messages import Message
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.params import EstimatedParameter
 from jointid.estimation.result.parts import RecordFit
@@ -27,7 +28,7 @@ from jointid.models.joints import RigidJoint
 from jointid.output.json.keys import Shape, named, percent, take
 from jointid.output.json.shapes import SHAPES
 from jointid.simulation.loop_input import ClosedLoop
-from jointid.uncertainty.identifiability import Combination, Known
+from jointid.uncertainty.identifiability import Combination, Identifiability, Kind, Known
 from jointid.uncertainty.verdict import StiffnessBound
 
 ELSEWHERE = {"jointid.output.figures.charts.Band", "jointid.records.drives.drive.Profile"}
@@ -56,7 +57,7 @@ OF_ESTIMATES: dict[str, tuple[Shape, type]] = {
 def _classes() -> dict[str, list[type]]:
     """Return all data classes of the package by name."""
     found: dict[str, list[type]] = {}
-    for module in pkgutil.walk_packages(jointid.__path__, "jointid."):
+    for module in pkgutil.walk_packages(ji.__path__, "jointid."):
         if module.name.endswith("isolated_readers"):
             continue
         for one in vars(importlib.import_module(module.name)).values():
@@ -139,6 +140,13 @@ def test_a_shape_is_of_one_class_and_finds_all_that_it_names(name: str) -> None:
 def test_the_shapes_of_an_estimate_find_all_that_they_name(name: str) -> None:
     shape, kind = OF_ESTIMATES[name]
     _require_values(take(Specimen(kind), shape))
+
+
+def test_a_part_of_a_result_is_no_document() -> None:
+    known = Identifiability((), (), (), 1.0, (), ())
+    for part in (PositionHarmonics(1.0), known, Message(Kind.SUM, "a sum")):
+        with pytest.raises(ji.MethodError, match="Only a result is written as JSON"):
+            ji.to_dict(part)
 
 
 @pytest.mark.parametrize(
