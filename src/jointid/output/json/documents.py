@@ -65,7 +65,8 @@ def simulation_answer(
             "parameters": parameters,
         }
     )
-    return document | plain(simulation)
+    document.update(plain(simulation))
+    return document
 
 
 def plain(value: Any) -> Any:
