@@ -51,7 +51,13 @@ def test_a_choice_replaces_what_the_file_says() -> None:
 
 def test_keys_are_set_after_the_choices() -> None:
     text = FLEXIBLE.replace(CHANNELS, BOTH_ENCODERS) + '[method]\npreset = "paper"'
+    assert loads(text, changes=[]) == loads(text)
     assert loads(text, changes=["method.frequency=42.0"]).method == FlexibleDIDIM.paper(42.0)
+    changed = loads(text, changes=["method.frequency=20.0"], filtering="as-printed")
+    assert changed.method == FlexibleDIDIM.paper(20.0)
+    assert changed.filtering == Filtering.as_printed()
+    whole = ['method={name="didim", minimiser="least-squares", frequency=20.0}']  # in place of the preset, too
+    assert loads(text, changes=whole).method == FlexibleDIDIM(minimiser="least-squares", frequency=20.0)
     assert loads(text, method="idim").method == IDIM()
     assert loads(text, ".", ["method.estimator=robust"], method="idim").method == IDIM(estimator="robust")
     back = loads(text.replace('preset = "paper"', 'name = "idim"'), ".", ["method.frequency=9.0"], method="didim")
