@@ -276,6 +276,15 @@ def test_what_surrounds_the_joint_can_be_free() -> None:
     assert "kp" not in estimate.values
 
 
+def test_a_delay_that_was_freed_is_the_one_that_is_reported() -> None:
+    declared, true = (ClosedLoop(RigidJoint(), PD(kp=1e5, kd=2000.0, delay=delay)) for delay in (1.5e-3, 2e-3))
+    reference = trapezoids(SPEEDS, 2.0, 0.1, PERIOD, duration=60.0)
+    record = simulated_record(true, reference, TRUTH, sample_time=PERIOD)
+    estimate = identify(record, declared, windows=Windowing(length=5.0), method=DIDIM(free=("delay",)))
+    assert estimate["delay"].value == pytest.approx(2e-3, rel=1e-3)
+    assert estimate.settings.delay == estimate["delay"].value
+
+
 def test_a_stretch_is_silent_of_what_it_does_not_tell() -> None:
     """Both ways in the first half, forwards only in the second, which tells nothing of friction backwards."""
     loop = ClosedLoop(RigidJoint(friction=AsymmetricFriction()), LOOP.controller)

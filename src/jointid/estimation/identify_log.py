@@ -271,7 +271,7 @@ def _answer(problem: LogProblem, first: Record, end: LogSolution, warnings: list
     sums, unit = found.sums, first.torque.unit
     repeated = repeats(found.places.values(), sums.square, unit)
     covariance, intervals = _covariance(found, repeated)
-    own = {p.name for p in window.joint.parameters}
+    own, loop = {p.name for p in window.joint.parameters}, window.loop_at(end.x)
     at_limit = float(np.mean([w.at_limit for w in found.windows]))
     bounds = warn_of_bounds(find_at_bound(problem.free, end.x))
     return build_estimate(
@@ -305,7 +305,7 @@ def _answer(problem: LogProblem, first: Record, end: LogSolution, warnings: list
         data=Data(
             torque_unit=unit,
             record=problem.source.name,
-            channels=list_loop_channels(window.loop, first),
+            channels=list_loop_channels(loop, first),
             sample_time=sample_time,
             windows=Windows(
                 length=problem.length * sample_time,
@@ -315,8 +315,8 @@ def _answer(problem: LogProblem, first: Record, end: LogSolution, warnings: list
                 duration=found.windows[-1].end - found.windows[0].begin,
             ),
         ),
-        loop=window.loop_at(end.x),
-        delay=window.loop.controller.law(sample_time).delay,
+        loop=loop,
+        delay=loop.controller.law(sample_time).delay,
     )
 
 

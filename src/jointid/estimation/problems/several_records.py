@@ -158,6 +158,11 @@ class RecordsProblem(RecordProblem):
         return cls(tuple((shared | free).values()), measured, first.filtering, layout, criterion)
 
     @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters that are identified, in the criterion's order; the table's may be another."""
+        return self.criterion.free
+
+    @property
     def joint(self) -> Joint:
         """What is identified."""
         return self.layout.joint
