@@ -16,7 +16,17 @@ from jointid.estimation.identify_log import StreamingGaussNewton
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.problems.log_windows import LogProblem, Places, Windowing, motion, window_problem
+from jointid.estimation.problems.log_windows import (
+    VISITS,
+    LogProblem,
+    Place,
+    Places,
+    Windowing,
+    compress,
+    motion,
+    repeats,
+    window_problem,
+)
 from jointid.estimation.result.summary import describe_drift
 from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import AsymmetricFriction
@@ -31,6 +41,7 @@ from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from jointid.solvers.solve import solve
 from jointid.solvers.trust_region import TrustRegion
+from jointid.uncertainty.jackknife import Sums
 
 PERIOD = 1e-3
 LOOP = ClosedLoop(RigidJoint(), Cascade(kp=100.0, kv=2000.0))
@@ -113,6 +124,40 @@ def test_with_few_windows_it_is_said_why_repetition_cannot_be_judged() -> None:
     text = str(identify(rigid(30.0), LOOP, windows=Windowing(length=6.0)))
     assert "cannot be judged: that takes a place which the axis passes in 8 windows or more, and in these 5" in text
     assert "no place is visited at two times" not in text
+
+
+def test_where_nothing_is_left_nothing_repeats() -> None:
+    """A place is visited often enough, so that it would be wrong to say that there is none."""
+    nothing, signal = np.zeros(10), np.ones(10)
+    place = Place.of(nothing, nothing[:, np.newaxis], signal)
+    few, enough = (sum([place] * (visits - 1), start=place) for visits in (VISITS - 1, VISITS))
+    assert repeats([few], 0.0, "N").p_value is None
+    found = repeats([few, enough], 0.0, "N")
+    assert found.p_value == 1.0
+    assert not found.significant
+    assert (found.rms, found.share) == (0.0, 0.0)
+
+
+def test_a_residual_in_few_rows_has_as_many_whatever_its_rank() -> None:
+    random = np.random.default_rng(0)
+    error, signal, J = random.standard_normal(50), np.ones(50), random.standard_normal((50, 3))
+    for columns in (J, np.column_stack([J[:, 0], J[:, 1], J[:, 0] - J[:, 1]]), np.zeros((50, 3))):
+        sums = Sums.of(error, columns, signal)
+        residual, few = compress(sums)
+        assert (residual.shape, few.shape) == ((4,), (4, 3))
+        np.testing.assert_allclose(few.T @ few, sums.A, atol=1e-9)
+        np.testing.assert_allclose(few.T @ residual, sums.b, atol=1e-9)
+        assert residual @ residual == pytest.approx(sums.square)
+
+
+def test_a_log_at_rest_is_no_problem_for_any_solver() -> None:
+    record = rigid(20.0)
+    assert record.reference is not None
+    resting = replace(record, reference=replace(record.reference, values=np.zeros(len(record.reference))))
+    window = window_problem(record, LOOP, Filtering(), LOOP.joint.parameters, ())
+    problem = LogProblem(InMemory(resting), window, 5000, 250, Places.of(*motion(window)))
+    with pytest.raises(MethodError, match="In no window of this record does the axis move"):
+        problem.residual(window.vector(TRUTH))
 
 
 def stored(path: Path, record: Record) -> Log:
