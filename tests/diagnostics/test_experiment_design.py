@@ -217,6 +217,9 @@ def test_what_cannot_be_advised_on(disturbed: tuple[Twin, Estimate], logged: tup
         advise(estimate, axis.record, encoder_step=-1.0)
     with pytest.raises(MethodError, match="identifies its stiffness"):
         design_stiffness_test(estimate, axis.record)
+    joint_only = estimate.amended(params={"correlation": estimate.params.correlation[:-1, :-1]})
+    with pytest.raises(MethodError, match='statistics = "sensitivities"'):
+        advise(joint_only, axis.record)
 
 
 def test_a_rigid_joint_has_no_load_to_put_an_encoder_on(disturbed: tuple[Twin, Estimate]) -> None:

@@ -54,6 +54,7 @@ def test_two_frictions_are_known_by_their_sum() -> None:
         f"Fv1 and Fv2 are known by their sum: 201.0 +- {2 * total.std:.1f} N s/m; "
     )
     assert f"apart Fv1 only to +- {2 * covariance.std[0]:.0f}, " in found.limitations[0].words
+    assert not found.undetermined
 
 
 def test_the_directions_are_those_of_the_scaled_information() -> None:

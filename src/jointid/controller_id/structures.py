@@ -105,12 +105,18 @@ class Structure:
     def names(self) -> tuple[str, ...]:
         """The numbers it leaves open, as `numbers_of` names them, and `INTEGRAL`."""
         names = ["kp", "kv" if self.cascade else "kd"]
-        names += ["ki", INTEGRAL] * self.integrates
-        names += ["velocity_feedforward"] * (self.cascade and self.reference_velocity in ("share", "channel"))
+        if self.integrates:
+            names += ["ki", INTEGRAL]
+        if self.cascade and self.reference_velocity in ("share", "channel"):
+            names.append("velocity_feedforward")
         names += [FIELDS[part] for part in FEEDFORWARDS if part in self.feedforward]
         names += _filter_names("velocity_filter", self.velocity_filter)
         names += _filter_names("torque_filters.0", self.torque_filter)
-        return (*names, *["reference_delay"] * self.reference_delay, *["limit"] * self.limited)
+        if self.reference_delay:
+            names.append("reference_delay")
+        if self.limited:
+            names.append("limit")
+        return tuple(names)
 
     @property
     def parts(self) -> int:

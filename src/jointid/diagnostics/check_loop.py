@@ -378,8 +378,7 @@ def _free_parameter(problem: ClosedLoopProblem, suspect: FaultTest) -> tuple[Clo
     """Return the problem with the parameter of a fault free, and its start."""
     start = suspect.declared + suspect.size
     if suspect.name == OFFSET:
-        freed = tuple(replace(p, free=True) if p.name == OFFSET else p for p in problem.parameters)
-        return replace(problem, parameters=freed), start
+        return problem.changed({p.name: replace(p, free=True) for p in problem.parameters if p.name == OFFSET}), start
     if suspect.name == LIMIT:  # the declared limit may be infinite, where no search can begin
         start = (suspect.shape or 0.0) / _torque_per_unit(problem)
         loop = replace(problem.loop, controller=with_numbers(problem.loop.controller, {LIMIT: start}))

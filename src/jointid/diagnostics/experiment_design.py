@@ -178,6 +178,11 @@ def advise(
             "The stiffness is not identifiable from this record, so no intervals can be predicted; "
             "design_stiffness_test predicts which test would identify it."
         )
+    if len(estimate.params.correlation) < x.size:
+        raise MethodError(
+            f"A prediction begins at the correlations of all {x.size} free parameters, and this estimate has those of "
+            f'{len(estimate.params.correlation)}; identify with statistics = "sensitivities".'
+        )
     noise = noise or find_noise_source(record)
     own = problem.free_joint
     names = [p.name for p in own]

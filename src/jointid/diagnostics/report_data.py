@@ -86,7 +86,7 @@ class FrequencyResponse:
         frequency: (lines,) Hz.
         curves: of the motor, and for a flexible joint of the load.
         unit: of the magnitude.
-        modes: Hz by name, of a flexible joint; see `model.joints.frequencies`.
+        modes: Hz by name, of a flexible joint; see `models.joints.frequencies`.
     """
 
     frequency: FloatArray
@@ -281,11 +281,8 @@ def compute_response(estimate: Estimate) -> FrequencyResponse:
     grid = np.geomspace(_LOWEST, highest, _LINES)
     frequency = np.unique(np.concatenate([grid, [f for f in modes.values() if f > _LOWEST]]))
     free = [p for p in estimate.params if p.free and p.of_joint and p.stderr is not None and p.name in values]
-    chosen = [estimate.params.names.index(p.name) for p in free]
     std = np.array([p.stderr for p in free], dtype=np.float64)
-    known = max(chosen, default=0) < len(estimate.params.correlation)
-    correlation = estimate.params.correlation[np.ix_(chosen, chosen)] if known else np.eye(len(free))
-    covariance = np.outer(std, std) * correlation
+    covariance = np.outer(std, std) * estimate.params.correlation_of([p.name for p in free])
     outputs = OUTPUTS[1 : len(OUTPUTS) if flexible else 2 : 2]  # the velocities of the motor and of a flexible load
 
     def respond(values: Mapping[str, float]) -> list[ComplexArray]:

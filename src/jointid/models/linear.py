@@ -6,7 +6,7 @@ While neither velocity changes its sign Coulomb friction is a constant, and what
     ZZ2 a12 + Fv2 v12 + K12 (q12 - q1) + F12 (v12 - v1) + rate q12 = 0
 
 A rigid joint has the first line alone, without the spring. `rate` is of a spring that carries the load
-(`model.gravity`), which stands on the motor's line where the joint is rigid; a weight that turns is not linear.
+(`models.gravity`), which stands on the motor's line where the joint is rigid; a weight that turns is not linear.
 """
 
 from __future__ import annotations
@@ -201,6 +201,7 @@ def frequency_response(
 
     Example:
         >>> import numpy as np, jointid as ji
+        >>> from jointid.models.linear import frequency_response
         >>> values = {"inertia": 2.0, "viscous": 0.0, "coulomb": 1.0, "offset": 0.0}
         >>> response = frequency_response(ji.RigidJoint(), values, np.array([1.0]))
         >>> print(round(float(abs(response[0])), 6))  # 1 / (2 pi f J)

@@ -4,7 +4,7 @@ M. Gautier, A. Janot, A. Jubien, P.-O. Vandanjon, "Joint stiffness identificatio
 CDC 2011. What follows from these numbers, and where print says otherwise, is in `errata`.
 
 A printed number is a `Decimal`: it keeps its digits (0.80 is not 0.8), and differences of printed numbers are exact.
-Parameters have the names of `model.joints`; the paper's Fv12, the damping between the masses, is F12.
+Parameters have the names of `models.joints`; the paper's Fv12, the damping between the masses, is F12.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class PublishedTable:
 
     @property
     def values(self) -> dict[str, float]:
-        """The identified values, ready for `model.joints` (Tables 1 to 5)."""
+        """The identified values, ready for `models.joints` (Tables 1 to 5)."""
         return {parameter: float(value) for parameter, value in self.column("value").items()}
 
 
@@ -262,4 +262,4 @@ REGRESSOR = (
     ("v1", "v1", "sign(v1)", "-q2", "-v2", "0", "0", "0"),
     ("0", "0", "0", "q2", "v2", "v12", "v12", "sign(v12)"),
 )
-"""The matrix under (5) as printed, in the letters of `model.joints`; its parameters are those of Table 2."""
+"""The matrix under (5) as printed, in the letters of `models.joints`; its parameters are those of Table 2."""

@@ -32,7 +32,7 @@ REGRESSOR_OF_2 = (
     ("a1", "v1", "sign(v1)", "-q2", "-v2", "0", "0", "0"),
     ("0", "0", "0", "q2", "v2", "a12", "v12", "sign(v12)"),
 )
-"""The regressor of (2), in the letters of `model.joints` and in the order of the parameters of Table 2."""
+"""The regressor of (2), in the letters of `models.joints` and in the order of the parameters of Table 2."""
 
 _UNITS = {p.name: joint.unit(p) for joint in (RigidJoint(), FlexibleJoint()) for p in joint.parameters}
 

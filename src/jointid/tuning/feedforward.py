@@ -149,9 +149,7 @@ def _total(estimate: Estimate, weights: Mapping[str, float]) -> LumpedParameter:
     spread = {name: weight * std for name, weight in weights.items() if (std := estimate[name].stderr)}
     if not spread:
         return LumpedParameter(formula, value, None)
-    free, known = [p.name for p in estimate.params if p.free], estimate.params.correlation
-    at, sizes = [free.index(name) for name in spread], np.array(list(spread.values()))
-    correlation = known[np.ix_(at, at)] if max(at) < len(known) else np.eye(len(at))
+    sizes, correlation = np.array(list(spread.values())), estimate.params.correlation_of(list(spread))
     return LumpedParameter(formula, value, math.sqrt(max(float(sizes @ correlation @ sizes), 0.0)))
 
 

@@ -50,7 +50,7 @@ class Tuning:
         modulus: smallest distance of the response from -1: the largest sensitivity is its inverse.
         confidence: with which the interval of the estimate holds all its parameters together.
         notch: whether a notch may be proposed.
-        false_alarm, power: of the smallest detectable change, see `detectable`.
+        false_alarm, power: of the smallest detectable change, see `compute_minimum_detectable_change`.
         seed: of the joints that are drawn in the interval.
     """
 

@@ -77,7 +77,7 @@ def tune(
     Returns:
         Margins of the loop as it is and of a proposed one, at the estimate and the worst over the interval; gains of
         the same structure, a notch where the mode limits them, feed-forward, and the smallest changes that the same
-        motion would detect (`detectable`).
+        motion would detect (`compute_minimum_detectable_change`).
 
     Raises:
         MethodError: the estimate has no controller, no deviations, or a stiffness that is refused and not bounded.

@@ -141,7 +141,7 @@ def sandwich(
             instants = (part.stop - part.start) // equations
             block = np.tile(np.arange(instants) // max(lags, 1), equations)
             left_out = residual_left_out(Z[part], J[part], error[part], spread, block)
-            scores = (Z[part] * left_out[:, np.newaxis]).reshape(equations, instants, -1)
+            scores = (Z[part] * left_out[:, np.newaxis]).reshape(equations, instants, Z.shape[1])
             found += bartlett_sum(np.sum(scores, axis=0), lags)
         return found
 
@@ -172,10 +172,11 @@ def bartlett_sum(scores: FloatArray, lags: int) -> FloatArray:
         scores: (neighbours, parameters), or (neighbours, families, parameters) of families that are independent.
         lags: neighbours on each side that are correlated with one, with Bartlett's weights.
     """
-    count = scores.shape[-1]
-    found = np.zeros((count, count))
+    families, count = math.prod(scores.shape[1:-1]), scores.shape[-1]
+    rows, found = scores.reshape(len(scores) * families, count), np.zeros((count, count))
     for lag in range(lags + 1):
-        together = scores[lag:].reshape(-1, count).T @ scores[: len(scores) - lag].reshape(-1, count)
+        apart = lag * families
+        together = rows[apart:].T @ rows[: len(rows) - apart]
         found += together if lag == 0 else (1 - lag / (lags + 1)) * (together + together.T)
     return found
 

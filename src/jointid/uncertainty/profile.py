@@ -275,7 +275,7 @@ def profile(
             _crossing(values[best::-1], rise[best::-1], threshold),
             _crossing(values[best:], rise[best:], threshold),
         )
-    elif flat is not None:  # it is known without error
+    elif flat is not None and std == 0.0:  # it is known without error
         interval = (centre.value, centre.value)
     return Profile(
         combination.name,

@@ -29,7 +29,7 @@ from jointid.records.signals.filtering import decimate
 from jointid.simulation.drive_side import LOAD_STATE, PARTS, prescribed_motion
 from jointid.solvers.instrumental_variables import InstrumentalSolution, InstrumentalVariables, projection
 from jointid.solvers.solve import Solution, solve
-from jointid.uncertainty.covariance import Covariance, bandwidth, sandwich, with_bands
+from jointid.uncertainty.covariance import Covariance, bandwidth, bartlett_sum, sandwich, with_bands
 
 _MEMORY = 40  # rows of the filtered torque that a response goes back
 _ACCEPTED = 0.01  # a contrast that noise alone would reach less often is none of noise
@@ -213,23 +213,14 @@ def contrast(problem: DriveSideProblem, solution: Solution, found: InstrumentalS
     influences = (projection(J, J) - projection(Z, J)) * error
     names = np.array([p.name for p in problem.free])[found.moving]
     chosen = np.flatnonzero(np.isin(names, _PHYSICAL))
-    spread = _long_run(influences[chosen].T)
+    scores = influences[chosen].T
+    spread = bartlett_sum(scores, bandwidth(len(scores)))
     difference = (solution.x - found.x)[found.moving][chosen]
     scale = np.sqrt(np.diag(spread))
     scaled = spread / np.outer(scale, scale)
     statistic = float((difference / scale) @ np.linalg.pinv(scaled, rcond=1e-8) @ (difference / scale))
     blind = float(np.max(2 * scale / np.abs(found.x[found.moving][chosen])))
     return float(gammaincc(0.5 * chosen.size, 0.5 * statistic)), blind
-
-
-def _long_run(scores: FloatArray) -> FloatArray:
-    """Return the covariance of a sum of scores, (rows, parameters), that are correlated with their neighbours."""
-    lags = bandwidth(len(scores))
-    found = scores.T @ scores
-    for lag in range(1, lags + 1):
-        together = scores[lag:].T @ scores[:-lag]
-        found += (1 - lag / (lags + 1)) * (together + together.T)
-    return np.asarray(found)
 
 
 def _covariance(found: InstrumentalSolution) -> Covariance:

@@ -96,14 +96,18 @@ class Params(Sequence[EstimatedParameter]):
         stderr = self.stderr[: len(self.correlation)]
         return np.asarray(self.correlation * np.outer(stderr, stderr))
 
+    def correlation_of(self, names: Sequence[str]) -> FloatArray:
+        """Return the correlation of the errors of some free parameters, (names, names); none where it is not known."""
+        at = [self.names.index(name) for name in names]
+        known = max(at, default=0) < len(self.correlation)
+        return np.asarray(self.correlation[np.ix_(at, at)] if known else np.eye(len(at)))
+
     def total(self, names: Sequence[str]) -> tuple[float, float]:
         """Return a sum of parameters, by name or symbol, and its standard error, with their correlation."""
         found = [self[name] for name in names]
         uncertain = [p for p in found if p.stderr is not None]
         stderr = np.array([p.stderr for p in uncertain], dtype=np.float64)
-        chosen = [self.names.index(p.name) for p in uncertain]
-        known = max(chosen, default=0) < len(self.correlation)
-        together = self.correlation[np.ix_(chosen, chosen)] if known else np.eye(len(chosen))
+        together = self.correlation_of([p.name for p in uncertain])
         total = sum(p.value for p in found if p.value is not None)
         return total, float(np.sqrt(max(float(stderr @ together @ stderr), 0.0)))
 

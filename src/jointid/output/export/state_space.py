@@ -5,7 +5,7 @@ With the motor's position and velocity, and the load's, as states and the torque
     ZZ1 a1  = tau - Fv1 v1 - K12 (q1 - q12) - F12 (v1 - v12)
     ZZ2 a12 =     - Fv2 v12 + K12 (q1 - q12) + F12 (v1 - v12) - rate q12
 
-`rate` is of a spring that carries the load (`model.gravity`). A rigid joint has the first line alone, without the
+`rate` is of a spring that carries the load (`models.gravity`). A rigid joint has the first line alone, without the
 spring. What is not linear, Coulomb friction and a weight that turns, is not in it, nor what is constant: it describes
 motion that does not reverse, about a steady one, less the constant forces.
 """
@@ -64,7 +64,7 @@ class StateSpace:
     delay: float = 0.0
 
     def sampled(self, period: float, delay: float = 0.0) -> StateSpace:
-        """Return it for a torque that is held from each sample to the next: exact at the samples (`model.linear`).
+        """Return it for a torque that is held from each sample to the next: exact at the samples (`models.linear`).
 
         Each torque that is still on its way is a state, ``torque_1`` the newest.
 

@@ -149,7 +149,7 @@ def report_estimate(
         name: of the joint, for the title.
         profiles: quantities whose criterion is followed, as `intervals` takes them; every free parameter of the joint
             when None, none when empty. Of DIDIM only.
-        loop: whether loop and log are checked; see `jointid.diagnostics.report_data.dossier`.
+        loop: whether loop and log are checked; see `jointid.diagnostics.report_data.collect_report_data`.
         progress: is told each step.
 
     Example:

@@ -77,7 +77,7 @@ class Thinning:
         between: (2, keep, 2 modes) what the samples between two that are kept add to the later, forwards, and to the
             earlier, backwards: real parts, then imaginary ones.
         older: (modes, padding + keep + 1) the powers of the poles.
-        powers: see `recurrences.carry`.
+        powers: see `common.iir_kernels.carry`.
         weights: (2 modes,) of what the modes say: real parts, then imaginary ones.
     """
 
