@@ -38,10 +38,6 @@ class Message:
         """Return the words."""
         return self.words
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return code and values as they are written to JSON."""
-        return {"code": str(self.code), "values": dict(self.values), "words": self.words}
-
 
 def joined(messages: Iterable[Message]) -> str:
     """Return the words of several messages as one sentence."""

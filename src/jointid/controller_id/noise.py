@@ -214,16 +214,20 @@ def band_power(signal: FloatArray) -> FloatArray:
     return band_means(np.abs(np.fft.rfft(np.hanning(signal.size) * signal)) ** 2 / (signal.size * 0.375))
 
 
+def _band_edges(size: int) -> NDArray[np.intp]:
+    """Return where the bands of a real transform of that size begin, from its second frequency on, and the end."""
+    return np.unique(np.linspace(1, size, _BINS + 1).astype(np.intp))
+
+
 def band_widths(size: int) -> NDArray[np.intp]:
     """Return the number of frequencies in each band of a real transform of that size, from its second on."""
-    edges: NDArray[np.intp] = np.unique(np.linspace(1, size, _BINS + 1).astype(np.intp))
-    return np.asarray(edges[1:] - edges[:-1])
+    return np.diff(_band_edges(size))
 
 
 def band_means(values: FloatArray) -> FloatArray:
     """Return the means over bands, (bands,), of what is given at the frequencies of a real transform but the first."""
-    widths = band_widths(values.size)
-    return np.asarray(np.add.reduceat(values, 1 + np.cumsum(widths) - widths) / widths)
+    edges = _band_edges(values.size)
+    return np.asarray(np.add.reduceat(values, edges[:-1]) / np.diff(edges))
 
 
 def _fit_two_sources(seen: FloatArray, gains: FloatArray, floor: float, most: float) -> tuple[float, float]:

@@ -143,7 +143,7 @@ def _other_rates(structure: Structure) -> Iterator[Structure]:
 
 def _mean_over_same_time(velocity_filter: str, periods: float) -> str:
     """Return the mean over the same time where a sample becomes so many periods; other filters as they are."""
-    if velocity_filter.endswith("order"):
+    if velocity_filter in ("first order", "second order"):
         return velocity_filter
     samples = (1 if velocity_filter == "none" else int(velocity_filter.split()[1])) * periods
     if samples == 1:

@@ -24,11 +24,11 @@ from jointid.models.controllers import ServoController
 from jointid.models.friction import PARTS
 from jointid.models.parameters import Quantity, unit_of
 
-_ROWS: tuple[tuple[str, str, Quantity, str, int], ...] = (
-    ("inertia", "acceleration_feedforward", Quantity.INERTIA, "J / (g r^2)", 2),
-    ("viscous", "viscous_feedforward", Quantity.VISCOUS, "Fv / (g r^2)", 2),
-    ("coulomb", "coulomb_feedforward", Quantity.FORCE, "Fc / (g |r|)", 1),
-    ("constant", "constant_feedforward", Quantity.FORCE, "c / (g r)", 1),
+_ROWS: tuple[tuple[str, str, Quantity, int], ...] = (
+    ("inertia", "acceleration_feedforward", Quantity.INERTIA, 2),
+    ("viscous", "viscous_feedforward", Quantity.VISCOUS, 2),
+    ("coulomb", "coulomb_feedforward", Quantity.FORCE, 1),
+    ("constant", "constant_feedforward", Quantity.FORCE, 1),
 )
 _PER_COUNT = {"inertia": "/(counts/s2)", "viscous": "/(counts/s)", "coulomb": "", "constant": ""}
 
@@ -70,7 +70,7 @@ class FeedForward:
 
     Attributes:
         key: its name in a joint file's [controller].
-        formula: from the estimate, in symbols. rule: that takes it to controller units.
+        formula: from the estimate, in symbols.
         value, std: in SI, on the joint's side; unit: of these. std is None where nothing of it was free.
         before: what the controller has, in controller units. after, after_std: what is proposed, in the same.
         drive: in per mille of the rated torque, and per count of the encoder; None where they are not known.
@@ -79,7 +79,6 @@ class FeedForward:
 
     key: str
     formula: str
-    rule: str
     value: float
     std: float | None
     unit: str
@@ -105,14 +104,14 @@ def feedforward(
         drive: with the rated torque, and the encoder's counts, if they are known.
     """
     found = []
-    for name, key, quantity, rule, power in _ROWS:
+    for name, key, quantity, power in _ROWS:
         total = whole[name]
         ratio = controller.ratio if name == "constant" else abs(controller.ratio)
         per = 1.0 / (controller.gain * ratio**power)
         in_drive, unit = _in_drive(name, total.value, estimate, drive)
         found.append(
             FeedForward(
-                key, total.formula, rule, total.value, total.std,
+                key, total.formula, total.value, total.std,
                 unit_of(quantity, estimate.settings.joint.kind, estimate.data.torque_unit),
                 float(getattr(controller, key, 0.0)), per * total.value,
                 None if total.std is None else abs(per) * total.std, in_drive, unit,

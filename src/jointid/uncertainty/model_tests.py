@@ -114,15 +114,20 @@ def flexible_against_rigid(
         level: below which the flexible model is believed.
 
     Raises:
-        MethodError: there is no alternative, or one does nothing that the rigid parameters do not.
+        MethodError: there is no alternative, one is not a single column, or one does nothing that the rigid parameters
+            do not.
     """
     if not extra:
         raise MethodError("A test at a boundary needs an alternative; received none.")
     U, sizes, _ = np.linalg.svd(J / column_norms(J), full_matrices=False)
     Q = U[:, sizes > _SINGULAR * sizes[0]]
     E = np.hstack(extra)
+    if E.shape[1] != len(extra):
+        raise MethodError(
+            f"Each alternative of a test at a boundary is one column; received {E.shape[1]} columns of {len(extra)}."
+        )
     beside = E - Q @ (Q.T @ E)
-    same = np.linalg.norm(beside, axis=0) <= _SINGULAR * np.linalg.norm(E, axis=0)
+    same = ~(np.linalg.norm(beside, axis=0) > _SINGULAR * np.linalg.norm(E, axis=0))  # of one that is no number, too
     if np.any(same):
         raise MethodError(
             f"An extra direction does what the rigid parameters cannot; received {same.size}, of which "

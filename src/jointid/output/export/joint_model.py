@@ -1,4 +1,4 @@
-"""The joint model that exporters write: read from an estimate, on either side of a transmission.
+"""The joint model that every export writes: read from an estimate, on either side of a transmission.
 
 An estimate, what several records say together, and what a long record says have the same keys in their JSON; all three
 are read from it here, whether they come from a file or have just been found.
@@ -243,7 +243,7 @@ def joint_model(answer: Json, joint: Joint, name: str | None = None, source: str
     """Return what an answer says of a joint.
 
     Args:
-        answer: as `identify --json`, `together --json` or `long --json` write it.
+        answer: as `identify --json` writes it: of one record, of several, or of a long log.
         joint: the model its values belong to.
         name: of the joint; without one it is "joint".
         source: what a sentence calls the answer.

@@ -151,7 +151,7 @@ def read_estimated(path: str | os.PathLike[str], joint: Joint, name: str | None 
     """Return what the file of an answer says of a joint, for `export`.
 
     Args:
-        path: of what `identify --json`, `together --json` or `long --json` wrote.
+        path: of what `identify --json` wrote: of one record, of several, or of a long log.
         joint: the model its values belong to.
         name: what the joint is called.
 

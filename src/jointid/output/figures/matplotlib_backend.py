@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _INCH = 100.0  # pixels of a panel's height
+_EMPTY = 170  # pixels of a chart without panels
 _WIDTH = 9.0  # inches
 _DASHES = {"solid": "-", "dashed": (0, (5, 3)), "dotted": (0, (1, 2))}
 _SHADES = "RdBu_r"
@@ -25,11 +26,11 @@ def draw(chart: Chart) -> Figure:
     from matplotlib.figure import Figure
 
     rows = [chart.panels[i : i + chart.columns] for i in range(0, len(chart.panels), chart.columns)]
-    heights = [max(panel.height for panel in row) for row in rows]
+    heights = [max(panel.height for panel in row) for row in rows] or [_EMPTY]
     width = _WIDTH if chart.columns > 1 or not _square(chart) else 5.5
     figure = Figure(figsize=(width, sum(heights) / _INCH), layout="constrained")
     FigureCanvasAgg(figure)
-    grid = figure.subplots(len(rows), chart.columns, squeeze=False, height_ratios=heights)
+    grid = figure.subplots(len(heights), chart.columns, squeeze=False, height_ratios=heights)
     if chart.title:
         figure.suptitle(chart.title, fontsize=10).set_parse_math(False)
     groups: dict[str, Axes] = {}

@@ -14,6 +14,7 @@ import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.models.joints import Joint
+from jointid.output.json.estimates import estimate_shape
 from jointid.output.json.keys import Json, take
 from jointid.output.json.shapes import SHAPES
 from jointid.records.record import Resampled
@@ -23,8 +24,8 @@ def to_dict(result: object) -> Json:
     """Return a result as a dict of numbers, words, lists and dicts, with its `schema`: what `--json` writes.
 
     Args:
-        result: of `identify`, `validate`, `compare`, `check_loop`, `advise`, `tune`, `learn_loop`, `inspect`,
-            `compare_estimates`.
+        result: of `identify`, `validate`, `compare_methods`, `check_loop`, `advise`, `design_stiffness_test`, `tune`,
+            `learn_loop`, `inspect`, `compare_estimates`.
 
     Raises:
         MethodError: it is no such result.
@@ -38,7 +39,8 @@ def to_dict(result: object) -> Json:
         >>> ji.to_dict(ji.identify(record, loop))["schema"]
         'jointid.estimate/1'
     """
-    if type(result).__name__ not in SHAPES:
+    shape = SHAPES.get(type(result).__name__)
+    if shape is not estimate_shape and not (isinstance(shape, Mapping) and "schema" in shape):
         raise MethodError(
             f"Only a result is written as JSON; received {type(result).__name__}: give what a verb returned."
         )
@@ -63,7 +65,8 @@ def simulation_answer(
             "parameters": parameters,
         }
     )
-    return document | to_dict(simulation)
+    document.update(plain(simulation))
+    return document
 
 
 def plain(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Read a file by another library and write what it holds to the standard output: the program of `isolated`.
+"""Read a file by another library and write what it holds to the standard output: the program of `untrusted.read_parts`.
 
 It is run by its path, apart from this package, so that it starts fast and nothing else is in its reach.
 """
