@@ -54,6 +54,23 @@ def test_a_delay_before_the_torque_is_found_without_the_controller() -> None:
     ].value == pytest.approx(-1e-3, abs=2e-6)
 
 
+def test_an_inertia_whose_interval_holds_0_is_said_to_be_unknown() -> None:
+    """A rigid joint that is light, slow and noisy; with little noise its inertia is told."""
+    joint = ji.RigidJoint()
+    loop = ji.ClosedLoop(joint, ji.Cascade(kp=50.0, kv=1000.0))
+    truth = {"inertia": 2.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+    reference = ji.trapezoids(speeds=(0.1, 0.2), acceleration=0.2, travel=0.4, sample_time=1e-3)
+    random = np.random.default_rng(3).standard_normal(reference.size)
+    for noise, told in ((0.1, True), (40.0, False)):
+        record = ji.simulated_record(loop, reference, truth, sample_time=1e-3, torque_noise=noise * random)
+        settings = ji.DriveSideFit(log_delay=0.0)
+        found = ji.identify(record.without("reference"), ji.DriveSide(joint), settings)
+        assert found["inertia"].value is not None
+        assert found["inertia"].identifiable is told
+        assert found["viscous"].identifiable
+        assert ("inertia is not identifiable from this record: its interval holds 0" in found.checks.warnings) != told
+
+
 def test_a_load_that_sticks_is_identified() -> None:
     truth = TABLE_2 | {"load_coulomb": 45.0}
     loop = ji.ClosedLoop(JOINT, CONTROLLERS["L19"])

@@ -13,9 +13,8 @@ from jointid.estimation.identify import identify
 from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.open_loop import OpenLoopFit
-from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.problems.closed_loop import beginning_position, torque_problem
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.search.starts import beginning_position
 from jointid.models.controllers import Cascade
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.gravity import Counterbalance, Gravity

@@ -16,7 +16,17 @@ from jointid.estimation.identify_log import StreamingGaussNewton
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.problems.log_windows import LogProblem, Places, Windowing, motion, window_problem
+from jointid.estimation.problems.log_windows import (
+    VISITS,
+    LogProblem,
+    Place,
+    Places,
+    Windowing,
+    compress,
+    motion,
+    repeats,
+    window_problem,
+)
 from jointid.estimation.result.summary import describe_drift
 from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import AsymmetricFriction
@@ -31,6 +41,7 @@ from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 from jointid.solvers.solve import solve
 from jointid.solvers.trust_region import TrustRegion
+from jointid.uncertainty.jackknife import Sums
 
 PERIOD = 1e-3
 LOOP = ClosedLoop(RigidJoint(), Cascade(kp=100.0, kv=2000.0))
@@ -113,6 +124,40 @@ def test_with_few_windows_it_is_said_why_repetition_cannot_be_judged() -> None:
     text = str(identify(rigid(30.0), LOOP, windows=Windowing(length=6.0)))
     assert "cannot be judged: that takes a place which the axis passes in 8 windows or more, and in these 5" in text
     assert "no place is visited at two times" not in text
+
+
+def test_where_nothing_is_left_nothing_repeats() -> None:
+    """A place is visited often enough, so that it would be wrong to say that there is none."""
+    nothing, signal = np.zeros(10), np.ones(10)
+    place = Place.of(nothing, nothing[:, np.newaxis], signal)
+    few, enough = (sum([place] * (visits - 1), start=place) for visits in (VISITS - 1, VISITS))
+    assert repeats([few], 0.0, "N").p_value is None
+    found = repeats([few, enough], 0.0, "N")
+    assert found.p_value == 1.0
+    assert not found.significant
+    assert (found.rms, found.share) == (0.0, 0.0)
+
+
+def test_a_residual_in_few_rows_has_as_many_whatever_its_rank() -> None:
+    random = np.random.default_rng(0)
+    error, signal, J = random.standard_normal(50), np.ones(50), random.standard_normal((50, 3))
+    for columns in (J, np.column_stack([J[:, 0], J[:, 1], J[:, 0] - J[:, 1]]), np.zeros((50, 3))):
+        sums = Sums.of(error, columns, signal)
+        residual, few = compress(sums)
+        assert (residual.shape, few.shape) == ((4,), (4, 3))
+        np.testing.assert_allclose(few.T @ few, sums.A, atol=1e-9)
+        np.testing.assert_allclose(few.T @ residual, sums.b, atol=1e-9)
+        assert residual @ residual == pytest.approx(sums.square)
+
+
+def test_a_log_at_rest_is_no_problem_for_any_solver() -> None:
+    record = rigid(20.0)
+    assert record.reference is not None
+    resting = replace(record, reference=replace(record.reference, values=np.zeros(len(record.reference))))
+    window = window_problem(record, LOOP, Filtering(), LOOP.joint.parameters, ())
+    problem = LogProblem(InMemory(resting), window, 5000, 250, Places.of(*motion(window)))
+    with pytest.raises(MethodError, match="In no window of this record does the axis move"):
+        problem.residual(window.vector(TRUTH))
 
 
 def stored(path: Path, record: Record) -> Log:
@@ -274,6 +319,15 @@ def test_what_surrounds_the_joint_can_be_free() -> None:
     assert estimate["kp"].value == pytest.approx(1e5, rel=1e-4)
     assert estimate.settings.loop.controller.kp == pytest.approx(1e5, rel=1e-4)  # type: ignore[union-attr]
     assert "kp" not in estimate.values
+
+
+def test_a_delay_that_was_freed_is_the_one_that_is_reported() -> None:
+    declared, true = (ClosedLoop(RigidJoint(), PD(kp=1e5, kd=2000.0, delay=delay)) for delay in (1.5e-3, 2e-3))
+    reference = trapezoids(SPEEDS, 2.0, 0.1, PERIOD, duration=60.0)
+    record = simulated_record(true, reference, TRUTH, sample_time=PERIOD)
+    estimate = identify(record, declared, windows=Windowing(length=5.0), method=DIDIM(free=("delay",)))
+    assert estimate["delay"].value == pytest.approx(2e-3, rel=1e-3)
+    assert estimate.settings.delay == estimate["delay"].value
 
 
 def test_a_stretch_is_silent_of_what_it_does_not_tell() -> None:

@@ -64,6 +64,22 @@ def test_noise_of_the_encoder_leaves_the_truth_in_the_intervals() -> None:
         assert line.stderr < 0.01 * line.value, name
 
 
+def test_an_inertia_whose_interval_holds_0_is_said_to_be_unknown() -> None:
+    """A light rigid joint, moved slowly and measured coarsely; with a fine encoder its inertia is told."""
+    joint, truth = ji.RigidJoint(), {"inertia": 0.02, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+    t = np.arange(6000) * T
+    force = (40 * np.sin(2 * np.pi * t) + 30 * np.sin(2 * np.pi * 2.3 * t)) * np.minimum(1, t / 0.2)
+    torque = ji.Channel(force, "N", T, Timing.HELD)
+    position = simulate_open_loop(joint, torque, truth | AROUND | {"log_delay": 0.0}).position
+    random = np.random.default_rng(2).standard_normal(t.size)
+    for noise, told in ((1e-7, True), (1e-2, False)):
+        made = ji.Record(torque=torque, motor_position=ji.Channel(position + noise * random, "m", T))
+        found = ji.identify(made, ji.OpenLoop(joint), ji.OpenLoopFit(log_delay=0.0))
+        assert found["inertia"].identifiable is told
+        assert found["viscous"].identifiable
+        assert ("inertia is not identifiable from this record: its interval holds 0" in found.checks.warnings) != told
+
+
 def test_what_is_missing_is_named() -> None:
     made = record()
     with pytest.raises(ji.RecordError, match="needs motor_position"):

@@ -144,9 +144,8 @@ def test_by_place_is_the_textbook_s_for_noise() -> None:
 
 def at_rows(problem: ClosedLoopProblem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the motor's simulated position and velocity at the rows of the residual."""
-    run, keep = problem.simulate(x), problem.filtering.decimation or 1
-    last = (problem.measured.size - 1) % keep
-    return run.motor_position[last::keep], run.motor_velocity[last::keep]
+    run = problem.simulate(x)
+    return run.motor_position[problem.kept], run.motor_velocity[problem.kept]
 
 
 def emps_fit(record: Record) -> tuple[ClosedLoopProblem, np.ndarray, np.ndarray, Cells]:

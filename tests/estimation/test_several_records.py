@@ -108,6 +108,44 @@ def test_a_known_mass_an_own_friction_and_the_gain_of_the_drive() -> None:
     assert {p.name: p.value for p in second.alone}["load_inertia"] == pytest.approx(axis.truth["load_inertia"])
 
 
+def test_a_parameter_of_the_first_record_alone_that_the_others_share() -> None:
+    """Values, deviations and correlations are under their own names, in whatever order the records bring them."""
+    first = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": 2.0}
+    others = first | {"coulomb": 15.0}
+    reference = twins("none").record.reference
+    assert reference is not None
+    records = [
+        simulated_record(
+            RIGID, reference.values, values | {"inertia": values["inertia"] + more}, sample_time=1e-3,
+            torque_noise=np.random.default_rng(seed).standard_normal(reference.values.size),
+        )
+        for seed, (values, more) in enumerate(((first, 0.0), (others, 10.0), (others, 6.0)))
+    ]  # fmt: skip
+    added = (0.0, 10.0, 6.0)
+    found = identify(
+        records, RIGID, several=SeveralRecords(added_inertia=added, own=(("coulomb",), (), ()), weighting="level")
+    )
+    for name, truth in (others | {"coulomb@1": 20.0}).items():
+        assert found[name].value == pytest.approx(truth, abs=0.2), name
+        assert abs(found[name].value - truth) <= 4 * found[name].stderr, name
+    # The same records with the first of them last: one answer, whose order of parameters is another.
+    last = identify(
+        records[::-1],
+        RIGID,
+        several=SeveralRecords(added_inertia=added[::-1], own=((), (), ("coulomb",)), weighting="level"),
+    )
+    names = {"coulomb": "coulomb", "offset": "offset", "viscous": "viscous", "coulomb@1": "coulomb@3"}
+
+    def together(estimate: Estimate, *pair: str) -> float:
+        at = [estimate.params.names.index(name) for name in pair]
+        return float(estimate.params.correlation[at[0], at[1]])
+
+    for name, other in names.items():
+        assert found[name].stderr == pytest.approx(last[other].stderr, rel=0.05), name
+        for second, its_other in names.items():
+            assert together(found, name, second) == pytest.approx(together(last, other, its_other), abs=0.05)
+
+
 def test_a_torque_constant_from_a_known_mass() -> None:
     """A torque in ampere: the joint comes in kilograms, and the drive's gain in newtons per ampere."""
     joint = RigidJoint(torque_unit="A")

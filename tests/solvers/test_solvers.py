@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
+from jointid.estimation.identify_log import StreamingGaussNewton
+from jointid.estimation.problems.log_windows import LogProblem, Pass, Window
 from jointid.models.parameters import Parameter, Quantity
 from jointid.solvers.gauss_newton import GaussNewton
 from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
 from jointid.solvers.multistart import Multistart
 from jointid.solvers.nelder_mead import NelderMead
-from jointid.solvers.solve import Counted, Solution, Solver, Status, Step, solve
+from jointid.solvers.solve import Counted, Solution, Solver, Status, Step, Tally, solve
 from jointid.solvers.trust_region import TrustRegion
+from jointid.uncertainty.jackknife import Sums
 from tests.solvers.nist import REGRESSIONS, Array, Certified
 
 TIGHT = 1e-13
@@ -178,6 +182,18 @@ class Overshooting(Rosenbrock):
         return np.array([x[0], x[1], 0.0]), np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]) / 2.05
 
 
+@dataclass(frozen=True)
+class Interrupted(Rosenbrock):
+    """A log of which no pass over the whole is let to its end."""
+
+    tally: Tally = field(default_factory=Tally)
+
+    def pass_over(self, x: Array, every: int = 1) -> Pass:
+        error, J = self.linearised(x)
+        window = Window(0.0, 60.0, Sums.of(error, J, error), 0.0)
+        return Pass((window,) * 8 if every == 1 else (), {}, 0, ended=every > 1)
+
+
 def provoke(status: Status) -> Solution:
     """Return a solution that ends so."""
     first = REGRESSIONS[0]
@@ -189,6 +205,7 @@ def provoke(status: Status) -> Solution:
         Status.EXACT: lambda: solve(reproducible, GaussNewton(TIGHT, size=100.0), far),
         Status.STALLED: lambda: solve(Overshooting(), GaussNewton(worst=2.0), np.ones(2)),
         Status.EVALUATION_LIMIT: lambda: solve(Rosenbrock(), TrustRegion(evaluations=3), START),
+        Status.INTERRUPTED: lambda: solve(cast(LogProblem, Interrupted()), StreamingGaussNewton(), START),
         Status.NO_DESCENT: lambda: solve(Cliff(), LevenbergMarquardt(1e-10, 500), START),
         Status.NOT_EVALUABLE: lambda: solve(Cliff(), TrustRegion(), np.array([2.0, 1e-12])),
     }[status]()

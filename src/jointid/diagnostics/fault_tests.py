@@ -20,7 +20,7 @@ and its ratio to its deviation the statistic. Before that, e, J and c go through
 white: the prediction error of an autoregressive model of the part of e that no fault explains. So the statistic is
 nearly that of the likelihood, which distinguishes kp from kv or a gain of the log where plain least squares, in a loop
 that shapes the noise, does not. The model need not be right: the deviation is the autocorrelation-robust one of
-`uncertainty`, widened where the remaining residual is position-dependent (`repeatable`).
+`uncertainty`, widened where the remaining residual is position-dependent (`position_dependent_error`).
 
 All tests of a record are one family: p-values are multiplied by the number of faults, and of shapes tried for one
 (Bonferroni). Faults whose columns are collinear, given the joint's parameters, are one.

@@ -40,7 +40,6 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.parameters import TORQUE_UNIT
 from jointid.records.record import Channel, Injection, Record, Tap
 from jointid.records.signals.encoder import find_encoder_step
 from jointid.records.signals.excitation import pulses
@@ -215,7 +214,7 @@ def add_pulses(problem: ClosedLoopProblem, height: float, width: float) -> Varia
     experiment = problem.experiment
     period = experiment.law.period
     more = pulses(experiment.after_limit.size, period, height, width, _EVERY * width, seed=0)
-    unit = problem.loop.joint.torque_unit or TORQUE_UNIT[problem.loop.joint.kind]
+    unit = problem.torque_unit
     again = "more " if experiment.injected else ""
     description = f"{again}pulses of {height:.2g} {unit} and {1e3 * width:.3g} ms, one in {_EVERY * width:.2g} s"
     changed = replace(experiment, after_limit=experiment.after_limit + more)

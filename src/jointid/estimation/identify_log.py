@@ -26,6 +26,7 @@ from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.registry import Method, default_method
 from jointid.estimation.problems.log_windows import (
     FEW,
+    NO_MOTION,
     LogProblem,
     NotSimulatedError,
     Pass,
@@ -64,7 +65,6 @@ from jointid.uncertainty.position_dependent_error import Repeatable
 _STARTS = 5  # windows that are tried to start from
 _CLOCKS = 1000  # a period of the controller is taken to be a fraction of samples with no larger denominator
 _ROUNDING = 1e-6  # of the torque
-_NO_MOTION = "In no window of this record does the axis move; give another record."
 
 
 def identify_log(
@@ -140,7 +140,7 @@ def _start(
         refusal = MethodError(
             f"A window does not tell {', '.join(lost)}; give a longer window, or identify the joint as rigid."
         )
-    raise refusal or MethodError(_NO_MOTION)
+    raise refusal or MethodError(NO_MOTION)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -197,10 +197,10 @@ class StreamingGaussNewton:
         x, every, whole = start, self.sparse, 0
         before: _Before | None = None
 
-        def end(x: FloatArray, found: Pass, status: Status, stop: str) -> LogSolution:
+        def end(x: FloatArray, found: Pass, status: Status, stop: str, passes: int) -> LogSolution:
             residual, J = compress(found.sums)
             used = problem.tally.evaluations - before_all
-            return LogSolution(x, residual, J, status, stop, tuple(trace), used, found=found, passes=whole)
+            return LogSolution(x, residual, J, status, stop, tuple(trace), used, found=found, passes=passes)
 
         for number in range(1, self.passes + 1):
             found = _pass_down(problem, x, every, before)
@@ -212,8 +212,6 @@ class StreamingGaussNewton:
             if every > 1 and len(found.windows) < FEW:
                 every = 1
                 continue
-            if not found.windows:
-                raise MethodError(_NO_MOTION)
             sums = found.sums
             level = sums.square / sums.rows
             trace.append(Step(x, math.sqrt(sums.square), problem.tally.evaluations))
@@ -222,18 +220,18 @@ class StreamingGaussNewton:
             far = math.sqrt(float(step @ sums.A @ step) / level) if level > 0 else 0.0
             if not found.ended:
                 stop = f"interrupted after {len(found.windows)} windows ({found.windows[-1].end / 3600:.3g} h)"
-                return end(x + step, found.moved(step), Status.EVALUATION_LIMIT, stop)
+                return end(x + step, found.moved(step), Status.INTERRUPTED, stop, whole)
             # Where nothing is left, nothing is a deviation.
             if every == 1 and (far < self.tolerance or level <= _rounding(sums)):
                 stop = f"the last pass moved the parameters by {far:.2g} deviations (limit {self.tolerance:g})"
-                return end(x + step, found.moved(step), Status.STEP, f"converged: {stop}")
+                return end(x + step, found.moved(step), Status.STEP, f"converged: {stop}", whole)
             before, x = _Before(x, every, level, found), x + step
             problem.progress(f"{len(found.windows)} windows move the parameters by {far:.2g} deviations")
             if number >= self.sparse_passes or far < 1.0:
                 every = 1
         assert before is not None
         stop = "not converged: the last passes led uphill, or still moved the parameters"
-        return end(before.x, before.found, Status.EVALUATION_LIMIT, stop)
+        return end(before.x, before.found, Status.EVALUATION_LIMIT, stop, whole)
 
 
 def _rounding(sums: Sums) -> float:
@@ -271,7 +269,7 @@ def _answer(problem: LogProblem, first: Record, end: LogSolution, warnings: list
     sums, unit = found.sums, first.torque.unit
     repeated = repeats(found.places.values(), sums.square, unit)
     covariance, intervals = _covariance(found, repeated)
-    own = {p.name for p in window.joint.parameters}
+    own, loop = {p.name for p in window.joint.parameters}, window.loop_at(end.x)
     at_limit = float(np.mean([w.at_limit for w in found.windows]))
     bounds = warn_of_bounds(find_at_bound(problem.free, end.x))
     return build_estimate(
@@ -305,7 +303,7 @@ def _answer(problem: LogProblem, first: Record, end: LogSolution, warnings: list
         data=Data(
             torque_unit=unit,
             record=problem.source.name,
-            channels=list_loop_channels(window.loop, first),
+            channels=list_loop_channels(loop, first),
             sample_time=sample_time,
             windows=Windows(
                 length=problem.length * sample_time,
@@ -315,8 +313,8 @@ def _answer(problem: LogProblem, first: Record, end: LogSolution, warnings: list
                 duration=found.windows[-1].end - found.windows[0].begin,
             ),
         ),
-        loop=window.loop_at(end.x),
-        delay=window.loop.controller.law(sample_time).delay,
+        loop=loop,
+        delay=loop.controller.law(sample_time).delay,
     )
 
 

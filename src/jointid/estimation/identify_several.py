@@ -37,7 +37,6 @@ from jointid.estimation.problems.several_records import (
     RecordsProblem,
     SeveralRecords,
     Weighting,
-    at_rows,
     several,
     whitening,
 )
@@ -55,7 +54,7 @@ from jointid.estimation.result.build_estimate import (
     warn_of_inseparable,
     warn_of_lost,
 )
-from jointid.estimation.result.estimate import Estimate, fingerprint
+from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
 from jointid.estimation.result.params import EstimatedParameter
 from jointid.estimation.result.parts import Checks, Data, RecordFit
 from jointid.models.parameters import Parameter, adjusted
@@ -96,8 +95,13 @@ def identify_several(
             identify_record(record, layout.loops[k], method, filtering=filtering, parameters=changes, progress=progress)
         )
     found = list(zip(records, estimates, strict=True))
-    problems = [_problem(*each, layout, k, given, acting=True) for k, each in enumerate(found)]
-    per_log = [_problem(*each, layout, k, given, acting=False) for k, each in enumerate(found)]
+    problems, per_log = (
+        [
+            _problem(record, estimate, layout=layout, number=k, parameters=given, acting=acting)
+            for k, (record, estimate) in enumerate(found)
+        ]
+        for acting in (True, False)
+    )
     alone = [by_itself(problem, values) for problem, values in zip(per_log, starts(estimates), strict=True)]
     alone, weighting = _weighed(alone, settings.weighting)
     criterion = several(problems, settings.own, layout.added).weighing([one.weights for one in alone])
@@ -135,10 +139,10 @@ def _require_different(records: Sequence[Record]) -> None:
 def _problem(
     record: Record,
     estimate: Estimate,
+    *,
     layout: RecordLayout,
     number: int,
     parameters: Mapping[str, Parameter],
-    *,
     acting: bool,
 ) -> ClosedLoopProblem:
     """Return a record's problem, the motor at its first sample resting or moving as its own identification found it.
@@ -194,7 +198,7 @@ class BySelf:
     @property
     def filtered_error(self) -> float:
         """What is left of the filtered torque, a ratio."""
-        return float(np.linalg.norm(self.error) / self.problem.size)
+        return self.problem.filtered_error(self.error)
 
     def acting(self, gain: float) -> dict[str, float]:
         """Return them with those of the joint per torque that acts, which is so many times the log's."""
@@ -337,9 +341,11 @@ def _answer(solved: _Solved) -> Estimate:
 def _judge_together(problem: RecordsProblem, end: Solution) -> Uncertainty:
     """Return what is known of the errors, before the records are compared."""
     each, criterion = problem.criterion.problems, problem.criterion
-    seen = [at_rows(p, p.simulate(criterion.of_member(end.x, k))) for k, p in enumerate(each)]
-    where = cells(np.concatenate([at for at, _ in seen]), np.concatenate([speed for _, speed in seen]))
-    names, rows = [p.name for p in problem.free], [at.size for at, _ in seen]
+    runs = [p.simulate(criterion.of_member(end.x, k)) for k, p in enumerate(each)]
+    positions = [run.motor_position[p.kept] for p, run in zip(each, runs, strict=True)]
+    velocities = [run.motor_velocity[p.kept] for p, run in zip(each, runs, strict=True)]
+    where = cells(np.concatenate(positions), np.concatenate(velocities))
+    names, rows = [p.name for p in problem.free], [at.size for at in positions]
     return uncertainty(end.jacobian, end.jacobian, end.residual, where, names, each[0].torque_unit, rows)
 
 
@@ -370,7 +376,7 @@ def _record_fit(solved: _Solved, number: int) -> RecordFit:
     problem, record, one = solved.problem.criterion.problems[number], solved.records[number], solved.alone[number]
     x = solved.problem.criterion.of_member(solved.end.x, number)
     values, predicted = problem.values(x), problem.torque(x)
-    fit = build_fit(problem, predicted, problem.filtered(problem.measured - predicted), "", converged=True)
+    error = problem.filtered(problem.measured - predicted)
     assert record.torque is not None
     return RecordFit(
         name=record.name,
@@ -386,11 +392,11 @@ def _record_fit(solved: _Solved, number: int) -> RecordFit:
         repeatable=one.repeatable,
         sample_time=problem.sample_time,
         filtering=problem.filtering,
-        rows=fit.rows,
-        measured=fit.measured,
+        rows=error.size,
+        measured=problem.measured,
         predicted=predicted,
-        relative_error=fit.relative_error,
-        filtered_error=fit.filtered_error,
+        relative_error=relative_error(problem.measured, predicted, problem.filtering.borders),
+        filtered_error=problem.filtered_error(error),
         alone_error=one.filtered_error,
     )
 

@@ -68,9 +68,14 @@ class _JointBase:
         if self.gravity is not None:
             self.gravity.require(self.kind if gear is None else gear.load, self.friction)
 
+    @property
+    def force_unit(self) -> str:
+        """Of its torque or force: N or N m, by its kind, where no `torque_unit` is declared."""
+        return self.torque_unit or TORQUE_UNIT[self.kind]
+
     def unit(self, parameter: Parameter) -> str:
         """Return the unit of a parameter of this joint."""
-        return unit_of(parameter.quantity, self.kind, self.torque_unit or TORQUE_UNIT[self.kind])
+        return unit_of(parameter.quantity, self.kind, self.force_unit)
 
     def gravity_coefficients(self, values: Mapping[str, float]) -> FloatArray | None:
         """Return gravity's position-dependent coefficients, (5,), as the simulation takes them; None without any."""

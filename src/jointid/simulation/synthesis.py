@@ -54,7 +54,7 @@ def simulated_record(
         MethodError: the loop cannot be simulated with these values; the sentence says why.
     """
     kind = loop.joint.kind
-    position, force = POSITION_UNIT[kind], loop.joint.torque_unit or TORQUE_UNIT[kind]
+    position, force = POSITION_UNIT[kind], loop.joint.force_unit
 
     def channel(array: ArrayLike, unit: str, timing: Timing = Timing.SAMPLED) -> Channel:
         return Channel(np.asarray(array, dtype=np.float64), unit, sample_time, timing, name)

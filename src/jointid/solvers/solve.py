@@ -93,6 +93,11 @@ class Status(Enum):
         "allow more evaluations, or start from where it ended",
         False,
     )
+    INTERRUPTED = (
+        "it was interrupted",
+        "let it run to its end; the answer is of what was read until then",
+        False,
+    )
     NO_DESCENT = (
         "no step lowers the criterion, and yet it is not flat there",
         "start elsewhere: the criterion cannot be evaluated, or jumps, beside where it ended",

@@ -12,7 +12,7 @@ which the low-pass makes even of white noise, nor rows of different accuracy hav
 A fit pulls itself towards the rows that matter most, a few reversals for the Coulomb frictions, and the residual there
 is smaller than the noise was. So every block of a bandwidth's length gets the residual it would have had if it had been
 left out of the fit, ``(I - J_b (Z' J)^-1 Z_b')^-1 e_b``. What repeats with the motion is not noise, and is not covered
-here: `repeatable` measures it and widens.
+here: `position_dependent_error` measures it and widens.
 
 A bandwidth so short smears the residual's spectrum over several hertz. Where a loop rings at 10 Hz and a parameter is
 determined by what happens at 10 Hz, half of that is missed: of 2-sigma intervals of the twin's viscous frictions 91 %

@@ -22,14 +22,13 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.settings import documented, setting
 from jointid.estimation.methods.registry import SURROUNDINGS, Method, Task
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.result.build_estimate import build_closed_loop_estimate
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.stiffness_identifiability import Visibility, visible
 from jointid.estimation.search.flexible_search import by_least_squares, or_moving, rigid_estimate, simplex_start
 from jointid.estimation.search.history import History, Solved, free_more, least_squares
-from jointid.estimation.search.starts import beginning_position
 from jointid.models.joints import FlexibleJoint, acts_on_whole
 from jointid.models.parameters import Parameter
 from jointid.records.record import Record

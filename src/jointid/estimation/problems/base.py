@@ -74,6 +74,10 @@ class RecordProblem:
         """Norm of the filtered signal: what a residual is measured against."""
         return float(np.linalg.norm(self.filtered(self.measured)))
 
+    def filtered_error(self, error: FloatArray) -> float:
+        """Return the norm of a filtered error, (rows,), over that of the filtered signal, a ratio."""
+        return float(np.linalg.norm(error) / self.size)
+
     def values(self, x: FloatArray) -> dict[str, float]:
         """Return every parameter by name, the fixed ones too."""
         found = dict(zip((p.name for p in self.free), map(float, x), strict=True))

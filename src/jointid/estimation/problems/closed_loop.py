@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
@@ -22,9 +23,9 @@ from jointid.estimation.problems.nuisance_parameters import (
     of_law,
     surrounding,
 )
-from jointid.models.controllers import number, with_numbers
+from jointid.models.controllers import POSITION, REFERENCE, number, with_numbers
 from jointid.models.joints import Joint, RigidJoint
-from jointid.models.parameters import TORQUE_UNIT, Parameter
+from jointid.models.parameters import Parameter
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all
 from jointid.simulation.closed_loop import Initial, Outcome, Response, Simulation, simulate, simulate_torque
@@ -75,7 +76,7 @@ class ClosedLoopProblem(RecordProblem):
     @property
     def torque_unit(self) -> str:
         """Of the residual."""
-        return self.joint.torque_unit or TORQUE_UNIT[self.joint.kind]
+        return self.joint.force_unit
 
     def freeing(self, *names: str) -> ClosedLoopProblem:
         """Return the same problem with more of what surrounds the joint free.
@@ -171,11 +172,15 @@ class ClosedLoopProblem(RecordProblem):
             error = np.full_like(error, FAILED * size * (2.0 - run.finished))
         return tuple(decimate_all([error, *columns], self.filtering, self.sample_time))
 
+    @property
+    def kept(self) -> NDArray[np.intp]:
+        """The samples that rows of the residual are taken at, (rows,): the last one always."""
+        samples, keep = self.measured.size, self.filtering.decimation or 1
+        return np.arange((samples - 1) % keep, samples, keep)
+
     def cells(self, simulation: Simulation) -> Cells:
         """Return where and how the motor was, in a simulation, when each row of the residual was taken."""
-        keep = self.filtering.decimation or 1
-        last = (self.measured.size - 1) % keep
-        return cells(simulation.motor_position[last::keep], simulation.motor_velocity[last::keep])
+        return cells(simulation.motor_position[self.kept], simulation.motor_velocity[self.kept])
 
     def regressor(self, simulation: Simulation) -> FloatArray:
         """Return the inverse-dynamic columns of the free joint parameters on a run, raw, (samples, parameters)."""
@@ -245,6 +250,27 @@ def _shifted(signal: FloatArray, samples: int) -> FloatArray:
 def initial_of(values: Mapping[str, float]) -> Initial:
     """Return the initial state among a problem's values; on the reference, at rest, where there is none."""
     return Initial(values.get("initial_position"), values.get("initial_velocity"), values.get("initial_torque"))
+
+
+def beginning_position(problem: ClosedLoopProblem, velocity: float = 0.0) -> float:
+    """Return where a motor that moves uniformly has the controller put out the first logged torque; else its reference.
+
+    A proportional loop lets a load that weighs something sag by the torque that carries it, over its gain. A search
+    that begins beside it may not find it: friction holds the motor where it begins.
+
+    Args:
+        problem: with the record's torque.
+        velocity: of the motor; at rest without it.
+    """
+    experiment = problem.experiment
+    law = experiment.feedback
+    home = float(experiment.inputs[0, REFERENCE])
+    if law.integrates:  # its integral carries the load, and the motor is where it is asked to be
+        return home
+    gain = law.C[0, law.output] @ experiment.memory[:, 0] + law.D[0, law.output, POSITION]
+    asked = problem.measured[0] - experiment.shown[0] - experiment.feedforward[law.output, 0]
+    asked -= velocity * (law.C[0, law.output] @ experiment.memory[:, 1])
+    return float(asked / gain) if gain != 0.0 else home
 
 
 def with_torque(

@@ -28,9 +28,8 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.progress import Progress, silent
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITIAL_TORQUE
-from jointid.estimation.search.starts import beginning_position
 from jointid.models.controllers import REFERENCE
 from jointid.models.parameters import Parameter
 from jointid.records.chunks import Chunk, LongRecord
@@ -51,6 +50,8 @@ _PLACES = 6  # stretches of the travel: what a place errs, its neighbourhood err
 _AROUND = 64  # stretches after which places are taken to come again: an axis may turn for ever
 VISITS = 8
 """Windows that a place must be visited in to say anything."""
+
+NO_MOTION = "In no window of this record does the axis move; give another record."
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +172,13 @@ class Pass:
 
     @property
     def sums(self) -> Sums:
-        """Over all windows, of which there is one or more."""
+        """Over all windows.
+
+        Raises:
+            MethodError: there is none, because in no window does the axis move.
+        """
+        if not self.windows:
+            raise MethodError(NO_MOTION)
         return total([w.sums for w in self.windows])
 
     def moved(self, step: FloatArray) -> Pass:
@@ -253,9 +260,8 @@ class LogProblem:
     def _look(self, piece: Chunk, values: Mapping[str, float]) -> tuple[Window, dict[int, Place]] | None:
         """Return what a window says, and what it says at each place, by its number; None where nothing of it counts."""
         problem = begin_window(self.window, piece.record)
-        samples, keep = problem.measured.size, problem.filtering.decimation or 1
-        at = np.arange((samples - 1) % keep, samples, keep)
-        counted = (at >= self.settling) & (at < samples - self.settling)
+        at, keep = problem.kept, problem.filtering.decimation or 1
+        counted = (at >= self.settling) & (at < problem.measured.size - self.settling)
         if not counted.any():
             return None
         response, columns = problem.sensitivities(problem.vector(values))
@@ -353,18 +359,22 @@ def motion(problem: ClosedLoopProblem) -> tuple[FloatArray, FloatArray]:
 
 
 def compress(sums: Sums) -> tuple[FloatArray, FloatArray]:
-    """Return a residual and its derivatives of these sums, (directions + 1,) and (directions + 1, free).
+    """Return a residual and its derivatives of these sums, (free + 1,) and (free + 1, free).
 
-    The last row is what no parameter explains.
+    The last row is what no parameter explains; rows of directions that nothing determines are 0.
     """
     R = root_of(sums)
     explained = np.linalg.lstsq(R.T, sums.b, rcond=None)[0]
     rest = math.sqrt(max(sums.square - float(explained @ explained), 0.0))
-    return np.append(explained, rest), np.vstack([R, np.zeros(R.shape[1])])
+    directions, free = R.shape
+    residual, J = np.zeros(free + 1), np.zeros((free + 1, free))
+    residual[:directions], J[:directions] = explained, R
+    residual[-1] = rest
+    return residual, J
 
 
 def repeats(places: Iterable[Place], square: float, unit: str) -> Repeatable:
-    """Return what of the residual repeats with the motion.
+    """Return what of the residual repeats with the motion; where nothing is left at all, nothing does.
 
     Args:
         places: over all windows.
@@ -375,8 +385,10 @@ def repeats(places: Iterable[Place], square: float, unit: str) -> Repeatable:
 
     every = list(places)
     rows = sum(p.sums.rows for p in every)
-    known = [p for p in every if p.visits >= VISITS and p.squares > 0]
-    p_value = float(chdtrc(len(known), sum(p.total**2 / p.squares for p in known))) if known else None
+    visited = [p for p in every if p.visits >= VISITS]
+    known, p_value = [p for p in visited if p.squares > 0], 1.0 if visited else None
+    if known:
+        p_value = float(chdtrc(len(known), sum(p.total**2 / p.squares for p in known)))
     again = [p for p in known if p.sums.rows**2 > p.pairs]
     repeated = sum(p.sums.rows * (p.total**2 - p.squares) / (p.sums.rows**2 - p.pairs) for p in again) / max(rows, 1)
     return Repeatable(

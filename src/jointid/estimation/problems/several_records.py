@@ -21,7 +21,6 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.nuisance_parameters import INITIAL, of_law
 from jointid.models.joints import Joint
 from jointid.models.parameters import TORQUE_UNIT, Parameter, Quantity, unit_of
-from jointid.simulation.closed_loop import Simulation
 from jointid.simulation.loop_input import ClosedLoop
 
 _WHITE = 0.01  # of a residual's variance
@@ -109,8 +108,7 @@ class RecordLayout:
     @property
     def torque_unit(self) -> str:
         """In which the parameters come."""
-        own = None if "drive_gain" in self.free else self.joint.torque_unit
-        return own or TORQUE_UNIT[self.joint.kind]
+        return TORQUE_UNIT[self.joint.kind] if "drive_gain" in self.free else self.joint.force_unit
 
     def unit(self, parameter: Parameter) -> str:
         """Return the unit of a parameter of the answer."""
@@ -156,6 +154,11 @@ class RecordsProblem(RecordProblem):
         }
         measured = np.concatenate([problem.measured for problem in criterion.problems])
         return cls(tuple((shared | free).values()), measured, first.filtering, layout, criterion)
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters that are identified, in the criterion's order; the table's may be another."""
+        return self.criterion.free
 
     @property
     def joint(self) -> Joint:
@@ -300,11 +303,3 @@ def whitening(error: FloatArray, level: float, order: int) -> FloatArray:
     toeplitz = lags[np.abs(np.subtract.outer(np.arange(order), np.arange(order)))]
     taps = np.concatenate([[1.0], -np.linalg.solve(toeplitz, lags[1:])])
     return np.asarray(taps * np.linalg.norm(error) / (level * np.linalg.norm(filter_rows(taps, error))))
-
-
-def at_rows(problem: ClosedLoopProblem, run: Simulation) -> tuple[FloatArray, FloatArray]:
-    """Return the motor's position and velocity at the instants of the residual's rows, each (rows,)."""
-    keep, samples = problem.filtering.decimation, run.motor_position.size
-    assert keep is not None
-    rows = slice((samples - 1) % keep, None, keep)  # the last sample is always kept
-    return run.motor_position[rows], run.motor_velocity[rows]

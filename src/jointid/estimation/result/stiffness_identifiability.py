@@ -31,6 +31,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
 from jointid.common.progress import Progress, silent
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.result.build_estimate import find_lost
 from jointid.estimation.search.flexible_search import FASTEST, crossover, frequency_of
 from jointid.estimation.search.history import History, least_squares
 from jointid.models.joints import FlexibleJoint, split_by_mode
@@ -55,7 +56,6 @@ _TEST_SHARES = (0.1, 0.33, 0.6)
 _TEST_MODES = (*(0.3 * 1.08**i for i in range(16)), 2.5)
 _FAR = 0.5  # of the rigid joint's sum of squares: what chance cannot make of it with a few parameters more
 _TIGHT = 0.2  # of the stiffness: a 2-sigma interval this narrow needs no profile
-_POSITIVE = ("motor_inertia", "load_inertia", "stiffness")
 
 # Of the bounds
 _BAND = 0.15  # of the sampling frequency, in which a bound is looked for: modes above the fitted band show there
@@ -156,11 +156,8 @@ def _doubts(
             f"{100 * repeated / left:.2g} % of it that repeats with the motion and no noise explains: it may stand for "
             "something else"
         )
-    values, spread = problem.values(x), dict(zip((p.name for p in problem.free), known.covariance.std, strict=True))
-    for name in _POSITIVE:
-        if name in spread and values[name] <= 2 * float(spread[name]):
-            found.append(f"the interval of {name} holds 0")
-    mode, reach = frequency_of(values), FASTEST / problem.experiment.sample_time
+    found += [f"the interval of {name} holds 0" for name in find_lost(problem.free, x, known.covariance.std)]
+    mode, reach = frequency_of(problem.values(x)), FASTEST / problem.experiment.sample_time
     if mode > reach:
         found.append(f"the mode that was found, at {mode:.3g} Hz, is faster than a log of this rate can follow")
     if together[1] > 1 and together[0] < 2:

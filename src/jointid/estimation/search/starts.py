@@ -110,27 +110,6 @@ def fit_initial_state(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
     return problem.vector(which.values(best.x)), sum(end.evaluations for _, end in ends)
 
 
-def beginning_position(problem: ClosedLoopProblem, velocity: float = 0.0) -> float:
-    """Return where a motor that moves uniformly has the controller put out the first logged torque; else its reference.
-
-    A proportional loop lets a load that weighs something sag by the torque that carries it, over its gain. A search
-    that begins beside it may not find it: friction holds the motor where it begins.
-
-    Args:
-        problem: with the record's torque.
-        velocity: of the motor; at rest without it.
-    """
-    experiment = problem.experiment
-    law = experiment.feedback
-    home = float(experiment.inputs[0, REFERENCE])
-    if law.integrates:  # its integral carries the load, and the motor is where it is asked to be
-        return home
-    gain = law.C[0, law.output] @ experiment.memory[:, 0] + law.D[0, law.output, POSITION]
-    asked = problem.measured[0] - experiment.shown[0] - experiment.feedforward[law.output, 0]
-    asked -= velocity * (law.C[0, law.output] @ experiment.memory[:, 1])
-    return float(asked / gain) if gain != 0.0 else home
-
-
 def inversion_start(problem: ClosedLoopProblem) -> Start:
     """Return what IDIM finds on the reconstructed position: nearly what it finds on a measured one."""
     joint, position = _rigid(problem), reconstructed_position(problem)
@@ -195,7 +174,7 @@ def _regressed(
     """Return what IDIM finds where the position is known; elsewhere it is bridged, and both sides weigh nothing."""
     sample_time, instants = problem.experiment.sample_time, np.arange(torque.size)
     filtering = replace(problem.filtering, borders=(50, 50) if torque.size > 500 else (0, 0), timing="respected")
-    held = Channel(torque, joint.torque_unit or "N", sample_time, Timing.HELD)
+    held = Channel(torque, joint.force_unit, sample_time, Timing.HELD)
     if not np.all(known):
         position = np.interp(instants, instants[known], position[known])
     model = inverse_model(joint, held, (position,), filtering, delay)
