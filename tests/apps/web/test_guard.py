@@ -114,6 +114,7 @@ def test_a_number_of_many_digits_leads_nowhere(client: TestClient, asker: Asker,
 def test_a_place_in_the_progress_that_is_no_number_is_the_beginning(
     client: TestClient, asker: Asker, last: str
 ) -> None:
-    asker.folder.new_run().update(state="done")
+    (asker.folder.path / "log.csv").write_text("t\n", encoding="utf-8")
+    asker.folder.new_run("log.csv", "log.csv").update(state="done")
     answer = client.get("/runs/1/events", headers={"last-event-id": last.encode("latin-1")})
     assert "event: end" in answer.text
