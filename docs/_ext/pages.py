@@ -108,7 +108,7 @@ def _api_page(room: str, said: str, names: list[str]) -> str:
             module, _, own = name.rpartition(".")
             things[name] = getattr(importlib.import_module(f"jointid.{module}"), own)
     rows = "\n".join(
-        f"| {{py:obj}}`{name} <jointid.{name}>` | {_first_line(thing)} |" for name, thing in things.items()
+        f"| {{py:obj}}`{name} <{_target(name, thing)}>` | {_first_line(thing)} |" for name, thing in things.items()
     )
     further = {name: None for name in (*_bases(room, names), *_results(room)) if name[8:] not in BY_MODULE}
     directives = [*starmap(_directive, things.items()), *(f".. autoclass:: {name}" for name in further)]
@@ -150,6 +150,11 @@ def _results(room: str) -> list[str]:
 def _first_line(thing: object) -> str:
     said = inspect.getdoc(thing) or ""
     return said.split("\n\n")[0].replace("\n", " ").replace("``", "`").replace("|", "\\|")
+
+
+def _target(name: str, thing: object) -> str:
+    """Return what a link to a public name leads to: a module is documented under its own name."""
+    return thing.__name__ if inspect.ismodule(thing) else f"jointid.{name}"
 
 
 def _directive(name: str, thing: object) -> str:
